@@ -108,18 +108,18 @@ class LinkLog:
     def write(self, batch: Batch, log_ns: Integers) -> None:
         """Write a batch; `log_ns` (n,): time of receipt of each, UTC, nanoseconds since 1970."""
         self.tally.add(batch)
-        own, damage = self._numbers(batch)
+        numbers, damage = self._numbers(batch)
         publish = log_ns
         decoded = []
         for decoder in self._decoders:
-            told, made = decoder.feed(batch, log_ns)
-            publish = np.where(told != log_ns, told, publish)
-            decoded.extend(made)
+            device_ns, messages = decoder.feed(batch, log_ns)
+            publish = np.where(device_ns != log_ns, device_ns, publish)
+            decoded.extend(messages)
         for wire in np.flatnonzero(np.bincount(batch.wire)).tolist():
             rows = np.flatnonzero(batch.wire == wire)
             payloads = Pieces(batch.data, batch.start[rows], batch.length[rows])
             channel = raw_channel(self._link, Wire(wire))
-            self._writer.messages(channel, payloads, log_ns[rows], publish[rows], own[rows])
+            self._writer.messages(channel, payloads, log_ns[rows], publish[rows], numbers[rows])
         if len(damage) and len(log_ns):
             # Damage has the time of the frame before it, at the beginning of a batch of the one after it.
             place = np.searchsorted(batch.start + batch.base, batch.damage[:, 0]) - 1
@@ -129,7 +129,7 @@ class LinkLog:
             self._damage(batch, np.full(len(damage), self.last_ns), damage)
         for part in decoded:
             self._writer.messages(
-                part.channel, part.payloads, log_ns[part.index], part.publish_ns, own[part.index]
+                part.channel, part.payloads, log_ns[part.index], part.publish_ns, numbers[part.index]
             )
         if len(log_ns):
             self.last_ns = int(log_ns[-1])

@@ -35,8 +35,8 @@ class Logged(SourceMessages):
 
     def whole(self, **members: str) -> dict[str, Integers]:
         """Return members that count something under names of ours, where every record has a number."""
-        found = {name: self.records.number(member) for name, member in members.items()}
-        return {name: v.astype(np.int64) for name, v in found.items() if np.isfinite(v).all()}
+        counts = {name: self.records.number(member) for name, member in members.items()}
+        return {name: v.astype(np.int64) for name, v in counts.items() if np.isfinite(v).all()}
 
     def clock_of(self, device_utc_ns: Integers, boot_ns: Integers) -> Decoded:
         """Return UTC of a receiver beside the running time of the autopilot."""
@@ -172,8 +172,8 @@ class UlogDecoder(LogDecoder[UlogFormats]):
         for topic, receiver in _RECEIVERS.items():
             yield from _receiver(part.logged(topic), receiver, part)
         position = part.logged("vehicle_global_position")
-        found = position.records
-        place = found.number("lat"), found.number("lon"), found.number("alt")
+        records = position.records
+        place = records.number("lat"), records.number("lon"), records.number("alt")
         yield position.location(f"/{part.link}/position", place)
         attitude = part.logged("vehicle_attitude")
         # PX4 turns body vectors (forward, right, down) into north, east, down, as the log does.
@@ -187,53 +187,53 @@ class UlogDecoder(LogDecoder[UlogFormats]):
 
 
 def _receiver(logged: Logged, receiver: str, part: Part[UlogFormats]) -> Iterator[Decoded]:
-    found = logged.records
-    if not len(found):
+    records = logged.records
+    if not len(records):
         return
-    fix = found.number("fix_type")
+    fix = records.number("fix_type")
     kept = logged.rows(fix >= 2)
     claimed = kept.records.number("eph"), kept.records.number("epv")
     yield kept.location(f"/gnss/{part.link}{receiver}/fix", _gps_place(kept), claimed)
     quality = {
-        "hdop": found.number("hdop"),
-        "horizontal_m": found.number("eph"),
-        "vertical_m": found.number("epv"),
+        "hdop": records.number("hdop"),
+        "horizontal_m": records.number("eph"),
+        "vertical_m": records.number("epv"),
     }
     satellites = logged.whole(satellites="satellites_used")
     yield logged.status(receiver, {"fix": fix_names(fix), **satellites, **quality})
-    device = _told_utc(found.number("time_utc_usec"), earliest_us=0.0)
-    yield logged.clock_of(device, part.boot_ns[found.index])
+    device = _told_utc(records.number("time_utc_usec"), earliest_us=0.0)
+    yield logged.clock_of(device, part.boot_ns[records.index])
 
 
 def _gps_place(logged: Logged) -> tuple[Floats, Floats, Floats]:
-    found = logged.records
-    if "latitude_deg" in found:  # since 1.15
-        height = found.number("altitude_msl_m")
-        return found.number("latitude_deg"), found.number("longitude_deg"), height
-    return found.number("lat") * 1e-7, found.number("lon") * 1e-7, found.number("alt") * 1e-3
+    records = logged.records
+    if "latitude_deg" in records:  # since 1.15
+        height = records.number("altitude_msl_m")
+        return records.number("latitude_deg"), records.number("longitude_deg"), height
+    return records.number("lat") * 1e-7, records.number("lon") * 1e-7, records.number("alt") * 1e-3
 
 
 def _quaternion(logged: Logged) -> Floats:
-    found = logged.records
-    if "q" not in found or found["q"].shape[1:] != (4,):
-        return np.full((len(found), 4), np.nan)
+    records = logged.records
+    if "q" not in records or records["q"].shape[1:] != (4,):
+        return np.full((len(records), 4), np.nan)
     with np.errstate(invalid="ignore"):  # a damaged number may be a signalling NaN
-        return np.asarray(found["q"], float)
+        return np.asarray(records["q"], float)
 
 
 def _exposure(logged: Logged, edge: str) -> Decoded:
-    found = logged.records
-    gps = _told_utc(found.number("timestamp_utc"), earliest_us=_YEAR_2000_US)
+    records = logged.records
+    gps = _told_utc(records.number("timestamp_utc"), earliest_us=_YEAR_2000_US)
     columns: dict[str, Any] = {"time": Times(np.where(gps >= 0, gps, logged.utc_ns))}
     names = {"latitude_deg": "lat", "longitude_deg": "lon", "altitude_msl_m": "alt"}
-    columns |= {name: found.number(member) for name, member in names.items() if member in found}
+    columns |= {name: records.number(member) for name, member in names.items() if member in records}
     return logged.exposure(edge, {**columns, **logged.whole(sequence="seq")})
 
 
 def _told_utc(microseconds: Floats, earliest_us: float) -> Integers:
     """Return UTC that records tell, nanoseconds since 1970; -1 where they tell none."""
-    told = (microseconds > earliest_us) & (microseconds < _YEAR_2100_US)
-    return np.where(told, np.where(told, microseconds, 0).astype(np.int64) * 1000, -1)
+    plausible = (microseconds > earliest_us) & (microseconds < _YEAR_2100_US)
+    return np.where(plausible, np.where(plausible, microseconds, 0).astype(np.int64) * 1000, -1)
 
 
 # Flag of the receiver.
@@ -268,23 +268,23 @@ class EventListDecoder:
 
     def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Return the time of each event and the decoded messages."""
-        told = self._clock.feed(batch)
-        utc = np.where(told >= 0, told, log_ns)
-        found = mrk.decode(batch)
-        events = SourceMessages(self._link, "MRK", found.index, utc[found.index])
+        event_utc = self._clock.feed(batch)
+        utc = np.where(event_utc >= 0, event_utc, log_ns)
+        marks = mrk.decode(batch)
+        events = SourceMessages(self._link, "MRK", marks.index, utc[marks.index])
         if not len(events):
             return utc, []
-        horizontal = np.hypot(found["sigma_north_m"], found["sigma_east_m"])
-        place = found["latitude_deg"], found["longitude_deg"], found["height_m"]
-        claimed = horizontal, found["sigma_up_m"]
+        horizontal = np.hypot(marks["sigma_north_m"], marks["sigma_east_m"])
+        place = marks["latitude_deg"], marks["longitude_deg"], marks["height_m"]
+        claimed = horizontal, marks["sigma_up_m"]
         columns = {
-            "sequence": found["number"].astype(np.int64),
-            "time": Times(told),
-            "latitude_deg": found["latitude_deg"],
-            "longitude_deg": found["longitude_deg"],
+            "sequence": marks["number"].astype(np.int64),
+            "time": Times(event_utc),
+            "latitude_deg": marks["latitude_deg"],
+            "longitude_deg": marks["longitude_deg"],
         }
-        fix = [_FIXES.get(int(flag), "3d") for flag in found["flag"].tolist()]
-        quality = {"fix": fix, "horizontal_m": horizontal, "vertical_m": found["sigma_up_m"]}
+        fix = [_FIXES.get(int(flag), "3d") for flag in marks["flag"].tolist()]
+        quality = {"fix": fix, "horizontal_m": horizontal, "vertical_m": marks["sigma_up_m"]}
         return utc, [
             events.exposure("feedback", columns),
             events.location(f"/gnss/{self._link}/fix", place, claimed, ELLIPSOIDAL),
@@ -334,46 +334,48 @@ def _dataflash_receiver(every: Logged, part: Part[DataflashFormats]) -> Iterator
     for number in np.unique(instance[np.isfinite(instance)]).tolist() or [-1.0]:
         receiver = "-2" if every.source == "GPS2" else f"-{number + 1:.0f}" if number > 0 else ""
         logged = every.rows(instance == number) if number >= 0 else every
-        found = logged.records
-        fix = found.number("Status")
+        records = logged.records
+        fix = records.number("Status")
         kept = logged.rows(fix >= 2)
         yield kept.location(f"/gnss/{part.link}{receiver}/fix", _place(kept))
-        quality = {**logged.whole(satellites="NSats"), "hdop": found.number("HDop")}
+        quality = {**logged.whole(satellites="NSats"), "hdop": records.number("HDop")}
         yield logged.status(receiver, {"fix": fix_names(fix), **quality})
         yield logged.clock_of(
-            _dataflash_utc(found, ("GWk", "Week"), ("GMS", "TimeMS")), part.boot_ns[found.index]
+            _dataflash_utc(records, ("GWk", "Week"), ("GMS", "TimeMS")), part.boot_ns[records.index]
         )
 
 
 def _place(logged: Logged) -> tuple[Floats, Floats, Floats]:
-    found = logged.records
-    return found.number("Lat"), found.number("Lng"), found.number("Alt")
+    records = logged.records
+    return records.number("Lat"), records.number("Lng"), records.number("Alt")
 
 
 def _dataflash_exposure(logged: Logged, edge: str, part: Part[DataflashFormats]) -> Decoded:
-    found = logged.records
+    records = logged.records
     # GPSTime is that of the last fix before: the record's own time is nearer, where it has one.
-    own = part.boot_ns[found.index] >= 0
+    timed = part.boot_ns[records.index] >= 0
     return logged.exposure(
         edge,
         {
-            "time": Times(np.where(own, logged.utc_ns, _dataflash_utc(found, ("GPSWeek",), ("GPSTime",)))),
-            "latitude_deg": found.number("Lat"),
-            "longitude_deg": found.number("Lng"),
-            "altitude_msl_m": found.number("Alt"),
-            "roll_deg": found.number("Roll", "R"),
-            "pitch_deg": found.number("Pitch", "P"),
-            "yaw_deg": found.number("Yaw", "Y"),
+            "time": Times(
+                np.where(timed, logged.utc_ns, _dataflash_utc(records, ("GPSWeek",), ("GPSTime",)))
+            ),
+            "latitude_deg": records.number("Lat"),
+            "longitude_deg": records.number("Lng"),
+            "altitude_msl_m": records.number("Alt"),
+            "roll_deg": records.number("Roll", "R"),
+            "pitch_deg": records.number("Pitch", "P"),
+            "yaw_deg": records.number("Yaw", "Y"),
             **logged.whole(sequence="Img"),
         },
     )
 
 
 def _dataflash_utc(
-    found: Records, week_names: tuple[str, ...], millisecond_names: tuple[str, ...]
+    records: Records, week_names: tuple[str, ...], millisecond_names: tuple[str, ...]
 ) -> Integers:
     """Return UTC of the GPS times that records tell, nanoseconds since 1970; -1 where they tell none."""
-    week, milliseconds = found.number(*week_names), found.number(*millisecond_names)
-    told = (week > 0) & (week < 1 << 16) & (milliseconds >= 0)
-    gps = week_to_ns(np.where(told, week, 0), np.where(told, milliseconds, 0) * 1e-3)
-    return np.where(told, gps_to_utc_ns(gps), -1)
+    week, milliseconds = records.number(*week_names), records.number(*millisecond_names)
+    known = (week > 0) & (week < 1 << 16) & (milliseconds >= 0)
+    gps = week_to_ns(np.where(known, week, 0), np.where(known, milliseconds, 0) * 1e-3)
+    return np.where(known, gps_to_utc_ns(gps), -1)

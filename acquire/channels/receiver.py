@@ -44,8 +44,8 @@ class ReceiverDecoder:
         return publish, in_order(decoded)
 
     def _positions(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
-        found = {name: read(batch) for name, read in _READERS.items()}
-        for source, fixes in self._fix_rank.used(found, len(batch)):
+        by_source = {name: read(batch) for name, read in _READERS.items()}
+        for source, fixes in self._fix_rank.used(by_source, len(batch)):
             f = fixes.rows(fixes.valid)
             yield self._messages(source, f.index, publish).location(
                 f"/gnss/{self._link}/fix",
@@ -54,7 +54,7 @@ class ReceiverDecoder:
                 ELLIPSOIDAL,
                 "antenna",
             )
-        telling = {name: found[name] for name in _STATUS_SOURCES}
+        telling = {name: by_source[name] for name in _STATUS_SOURCES}
         for source, fixes in self._status_rank.used(telling, len(batch)):
             columns = {
                 "fix": fixes.fix,
@@ -124,16 +124,16 @@ class _Rank:
     def __init__(self) -> None:
         self._best: int | None = None
 
-    def used(self, found: Mapping[str, _Fixes], frames: int) -> Iterator[tuple[str, _Fixes]]:
+    def used(self, by_source: Mapping[str, _Fixes], frames: int) -> Iterator[tuple[str, _Fixes]]:
         """Yield what counts of each source; the sources are given best first."""
-        ranks = list(found.items())
+        ranks = list(by_source.items())
         for rank, (source, fixes) in enumerate(ranks):
             if self._best is not None and self._best < rank:
                 continue
             better = [int(f.index[0]) for _, f in ranks[:rank] if len(f.index)]
-            own = fixes.index < min(better, default=frames)
-            if own.any():
-                yield source, fixes.rows(own)
+            counting = fixes.index < min(better, default=frames)
+            if counting.any():
+                yield source, fixes.rows(counting)
         seen = [rank for rank, (_, fixes) in enumerate(ranks) if len(fixes.index)]
         self._best = min([*seen, *([] if self._best is None else [self._best])], default=None)
 

@@ -110,7 +110,7 @@ def _varint(values: NDArray[Any]) -> Bytes:
 SECOND_NS = 1_000_000_000
 
 # LocationFix.PositionCovarianceType
-COVARIANCE_UNKNOWN, COVARIANCE_APPROXIMATED, COVARIANCE_DIAGONAL_KNOWN, COVARIANCE_KNOWN = range(4)
+COVARIANCE_UNKNOWN, COVARIANCE_APPROXIMATED = 0, 1
 
 _TIMESTAMP = [Field(1, "#seconds"), Field(2, "#nanoseconds")]
 

@@ -60,28 +60,32 @@ class CommonErrors:
 
     def as_json(self) -> dict[str, Any]:
         """Give them as a JSON value."""
+        moved = self.shift_by_zenith_delay
         return {
             "shift_sigma_m": self.shift_sigma_m.tolist(),
             "zenith_scale_sigma": self.zenith_scale_sigma,
             "correlation_time_s": self.correlation_time_s,
-            "base_sigma_m": _listed(self.base_sigma_m),
+            "base_sigma_m": None if self.base_sigma_m is None else self.base_sigma_m.tolist(),
             "lasting_sigma_m": self.lasting_sigma_m.tolist(),
             "base_height_m": self.base_height_m,
             "lapse": vars(self.lapse),
-            "shift_by_zenith_delay": _listed(self.shift_by_zenith_delay),
+            "shift_by_zenith_delay": None if moved is None else moved.tolist(),
             "correction_per_metre": self.correction_per_metre.tolist(),
         }
 
     @classmethod
     def from_json(cls, figures: dict[str, Any]) -> CommonErrors:
         """Read what `as_json` gave."""
+        vectors = ("base_sigma_m", "lasting_sigma_m", "shift_by_zenith_delay")
+        given: dict[str, Any] = {
+            name: None if figures[name] is None else np.array(figures[name]) for name in vectors
+        }
+        lapse = DelayLapse(**figures["lapse"])
         return cls(
-            _array(figures["base_sigma_m"]),
-            figures["correlation_time_s"],
-            np.array(figures["lasting_sigma_m"]),
-            figures["base_height_m"],
-            DelayLapse(**figures["lapse"]),
-            _array(figures["shift_by_zenith_delay"]),
+            correlation_time_s=figures["correlation_time_s"],
+            base_height_m=figures["base_height_m"],
+            lapse=lapse,
+            **given,
         )
 
     def corrected(self, trajectory: Trajectory) -> Trajectory:
@@ -151,11 +155,3 @@ def common_text(figures: dict[str, Any]) -> list[str]:
             f"metre above the base, sigma {spread:.2f} mm"
         )
     return lines
-
-
-def _listed(values: Floats | None) -> list[float] | None:
-    return None if values is None else values.tolist()
-
-
-def _array(values: list[float] | None) -> Floats | None:
-    return None if values is None else np.array(values)
