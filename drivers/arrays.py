@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from typing import Any
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,19 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
+
+
+class Columns:
+    """What dataclasses of columns of one length have in common."""
+
+    def rows(self, chosen: Any) -> Self:
+        """Return some of the rows; what is no column stays."""
+        kept: dict[str, Any] = {
+            name: value.rows(chosen) if hasattr(value, "rows") else value[chosen]
+            for name, value in vars(self).items()
+            if hasattr(value, "__getitem__") and not isinstance(value, str | tuple)
+        }
+        return replace(self, **kept)  # type: ignore[type-var]
 
 
 def as_plain(value: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -15,7 +15,7 @@ from acquire.channels.source_messages import ELLIPSOIDAL, SourceMessages
 from acquire.channels.vehicle_messages import FIX_NAMES
 from acquire.log import foxglove
 from drivers import mrk
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Floats, Integers
 from drivers.dataflash import DataflashFormats
 from drivers.frames import Batch
 from drivers.gnsstime import gps_to_utc_ns, week_to_ns
@@ -28,10 +28,6 @@ class Logged(SourceMessages):
     """Records of one kind."""
 
     records: Records
-
-    def rows(self, kept: Flags) -> Logged:
-        """Return some of the records."""
-        return replace(super().rows(kept), records=self.records.rows(kept))
 
     def whole(self, **members: str) -> dict[str, Integers]:
         """Return members that count something under names of ours, where every record has a number."""

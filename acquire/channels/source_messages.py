@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +12,14 @@ from acquire.channels.decoded import Decoded, JsonLayout, Times
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH
 from acquire.log import foxglove
 from acquire.log.records import Channel
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Columns, Floats, Integers
 
 SEA_LEVEL = "above mean sea level, as the autopilot computes it"
 ELLIPSOIDAL = "above the ellipsoid"
 
 
 @dataclass(frozen=True)
-class SourceMessages:
+class SourceMessages(Columns):
     """Messages of one kind from one source.
 
     link, source: the link and the name of the kind, as messages of ours carry them.
@@ -39,13 +39,6 @@ class SourceMessages:
     def names(self) -> dict[str, Any]:
         """Members of a JSON message that tell its source."""
         return {"link": self.link, "source": self.source}
-
-    def rows(self, kept: Flags) -> Self:
-        """Return some of the messages."""
-        arrays: dict[str, Any] = {
-            name: value[kept] for name, value in vars(self).items() if isinstance(value, np.ndarray)
-        }
-        return replace(self, **arrays)
 
     def json(self, topic: str, layout: JsonLayout, columns: Mapping[str, Any]) -> Decoded:
         """Return messages of a JSON type."""

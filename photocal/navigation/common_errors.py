@@ -15,7 +15,7 @@ from photocal.navigation.engine_output import (
 )
 from photocal.navigation.static_position import PER_METRE
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
+from photocal.navigation.trajectory import Trajectory, enu_axes, geodetic
 from photocal.navigation.troposphere import DelayLapse, Weather, remaining_lapse
 
 
@@ -101,7 +101,7 @@ class CommonErrors:
         offset = above[:, None] * self.correction_per_metre
         # Axes of the flight's middle serve all its positions: corrections are centimetres.
         axes = enu_axes(float(np.median(t.lat_deg)), float(np.median(t.lon_deg)))
-        place = geodetic(geocentric(t.lat_deg, t.lon_deg, t.height_m) + offset @ axes)
+        place = geodetic(t.xyz_m + offset @ axes)
         return replace(t, lat_deg=place[0], lon_deg=place[1], height_m=place[2])
 
 
@@ -123,7 +123,7 @@ def common_errors(
     duration = max(float(t.time.ns[-1] - t.time.ns[0]) / 1e9, 1e-9)
     # Errors of which it is not known how long they last are taken to last for the whole flight.
     share = min(float(np.nan_to_num(2 * lasts / duration, nan=1.0)), 1.0)
-    away = np.linalg.norm(geocentric(t.lat_deg, t.lon_deg, t.height_m) - base_m, axis=1)
+    away = np.linalg.norm(t.xyz_m - base_m, axis=1)
     return CommonErrors(
         base_sigma_m,
         lasts if np.isfinite(lasts) else None,

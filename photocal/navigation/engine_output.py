@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError, InputMalformedError
 from photocal.navigation.time import WEEK_NS, GpsTime
+from photocal.navigation.trajectory import Geodetic
 
-FIXED, FLOAT, SINGLE = 1, 2, 5
+FIXED, FLOAT = 1, 2
 _COLUMNS = 15
 _LEAST_SIGMA_M = 1e-4
 
 
 @dataclass(frozen=True)
-class EngineSolution:
+class EngineSolution(Geodetic):
     """Positions of one run of the engine.
 
     time: epochs.
@@ -43,10 +44,6 @@ class EngineSolution:
 
     def __len__(self) -> int:
         return len(self.time)
-
-    def rows(self, chosen: Integers | Flags) -> EngineSolution:
-        """Return some of the epochs."""
-        return EngineSolution(**{name: values[chosen] for name, values in vars(self).items()})
 
     @property
     def sigma_m(self) -> Floats:

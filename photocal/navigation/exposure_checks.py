@@ -130,7 +130,7 @@ def _autopilot_clock(e: Evidence) -> Finding:
     if rows.sum() < 20:
         return untested(code, "hardly-moved")
     origin = np.array([np.mean(c[rows]) for c in (ours.lat_deg, ours.lon_deg, ours.height_m)])
-    here = enu_offsets(ours.lat_deg[rows], ours.lon_deg[rows], ours.height_m[rows], origin)
+    here = ours.rows(rows).offsets(origin)
     # Heights of an autopilot follow the air pressure: they say nothing of the time.
     theirs = enu_offsets(v.lat_deg[rows], v.lon_deg[rows], ours.height_m[rows], origin)
     unknown = np.full((int(rows.sum()), 3, 3), np.nan)

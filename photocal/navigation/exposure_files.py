@@ -49,12 +49,12 @@ def _places(run: ExposureRun, minutes: Floats, track: Any, height: Any) -> None:
     rows = p.placed
     origin = np.array([np.mean(p.lat_deg[rows]), np.mean(p.lon_deg[rows]), np.mean(p.height_m[rows])])
     if t is not None:
-        east, north, _ = enu_offsets(t.lat_deg, t.lon_deg, t.height_m, origin).T
+        east, north, _ = t.offsets(origin).T
         track.plot(east, north, "-", lw=0.5, color="0.7", zorder=0)
         since = (t.time.ns - run.exposures.time.ns[0]) / 60e9
         near = (since >= minutes[0]) & (since <= minutes[-1])
         height.plot(since[near], t.height_m[near], "-", lw=0.5, color="0.7", zorder=0)
-    east, north, _ = enu_offsets(p.lat_deg, p.lon_deg, p.height_m, origin).T
+    east, north, _ = p.offsets(origin).T
     sigma = np.sqrt(np.maximum(p.covariance_m2[:, 2, 2], 0.0))
     for status, colour in COLOURS.items():
         own = rows & (p.status == status)

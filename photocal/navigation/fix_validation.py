@@ -9,7 +9,6 @@ import numpy as np
 from drivers.arrays import Flags, Floats, Integers
 from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import enu_offsets
 
 # A claim of two runs to the same fix holds when they agree as well as two fixes do.
 _SAME_FIX_M = np.array([0.05, 0.05, 0.10])
@@ -81,7 +80,7 @@ def judge(
 
 
 def _enu(solution: EngineSolution, origin: Floats) -> Floats:
-    return enu_offsets(solution.lat_deg, solution.lon_deg, solution.height_m, origin)
+    return solution.offsets(origin)
 
 
 def _quality(solution: EngineSolution, row: Integers) -> Integers:

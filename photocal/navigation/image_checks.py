@@ -22,7 +22,6 @@ from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.rig import Rig
-from photocal.navigation.trajectory import enu_offsets
 from photocal.results.folder import RESULT, read_result
 
 CODE = "image-rotations"
@@ -66,7 +65,7 @@ def places_of(exposures: Exposures) -> Floats:
     if not known.any():
         return np.full((len(exposures), 3), np.nan)
     origin = np.array([np.mean(c[known]) for c in (p.lat_deg, p.lon_deg, p.height_m)])
-    return enu_offsets(p.lat_deg, p.lon_deg, p.height_m, origin)
+    return p.offsets(origin)
 
 
 def stored_turns(pairs: list[PairRotation]) -> dict[int, int]:

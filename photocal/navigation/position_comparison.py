@@ -277,7 +277,7 @@ def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: Rig, free
     if known.sum() < 8:
         return untested(code, "few-common", {**beside, "n": float(known.sum())})
     origin = np.array([np.mean(c[known]) for c in (p.lat_deg, p.lon_deg, p.height_m)])
-    here = enu_offsets(p.lat_deg[known], p.lon_deg[known], p.height_m[known], origin)
+    here = p.rows(known).offsets(origin)
     there = _aligned(theirs[known], here) if free == "similarity" else _offsets(theirs[known], origin)
     body = ours.carrier if ours.carrier is not None else ours.attitude
     if there is None:

@@ -20,7 +20,7 @@ from photocal.navigation.fix_validation import Judgement, judge
 from photocal.navigation.precise_results import ObservationFile, count_ephemerides
 from photocal.navigation.static_position import in_order, static_position, trajectory_of
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_axes, enu_offsets, geocentric, geodetic
+from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
 from photocal.navigation.troposphere import Weather
 
 # Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.
@@ -36,9 +36,7 @@ def between_directions(
     decimetres off although both directions agree.
     """
     origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
-    here, fore, back = (
-        enu_offsets(s.lat_deg, s.lon_deg, s.height_m, origin) for s in (combined, forward, backward)
-    )
+    here, fore, back = (s.offsets(origin) for s in (combined, forward, backward))
     f, b = forward.at(combined.time), backward.at(combined.time)
     # A direction with the worse status took no part.
     both = (f >= 0) & (b >= 0) & (forward.quality[f] == backward.quality[b])
@@ -276,7 +274,7 @@ def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Engine, f
     """Return the base's position less its own code solution (east, north, up); refuse a wrong one."""
     alone = [inputs.base.path, *inputs.navigation]
     code = engine.solve("single", "forward", alone, options, None, folder)
-    middle = np.median(geocentric(code.lat_deg, code.lon_deg, code.height_m), axis=0)
+    middle = np.median(code.xyz_m, axis=0)
     lat, lon, _ = geodetic(inputs.base_m[None])
     apart = enu_axes(float(lat[0]), float(lon[0])) @ (inputs.base_m - middle)
     off = float(np.linalg.norm(apart))

@@ -18,7 +18,7 @@ from photocal.navigation.engine import Engine
 from photocal.navigation.engine_output import FIXED
 from photocal.navigation.ppk import PpkResult, options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
-from photocal.navigation.trajectory import enu_offsets, geodetic, write_trajectory
+from photocal.navigation.trajectory import geodetic, write_trajectory
 
 FIGURES = "ppk.json"
 _LISTED_GAPS = 10
@@ -253,7 +253,7 @@ def plot_ppk(result: PpkResult, path: Path) -> None:
 
     t = result.trajectory
     origin = np.array([np.median(t.lat_deg), np.median(t.lon_deg), np.median(t.height_m)])
-    east, north, _ = enu_offsets(t.lat_deg, t.lon_deg, t.height_m, origin).T
+    east, north, _ = t.offsets(origin).T
     minutes = (t.time.ns - t.time.ns[0]) / 60e9
     figure = Figure(figsize=(11, 8), layout="constrained")
     track, height, apart, ratio = figure.subplots(2, 2).ravel()

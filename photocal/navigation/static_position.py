@@ -11,7 +11,7 @@ from drivers.errors import IllPosedError
 from photocal.navigation.engine import Engine, ProcessingOptions
 from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.precise_results import ObservationFile
-from photocal.navigation.trajectory import Trajectory, enu_offsets, geocentric
+from photocal.navigation.trajectory import Trajectory, geocentric
 
 _STATUS = {1: "fixed", 2: "float"}
 _DIFFERENTIAL, _PRECISE = 2, 6
@@ -43,7 +43,7 @@ def precise_point(
     last = found.rows(np.array([len(found) - 1]))
     origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
     half = found.rows(np.arange(len(found) // 2, len(found)))
-    way = enu_offsets(half.lat_deg, half.lon_deg, half.height_m, origin)
+    way = half.offsets(origin)
     spread = np.maximum(np.sqrt(np.mean(way**2, axis=0)), 10 * _STATIC_FLOOR_M)
     settled = last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
     return trajectory_of(settled, 0.0, geocentric(*origin[:, None])[0])
@@ -58,7 +58,7 @@ def static_position(forward: EngineSolution, combined: EngineSolution) -> Engine
     last = forward.rows(np.array([len(forward) - 1]))
     origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
     steady = combined.rows(combined.quality == last.quality[0])
-    apart = enu_offsets(steady.lat_deg, steady.lon_deg, steady.height_m, origin)
+    apart = steady.offsets(origin)
     wander = np.sqrt(np.mean(apart**2, axis=0)) if len(apart) else np.zeros(3)
     spread = np.maximum(wander, _STATIC_FLOOR_M)
     return last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
@@ -77,7 +77,7 @@ def trajectory_of(
     velocity: Floats | None = None,
 ) -> Trajectory:
     """Return the engine's positions as a trajectory."""
-    place = geocentric(solution.lat_deg, solution.lon_deg, solution.height_m)
+    place = solution.xyz_m
     apart = PER_METRE * np.linalg.norm(place - base_m, axis=1)
     apart[solution.quality > _DIFFERENTIAL] = 0.0
     status = np.array([_STATUS.get(q, "single") for q in solution.quality.tolist()], "U6")

@@ -256,5 +256,5 @@ def _duration(minutes: float, survey: Survey) -> dict[str, Any]:
 def _earth_centred(t: Trajectory) -> tuple[Floats, Floats]:
     """Return the position of a static run and its covariance in earth-centred axes."""
     axes = enu_axes(float(t.lat_deg[0]), float(t.lon_deg[0]))
-    place = geocentric(t.lat_deg, t.lon_deg, t.height_m)[0]
+    place = t.xyz_m[0]
     return np.asarray(place), np.asarray(axes.T @ t.covariance_m2[0] @ axes)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.outputs import write_rows
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Columns, Flags, Floats, Integers
 from photocal.navigation.time import GpsTime
 
 COLUMNS = (
@@ -17,8 +17,25 @@ COLUMNS = (
 )  # fmt: skip
 
 
+class Geodetic(Columns):
+    """Columns of which three are positions on WGS 84: latitude, longitude, ellipsoidal height."""
+
+    lat_deg: Floats
+    lon_deg: Floats
+    height_m: Floats
+
+    @property
+    def xyz_m(self) -> Floats:
+        """Earth-centred coordinates (n, 3)."""
+        return geocentric(self.lat_deg, self.lon_deg, self.height_m)
+
+    def offsets(self, origin: Floats) -> Floats:
+        """Return topocentric east, north, up (n, 3) about a place (latitude, longitude, height)."""
+        return enu_offsets(self.lat_deg, self.lon_deg, self.height_m, origin)
+
+
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(Geodetic):
     """Positions of the rover's antenna reference point.
 
     time: epochs, increasing.
@@ -40,19 +57,6 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.time)
-
-    def rows(self, chosen: Flags | Integers) -> Trajectory:
-        """Return some of the epochs."""
-        return Trajectory(
-            self.time[chosen],
-            self.lat_deg[chosen],
-            self.lon_deg[chosen],
-            self.height_m[chosen],
-            self.status[chosen],
-            self.covariance_m2[chosen],
-            self.velocity_m_s[chosen],
-            self.velocity_sigma_m_s,
-        )
 
 
 def covariance_cells(covariance_m2: Floats) -> list[str]:
@@ -131,7 +135,7 @@ _DEFAULT_ROUGHNESS = 0.5
 
 
 @dataclass(frozen=True)
-class Placed:
+class Placed(Geodetic):
     """Positions at given instants.
 
     placed: whether there are epochs close enough on both sides; the other columns are NaN where not.
@@ -153,7 +157,7 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOut(Columns):
     """Fixes that were left out and interpolated from their neighbours.
 
     time: their epochs.
@@ -164,10 +168,6 @@ class LeftOut:
     time: GpsTime
     error_m: Floats
     gap_s: Floats
-
-    def rows(self, chosen: slice) -> LeftOut:
-        """Return some of them."""
-        return LeftOut(self.time[chosen], self.error_m[chosen], self.gap_s[chosen])
 
 
 def left_out(trajectory: Trajectory) -> LeftOut:
@@ -250,7 +250,7 @@ def interpolate(
 def _local(trajectory: Trajectory) -> tuple[Floats, Floats]:
     t = trajectory
     origin = np.array([np.median(t.lat_deg), np.median(t.lon_deg), np.median(t.height_m)])
-    return enu_offsets(t.lat_deg, t.lon_deg, t.height_m, origin), origin
+    return t.offsets(origin), origin
 
 
 def _hermite(

@@ -9,7 +9,7 @@ import numpy as np
 
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, LIGHT_M_S
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Columns, Floats, Integers
 
 Path = Callable[[Integers], Floats]
 
@@ -33,7 +33,7 @@ class Antenna:
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(Columns):
     """An antenna at the epochs of a receiver.
 
     position_m, velocity_m_s (n, 3): Earth-centred, earth-fixed.
@@ -45,16 +45,6 @@ class Place:
     lat: Floats
     lon: Floats
     height_m: Floats
-
-    def rows(self, chosen: Integers) -> Place:
-        """Return some of the epochs."""
-        return Place(
-            self.position_m[chosen],
-            self.velocity_m_s[chosen],
-            self.lat[chosen],
-            self.lon[chosen],
-            self.height_m[chosen],
-        )
 
 
 def place(position_m: Floats, velocity_m_s: Floats) -> Place:

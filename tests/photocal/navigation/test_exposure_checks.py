@@ -81,7 +81,7 @@ def shots(path: Trajectory, late_s: float = 0.0) -> tuple[Exposures, Events]:
 def seen_by_images(noise_m: float = 0.02) -> Floats:
     """Projection centres in a frame of their own: turned, scaled, shifted, with noise."""
     camera = at_camera(shots(trajectory())[0], Rig(LEVER, np.zeros(3), SIGMAS)).placed
-    place = (geocentric(camera.lat_deg, camera.lon_deg, camera.height_m) - CENTRE) @ AXES.T
+    place = (camera.xyz_m - CENTRE) @ AXES.T
     place = place + np.random.default_rng(5).normal(0, noise_m, place.shape)
     turn = enu_axes(40.0, 130.0)
     return np.asarray(1.003 * place @ turn.T + [500.0, -200.0, 30.0])
@@ -126,7 +126,7 @@ def test_a_wrong_sign_of_the_lever_arm_across() -> None:
     rig = Rig(lever * [1, -1, 1], np.full(3, 0.01), SIGMAS)
     ours = at_camera(shots(trajectory())[0], rig)
     truth = at_camera(shots(trajectory())[0], Rig(lever, np.zeros(3), SIGMAS)).placed
-    place = (geocentric(truth.lat_deg, truth.lon_deg, truth.height_m) - CENTRE) @ AXES.T
+    place = (truth.xyz_m - CENTRE) @ AXES.T
     place = place + np.random.default_rng(6).normal(0, 0.02, place.shape)
     check = judge_positions("images", ours, np.asarray(place), rig, "similarity")
     assert (check.severity, check.code) == ("grave", "lever-arm-axes")
@@ -137,7 +137,7 @@ def test_false_alarms_are_rare() -> None:
     rig = Rig(LEVER, np.full(3, 0.01), SIGMAS)
     ours = at_camera(shots(trajectory())[0], rig)
     p = ours.placed
-    place = (geocentric(p.lat_deg, p.lon_deg, p.height_m) - CENTRE) @ AXES.T
+    place = (p.xyz_m - CENTRE) @ AXES.T
     rng = np.random.default_rng(7)
     failed = sum(
         judge_positions("x", ours, place + rng.normal(0, 0.02, place.shape), rig, "similarity").severity

@@ -87,7 +87,7 @@ def block(exposures: Exposures, rotation: Floats, stored: dict[int, int]) -> Ori
     """The images in a frame turned, scaled and shifted, some stored turned by quarters."""
     p = exposures.placed
     centre = geocentric(ORIGIN[None, 0], ORIGIN[None, 1], ORIGIN[None, 2])
-    place = (geocentric(p.lat_deg, p.lon_deg, p.height_m) - centre) @ enu_axes(ORIGIN[0], ORIGIN[1]).T
+    place = (p.xyz_m - centre) @ enu_axes(ORIGIN[0], ORIGIN[1]).T
     turn = enu_axes(40.0, 130.0)
     quarters = Rotation.from_rotvec([[0, 0, -np.pi / 2 * stored.get(k, 0)] for k in range(24)]).as_matrix()
     unknown = np.full(len(place), -1)

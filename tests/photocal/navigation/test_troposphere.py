@@ -21,7 +21,6 @@ from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.survey import KnownMark, MeasuredBaseline, Survey, SurveySetup, run_survey
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import geocentric
 from photocal.navigation.troposphere import (
     Weather,
     climate,
@@ -119,7 +118,7 @@ def flown(humidity: float, weather: Weather | None, folder: Path) -> tuple[PpkRe
     t = result.trajectory
     assert (t.status == "fixed").mean() > 0.9
     truth = way.position(t.time.ns) + raised
-    return result, (geocentric(t.lat_deg, t.lon_deg, t.height_m) - truth) @ AXES.T
+    return result, (t.xyz_m - truth) @ AXES.T
 
 
 def zenith_delay_m(humidity: float, height_m: float) -> float:
