@@ -16,6 +16,7 @@ from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.snooping import snoop
 from photocal.adjustment.solver import gradient
 from photocal.geometry.camera import PARAMETERS, camera
+from photocal.geometry.distortion import distorted, undistorted
 
 
 def _network() -> Network:
@@ -45,6 +46,7 @@ def _network() -> Network:
 def compile_usual() -> None:
     """Compile what networks of Brown's lenses without a rolling shutter need."""
     network = _network()
+    distorted(network.cameras[0], undistorted(network.cameras[0], network.rays.plane))
     solution = adjust(network)
     snoop(network)
     # What an analysis does with the factor.
