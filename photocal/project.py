@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from acquire.checked_toml import Table, read_toml
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma, make_camera
 from photocal.block.rig import HeadKeys
 from photocal.block.setup import BodyAxis, MountingKeys
@@ -375,12 +375,21 @@ class Project:
         return part
 
 
+# File that `photocal new` writes into the folder of a flight.
+NAME = "project.toml"
+
+
 def read_project(path: Path) -> Project:
-    """Read and check a project file.
+    """Read and check a project file, or that of a folder.
 
     raises InputNotFoundError: when there is no such file.
     raises ConfigurationError: for what is not TOML, an unknown key, a missing one, or an impossible value.
     """
+    if path.is_dir():
+        folder, path = path, path / NAME
+        if not path.exists():
+            remedy = f"photocal new {folder} looks at its pictures and tables and writes one"
+            raise InputNotFoundError(f"holds no {NAME}", where=folder, remedy=remedy)
     contents = read_toml(path, Contents, {"folder": path.parent})
     cameras = [make_camera(keys, path) for keys in contents.camera]
     # Nobody said: the adjustment of the flight will tell.

@@ -60,7 +60,7 @@ def adopt(
 
 
 def run(
-    projects: Annotated[list[Path], argument("Project file; several are run one by one.")],
+    projects: Annotated[list[Path], argument("Project file, or its folder; several are run one by one.")],
     until: Annotated[str | None, option("Last stage to be made.")] = None,
     again: Annotated[str | None, option("Stage to be made again although nothing has changed.")] = None,
     rehash: Annotated[

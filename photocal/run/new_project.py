@@ -23,10 +23,10 @@ from photocal.measurement.marks_files import named_after
 from photocal.measurement.rigs import Frame, recognised
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
-from photocal.project import ASKED
+from photocal.project import ASKED, NAME
 from photocal.run.folder_survey import ASSUMED_M, Found, Survey, survey
 
-NAME, PICTURES = "project.toml", "pictures.csv"
+PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
 CODE_LEVEL_M, OTHER_SURFACE_M = (1.5, 1.5, 3.0), 50.0
 # How far the cameras of a frame may be apart, m: the sigma of each coordinate.

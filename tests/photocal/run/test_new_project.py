@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from drivers.errors import ConfigurationError, OutputError
+from drivers.errors import ConfigurationError, InputNotFoundError, OutputError
 from photocal.block.folder import read_points
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.maker_camera import stated_camera
@@ -117,3 +117,9 @@ def test_the_readout_that_a_maker_states(tmp_path: Path) -> None:
     (own,) = read_project(new_project(tmp_path).path).cameras
     assert own.rolling
     assert own.value("readout") == pytest.approx(47.5e-6 * 120)
+
+
+def test_a_folder_stands_for_the_project_file_in_it(folder: Path) -> None:
+    with pytest.raises(InputNotFoundError, match=r"holds no project.toml; photocal new .* writes one"):
+        read_project(folder)
+    assert read_project(new_project(folder).path.parent).path == folder / "project.toml"
