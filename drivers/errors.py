@@ -65,9 +65,18 @@ class ConfigurationError(PhotocalError):
 
 
 class IllPosedError(PhotocalError):
-    """The observations do not determine the unknowns."""
+    """The observations do not determine the unknowns.
+
+    points: names of object points that their own rays leave undetermined, where that is the cause.
+    """
 
     exit_code = 6
+    points: tuple[str, ...] = ()
+
+    def of_points(self, names: tuple[str, ...]) -> IllPosedError:
+        """Name the points that are the cause."""
+        self.points = names
+        return self
 
 
 class NotConvergedError(PhotocalError):

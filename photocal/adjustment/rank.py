@@ -66,7 +66,7 @@ def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) 
         raise IllPosedError(
             f"the rays of {len(alone)} object point(s) do not intersect ({some})",
             remedy="give these points rays from different places, or take them out",
-        )
+        ).of_points(tuple(names[j] for j in alone))
     scale, scaled, null = _null_space(problem, normal, limits.null)
     if not null.shape[1]:
         return
@@ -101,7 +101,7 @@ def require_determined(
             f"{len(lost)} object point(s) are uncertain by more than half of their distance ({some}): "
             "their rays do not intersect",
             remedy="give these points rays from different places, or take them out",
-        )
+        ).of_points(tuple(problem.network.point_names[j] for j in lost))
     for camera, values, covariance in zip(
         problem.network.cameras, state.cameras, camera_covariance, strict=True
     ):

@@ -127,7 +127,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         except (IllPosedError, NotConvergedError):
             # Of a datum that positions hold loosely few gross errors make a valley without an end.
             ties, block = _robustly(ties, block).held()
-            start, assembly, solution = _solved_at_last(ties.start, block, ties.poses, held=round_ == 0)
+            ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
         ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
         size, redundancy = _by_ray(assembly, solution)
         own = slice(len(start.observations.image), None)
@@ -138,7 +138,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and good.all():
             break
-    start, assembly, solution = _solved_at_last(ties.start, block, ties.poses, held=False)
+    ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=False)
     if start.datum == "free":
         block = without_single_rays(block)
     values = given_exposures(assembly, solution)[0]
@@ -203,6 +203,19 @@ def _state(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:
     given = assembly.frame.to_local(block.points.values[assembly.points])
     points = np.where(tie[:, None] & np.isfinite(given), given, start.points)
     return replace(start, rotation=matrix_from_angles(local[:, :3]), centre=local[:, 3:], points=points)
+
+
+def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, Block, Solved]:
+    """Adjust at last, without the tie points whose rays turn out not to meet."""
+    while True:
+        try:
+            return ties, block, _solved_at_last(ties.start, block, ties.poses, held=held)
+        except IllPosedError as refusal:
+            apart = set(refusal.points) & set(block.points.names[len(ties.start.points.names) :])
+            if not apart:
+                raise
+        lost = np.array([name in apart for name in block.points.names[len(ties.start.points.names) :]])
+        ties, block = ties.some(~lost[ties.tracks.track]).held()
 
 
 def _solved_at_last(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
