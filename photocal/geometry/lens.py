@@ -73,7 +73,6 @@ class Scratch(NamedTuple):
     terms: Floats
 
 
-@allocating
 def scratch(unknowns: int) -> Scratch:
     """Make room for the derivatives of one ray of an image with so many unknowns of its own."""
     return Scratch(
@@ -85,6 +84,10 @@ def scratch(unknowns: int) -> Scratch:
         np.zeros(4),
         np.zeros((2, 8)),
     )
+
+
+# Within kernels; called from outside them it would take a hundred times as long as the function itself.
+kernel_scratch = allocating(scratch)
 
 
 # Arrays are passed whole, with an index: a view for every ray would cost more than its arithmetic.
@@ -439,7 +442,7 @@ def direction(
 @allocating
 def all_recorded(camera: Floats, optics_of: Floats, q: Floats, plane: Floats) -> None:
     """Find where one camera records points, NaN where it does not."""
-    room, found = scratch(0), np.zeros(2)
+    room, found = kernel_scratch(0), np.zeros(2)
     for n in range(len(q)):
         seen = recorded(camera, optics_of, 0, q[n, 0], q[n, 1], q[n, 2], room, found)
         # One by one: for whole rows the compiler brings a check of shapes that takes it ten seconds.
@@ -450,7 +453,7 @@ def all_recorded(camera: Floats, optics_of: Floats, q: Floats, plane: Floats) ->
 @allocating
 def all_directions(camera: Floats, optics_of: Floats, angular: bool, plane: Floats, q: Floats) -> None:
     """Find the directions in which one camera sees, NaN where there is none."""
-    room, found = scratch(0), np.zeros(3)
+    room, found = kernel_scratch(0), np.zeros(3)
     for n in range(len(q)):
         seen = direction(camera, optics_of, 0, angular, plane[n, 0], plane[n, 1], room, found)
         for a in range(3):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Floats, Integers
 from photocal.compiled import allocating, inlined
-from photocal.geometry.lens import LINE, Scratch, recorded, scratch
+from photocal.geometry.lens import LINE, Scratch, kernel_scratch, recorded
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
 # From a line to the pose and back: each time a hundredth of the change is left, or less.
@@ -71,7 +71,7 @@ def look_up(
 
     movement (images, 6): during the readout of a rolling shutter, see `OrientedImages`.
     """
-    room = scratch(0)
+    room = kernel_scratch(0)
     found = np.zeros(2)
     count = len(candidates)
     score = np.zeros(count)
