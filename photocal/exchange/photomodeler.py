@@ -81,6 +81,10 @@ class _Cursor:
         self.at += 1
         return self.lines[self.at - 1]
 
+    @property
+    def in_section(self) -> bool:
+        return self.at < len(self.lines) and bool(self.lines[self.at].text.strip())
+
     def values(self, what: str, count: int) -> list[float]:
         line = self.next()
         return numbers(line.text, line.place, what, count)
@@ -109,7 +113,7 @@ def read_export(path: Path) -> Export:
     interior = tuple(cursor.values("default camera", 10))
     cursor.next()
     photos = list[Photo]()
-    while cursor.lines[cursor.at].text.strip():
+    while cursor.in_section:
         photos.append(_photo(cursor, len(photos)))
     cursor.next()
     control = dict(_points(cursor.section()))

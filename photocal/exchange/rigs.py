@@ -93,8 +93,6 @@ def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
     poses, assigned = path.with_name("rig_cameras.json"), path.with_name("rig_assignments.json")
     if not (poses.is_file() and assigned.is_file()):
         return given
-    content = read_json(assigned)
-    instances = content if isinstance(content, dict) else dict(enumerate(content))
 
     def sensors() -> dict[str, Sensor]:
         return {
@@ -103,6 +101,8 @@ def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
         }
 
     def members() -> dict[str, tuple[str, str]]:
+        content = read_json(assigned)
+        instances = content if isinstance(content, dict) else dict(enumerate(content))
         return {str(image): (str(own), str(key)) for key, shots in instances.items() for image, own in shots}
 
     of = structured(assigned, "a file of OpenSfM's rigs", members)

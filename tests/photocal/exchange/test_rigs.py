@@ -151,6 +151,13 @@ def test_metashape(tmp_path: Path) -> None:
     as_images_have_them(read_metashape(tmp_path / "cameras.xml").reconstruction)
 
 
+def test_rig_assignments_that_are_none_are_refused(tmp_path: Path) -> None:
+    test_opensfm(tmp_path)
+    (tmp_path / "rig_assignments.json").write_text("0")
+    with pytest.raises(InputMalformedError):
+        read_reconstruction(tmp_path / "reconstruction.json")
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
