@@ -241,6 +241,8 @@ read too.
 What a format wants and an adjustment does not know is filled in: OPF gets 1970-01-01 as time of exposure
 and 8-bit colour images; standard deviations that are not known are written as 0. Control points carry the
 standard deviations of the adjusted coordinates.
+
+Damaged files are read or refused in words, within a gigabyte: [evidence](evidence/fuzz_readers.md).
 """
 # Read one by one, or with what only their reader is told: ground points, references, image size.
 IN_PARTS = ("odm", "metashape-csv", "pix4d")

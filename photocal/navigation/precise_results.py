@@ -62,13 +62,13 @@ def read_observation_file(path: Path) -> ObservationFile:
         if label == "SYS / # / OBS TYPES":
             letter = line[0] if line[0] != " " else letter
             systems.add(letter)
-            bands |= {code[1] for code in line[7:60].split() if code[0] == "L"}
+            bands |= {code[1] for code in line[7:60].split() if code[0] == "L" and code[1:]}
         elif label == "ANT # / TYPE":
             antenna = " ".join(line[20:40].split())
         elif label == "ANTENNA: DELTA H/E/N":
-            antenna_m = float(line[:14].strip() or 0.0)
+            antenna_m = _height(line[:14], path)
         elif label == "# / TYPES OF OBSERV":
-            bands |= {code[1] for code in line[6:60].split() if code[0] == "L"}
+            bands |= {code[1] for code in line[6:60].split() if code[0] == "L" and code[1:]}
         elif label == "TIME OF FIRST OBS" and line[48:51].strip() not in ("", "GPS"):
             raise InputMalformedError(
                 f"counts {line[48:51]} time", where=path, remedy="convert it with GPS time"
@@ -79,14 +79,27 @@ def read_observation_file(path: Path) -> ObservationFile:
         systems = set("GR")
     if not found:
         raise InputMalformedError("has no epochs", where=path, remedy="check the recording")
+    try:
+        time = GpsTime(np.array([_gps_ns(*match.groups()) for match in found], np.int64))
+    except (ValueError, OverflowError) as failure:
+        raise InputMalformedError(
+            f"has an epoch that no calendar has ({failure})", where=path, remedy="was it damaged?"
+        ) from failure
     return ObservationFile(
         path,
-        GpsTime(np.array([_gps_ns(*match.groups()) for match in found], np.int64)),
+        time,
         frozenset(systems),
         frozenset(bands),
         antenna,
         antenna_m,
     )
+
+
+def _height(cell: str, path: Path) -> float:
+    try:
+        return float(cell.strip() or 0.0)
+    except ValueError as failure:
+        raise InputMalformedError(f"has the antenna height {cell.strip()!r}", where=path) from failure
 
 
 def count_ephemerides(path: Path) -> int:
