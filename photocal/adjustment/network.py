@@ -17,7 +17,7 @@ from photocal.adjustment.mounting import (
     Positions,
 )
 from photocal.adjustment.rig import NO_RIG, Rig
-from photocal.geometry.camera import OWN, PARAMETERS, Camera
+from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES, Camera
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Network:
 
 
 def own_sigma(network: Network) -> Floats:
-    """Sigmas of each image's own parameters, shape (images, 26); 0 for those it has from its camera."""
+    """Sigmas of each image's own parameters, shape (images, 41); 0 for those it has from its camera."""
     exposures = network.exposures
     cameras = np.array([camera.deviation_sigma for camera in network.cameras]).reshape(-1, len(PARAMETERS))
     sigma = np.zeros((len(exposures.camera), len(OWN)))
@@ -141,7 +141,13 @@ def own_sigma(network: Network) -> Floats:
     if exposures.motion_sigma is not None:
         readout = np.array([abs(camera.value("readout")) for camera in network.cameras])[exposures.camera]
         rolls = readout > 0
-        sigma[rolls, len(PARAMETERS) :] = exposures.motion_sigma[rolls] * readout[rolls, None]
+        still, moved = len(PARAMETERS), len(PARAMETERS + MOTION)
+        sigma[rolls, still:moved] = exposures.motion_sigma[rolls] * readout[rolls, None]
+        degrees = 1 + len(SHAKE_DEGREES)
+        shake = np.array([[*camera.shake, *[0.0] * degrees][:degrees] for camera in network.cameras])
+        shake = np.where(rolls[:, None], shake[exposures.camera], 0.0)
+        sigma[:, moved - 3 : moved] = np.hypot(sigma[:, moved - 3 : moved], shake[:, :1])
+        sigma[:, moved:] = np.repeat(shake[:, 1:], 3, axis=1)
     return sigma
 
 

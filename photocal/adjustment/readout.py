@@ -1,4 +1,4 @@
-"""The readout of a rolling shutter: whether there is one, and the sigmas of gusts that belong to it."""
+"""The readout of a rolling shutter: whether there is one, and the sigmas of what belongs to it."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem, prepare, values_of
 from photocal.adjustment.sensitivity import along
+from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, Minimum
 from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection
@@ -55,6 +56,8 @@ def with_readouts(
 ) -> tuple[Network, Solution, tuple[Readout, ...]]:
     """Test the readout where the shutter is unknown, and let the sigmas of gusts follow estimated readouts.
 
+    Images that are found to vibrate while they are read are let shake, see `shake.with_shake`.
+
     A movement that departs from the given motion has that motion's sigma times the readout. With a readout
     of zero nothing departs, and the test of a global shutter is exact.
     """
@@ -91,6 +94,7 @@ def with_readouts(
         found = minimum_of(network, report, state)
     if found is not None:
         solution = with_statistics(*found)
+    network, solution = with_shake(network, solution, report)
     tests |= {k: readout_of(network, solution, k) for k in estimated}
     return network, solution, tuple(tests[k] for k in sorted(tests))
 

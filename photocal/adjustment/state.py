@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from drivers.arrays import Flags, Floats
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.network import Network, own_parameters
-from photocal.geometry.camera import OWN, PARAMETERS
+from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle, turned
 
 
@@ -51,14 +51,16 @@ def start_state(network: Network) -> State:
 def lenses(network: Network, state: State) -> Floats:
     """Parameters of every lens: those of the cameras or, where `lens_by_image`, of each image.
 
-    returns (cameras or images, 26): at the end the movement during the readout.
+    returns (cameras or images, 26 or 41): at the end the movement during the readout, and what shakes it.
     """
-    exposures, still = network.exposures, len(OWN) - len(PARAMETERS)
+    shakes = any(camera.shake for camera in network.cameras)
+    exposures, still = network.exposures, len(MOTION + SHAKE if shakes else MOTION)
     if not lens_by_image(network):
         return np.pad(state.cameras, ((0, 0), (0, still)))
     values = np.pad(state.cameras[exposures.camera], ((0, 0), (0, still)))
     if exposures.motion is not None:
-        values[:, len(PARAMETERS) :] = values[:, len(PARAMETERS) - 1 : len(PARAMETERS)] * exposures.motion
+        at = len(PARAMETERS)
+        values[:, at : at + len(MOTION)] = values[:, at - 1 : at] * exposures.motion
     own = own_parameters(network)
     image, place = np.nonzero(own >= 0)
     values[image, own[image, place]] += state.deviations[image, place]

@@ -90,7 +90,7 @@ def common_unknowns(network: Network) -> list[Unknown]:
 
 def _unit(unit: str, parameter: str) -> tuple[str, float]:
     """In which a parameter is printed, and that unit per unit of the adjustment."""
-    if parameter.startswith("turn"):
+    if parameter.startswith(("turn", "shake")):
         return "deg", float(np.degrees(1.0))
     if parameter.startswith("move"):
         return "m", 1.0

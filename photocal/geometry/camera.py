@@ -26,7 +26,10 @@ PARAMETERS = (
 # Of one image: how the projection centre moves (m, object axes) and the camera turns (rad, its own axes)
 # while it is read.
 MOTION = ("move_X", "move_Y", "move_Z", "turn_x", "turn_y", "turn_z")
-OWN = PARAMETERS + MOTION
+# Turns that come and go while it is read (rad, its own axes), as Legendre polynomials of the line.
+SHAKE_DEGREES = (2, 3, 4, 5, 6)
+SHAKE = tuple(f"shake{degree}_{axis}" for degree in SHAKE_DEGREES for axis in "xyz")
+OWN = PARAMETERS + MOTION + SHAKE
 # Millimetres in a metre: c is given in them, distances in metres.
 MM = 1000.0
 
@@ -135,6 +138,8 @@ class Camera:
         Whether images have one pose for all lines; an unknown shutter is tested.
     gust : tuple of float
         By how much velocity (m/s) and rate (rad/s) of an image depart from what is known of the flight.
+    shake : tuple of float
+        Sigmas of the turns of an image during its readout (rad), by their degree from 1 on; empty without.
     """
 
     id: str
@@ -205,12 +210,19 @@ class Camera:
     readout_direction: ReadoutDirection = "top-to-bottom"
     shutter: Shutter = "global"
     gust: tuple[float, float] = (0.5, 0.1)
+    shake: tuple[float, ...] = ()
 
     @property
     def rolling(self) -> bool:
         """Whether its shutter takes time to read an image, or may."""
         at = PARAMETERS.index("readout")
         return bool(self.estimated[at] or self.values[at])
+
+    @property
+    def shaken(self) -> float:
+        """Root mean square by which vibration moves a coordinate within the readout, in the plane's unit."""
+        squares = [s**2 / (2 * degree + 1) for degree, s in zip(SHAKE_DEGREES, self.shake[1:], strict=False)]
+        return self.value("c") * float(np.sqrt(sum(squares)))
 
     def line_slope(self) -> tuple[float, float]:
         """Share of the readout by which a line is later, per unit of x and of y in the image plane."""

@@ -3,19 +3,49 @@
 In the line at s, which runs from -1/2 to 1/2 over the readout, the projection centre has moved by s V and the
 camera turned by s W from its pose at the middle of the readout. V and W are the movement during the whole
 readout: the given velocity and rate times the readout time, and what the image departs from them.
+
+Vibration turns the camera to and fro within the readout. The turn is then s W plus Legendre polynomials of
+2 s from the second degree on, which the pose and W leave.
 """
 
 from __future__ import annotations
 
 from drivers.arrays import Floats
-from photocal.compiled import compiled
-from photocal.geometry.camera import PARAMETERS
+from photocal.compiled import compiled, inlined
+from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES
 from photocal.geometry.lens import BROWN, LINE, OTHERS, Scratch, bent, image_residual
 
 # Positions of the readout time and of an image's movement among its parameters, and of the given velocity and
 # rate among its optics.
 READOUT, MOVE = PARAMETERS.index("readout"), len(PARAMETERS)
 GIVEN = LINE + 2
+SHAKEN, DEGREES = MOVE + 6, len(SHAKE_DEGREES)
+
+
+@inlined
+def shaken(lenses: Floats, k: int, s: float) -> tuple[float, float, float, float, float, float]:
+    """Turn of the camera in a line beside s W, about its axes, and how fast it changes with s."""
+    z = 2.0 * s
+    before, now, slope_before, slope = 1.0, z, 0.0, 1.0
+    a0, a1, a2, b0, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for n in range(DEGREES):
+        before, now = now, ((2 * n + 3) * z * now - (n + 1) * before) / (n + 2)
+        slope_before, slope = slope, slope_before + (2 * n + 3) * before
+        at = SHAKEN + 3 * n
+        c0, c1, c2 = lenses[k, at], lenses[k, at + 1], lenses[k, at + 2]
+        a0, a1, a2 = a0 + now * c0, a1 + now * c1, a2 + now * c2
+        b0, b1, b2 = b0 + 2.0 * slope * c0, b1 + 2.0 * slope * c1, b2 + 2.0 * slope * c2
+    return a0, a1, a2, b0, b1, b2
+
+
+@inlined
+def by_shake(by_camera: Floats, a: int, s: float, d0: float, d1: float, d2: float) -> None:
+    """Derivatives with respect to the polynomials from that with respect to the turn."""
+    before, now = 1.0, 2.0 * s
+    for n in range(DEGREES):
+        before, now = now, ((2 * n + 3) * 2.0 * s * now - (n + 1) * before) / (n + 2)
+        at = SHAKEN + 3 * n
+        by_camera[a, at], by_camera[a, at + 1], by_camera[a, at + 2] = now * d0, now * d1, now * d2
 
 
 @compiled
@@ -34,7 +64,8 @@ def rolling_residual(
 ) -> tuple[float, float, float, float, float]:
     """Residual of a ray whose line is that of its computed coordinates, and its derivatives.
 
-    lenses (lenses, 26): parameters of the camera, then V (m, object axes) and W (rad, camera axes).
+    lenses (lenses, 26 or 41): parameters of the camera, then V (m, object axes) and W (rad, camera axes),
+        and where images shake the coefficients of the polynomials.
     optics_of (lenses, 20): from `optics`, then the given velocity (m/s) and rate (rad/s).
     u, v, w: object point in camera axes at the middle of the readout, m.
     returns: residual in x and y; the point in camera axes before the turn of its line, to which a small turn
@@ -48,10 +79,14 @@ def rolling_residual(
     a0 = rotation[i, 0, 0] * m0 + rotation[i, 0, 1] * m1 + rotation[i, 0, 2] * m2
     a1 = rotation[i, 1, 0] * m0 + rotation[i, 1, 1] * m1 + rotation[i, 1, 2] * m2
     a2 = rotation[i, 2, 0] * m0 + rotation[i, 2, 1] * m1 + rotation[i, 2, 2] * m2
+    shakes, b0, b1, b2 = lenses.shape[1] > SHAKEN, 0.0, 0.0, 0.0
     s, vx, vy, steps = lx * x + ly * y, 0.0, 0.0, 0
     while True:
         # q = exp([s W]x) (p - s V), by Rodrigues' formula with its series.
         r0, r1, r2 = s * t0, s * t1, s * t2
+        if shakes:
+            a3, a4, a5, b0, b1, b2 = shaken(lenses, k, s)
+            r0, r1, r2 = r0 + a3, r1 + a4, r2 + a5
         square = r0 * r0 + r1 * r1 + r2 * r2
         first = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
         second = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
@@ -69,7 +104,12 @@ def rolling_residual(
             break
         vx, vy = ex, ey
         s = min(max(lx * (x + vx) + ly * (y + vy), -1.0), 1.0)
-    # How fast the computed coordinates move with s: dq/ds = W x q - exp([s W]x) V.
+    # How fast the computed coordinates move with s: dq/ds = W x q - exp([s W]x) V, with W that of the line.
+    if shakes:
+        b0, b1, b2 = t0 + b0, t1 + b1, t2 + b2
+        t0 = b0 + 0.5 * (r1 * b2 - r2 * b1)
+        t1 = b1 + 0.5 * (r2 * b0 - r0 * b2)
+        t2 = b2 + 0.5 * (r0 * b1 - r1 * b0)
     c0, c1, c2 = r1 * a2 - r2 * a1, r2 * a0 - r0 * a2, r0 * a1 - r1 * a0
     s0 = t1 * qw - t2 * qv - a0 - first * c0 - second * (r1 * c2 - r2 * c1)
     s1 = t2 * qu - t0 * qw - a1 - first * c1 - second * (r2 * c0 - r0 * c2)
@@ -111,6 +151,8 @@ def rolling_residual(
             along = h0 * rotation[i, 0, n] + h1 * rotation[i, 1, n] + h2 * rotation[i, 2, n]
             by_camera[a, MOVE + n] = -s * along
         by_camera[a, MOVE + 3], by_camera[a, MOVE + 4], by_camera[a, MOVE + 5] = s * d0, s * d1, s * d2
+        if shakes:
+            by_shake(by_camera, a, s, d0, d1, d2)
         along = 0.0
         for n in range(6):
             along += by_camera[a, MOVE + n] * optics_of[k, GIVEN + n]

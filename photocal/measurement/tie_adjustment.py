@@ -179,7 +179,7 @@ def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camer
     assembly = assemble(replace(block, cameras=cameras))
     solution = adjust(assembly.network, state=_state(assembly, block, poses))
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
-    if any(own.shutter == "unknown" and own.estimated.any() for own in cameras):
+    if any((own.rolling or own.shutter == "unknown") and own.estimated.any() for own in cameras):
         network, solution, _ = with_readouts(assembly.network, solution)
         assembly = replace(assembly, network=network)
     better = tuple(map(_better, start.cameras, assembly.network.cameras, solution.cameras))
@@ -192,7 +192,7 @@ def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
         rolls = own.estimated | (np.array(PARAMETERS) == "readout")
         direction = adjusted.readout_direction
         own = replace(own, estimated=rolls, shutter="rolling", readout_direction=direction)
-    return own.with_values(values)
+    return replace(own.with_values(values), shake=adjusted.shake)
 
 
 def _state(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:

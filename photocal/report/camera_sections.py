@@ -65,7 +65,7 @@ def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: C
 def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:
     """What was found of the readout, with its effect in the image and on the way flown."""
     found = measured(1e3 * readout.value, 1e3 * readout.sigma, say.mark)
-    return say(
+    text = say(
         "camera.shutter_rolling" if readout.estimated else "camera.shutter_global",
         readout=found.value,
         sigma=found.sigma,
@@ -74,6 +74,8 @@ def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:
         way=significant(100 * readout.way, 2, say.mark),
         p=significant(readout.p_value, 2, say.mark),
     )
+    shaken = significant(camera.shaken / camera.pitch[0], 2, say.mark)
+    return text + (say("camera.shutter_shakes", effect=shaken) if camera.shake else "")
 
 
 def _affinity(camera: Camera, say: Catalogue) -> str:

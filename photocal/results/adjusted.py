@@ -37,7 +37,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block, FiducialFit
 from photocal.block.motion import require_motion
 from photocal.block.network import NetworkOfBlock, assemble, behind_cameras, plane_per_unit
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import MOTION, PARAMETERS, Camera
 from photocal.geometry.frames import nearest_rotation
 from photocal.geometry.oriented_images import OrientedImages, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle
@@ -138,7 +138,8 @@ def _movement(assembly: NetworkOfBlock, solution: Solution, values: Floats) -> F
     """How images moved while they were read, along the given axes; None where no shutter rolls."""
     if not any(camera.rolling for camera in assembly.network.cameras):
         return None
-    movement = lenses(assembly.network, solution.state)[:, len(PARAMETERS) :].copy()
+    moved = slice(len(PARAMETERS), len(PARAMETERS + MOTION))
+    movement = lenses(assembly.network, solution.state)[:, moved].copy()
     back = np.linalg.inv(assembly.frame.derivative(values[:, 3:]))
     movement[:, :3] = np.einsum("nab,nb->na", back, movement[:, :3])
     return movement
@@ -189,7 +190,7 @@ def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
 
 
 def _with_shutter(camera: Camera, found: Camera) -> Camera:
-    """Camera with the readout that a result estimated, from the value that its sigmas belong to."""
+    """Camera with the readout and the shakes that a result estimated, from what its sigmas belong to."""
     readout = np.array(PARAMETERS) == "readout"
     given = found.values if found.given is None else found.given
     return replace(
@@ -197,6 +198,7 @@ def _with_shutter(camera: Camera, found: Camera) -> Camera:
         values=np.where(readout, given, camera.values),
         estimated=np.where(readout, found.estimated, camera.estimated),
         readout_direction=found.readout_direction,
+        shake=found.shake,
     )
 
 

@@ -86,6 +86,7 @@ class _Camera:
     distortion_at: DistortionAt = "adjusted"
     shutter: Shutter = "global"
     readout_direction: ReadoutDirection = "top-to-bottom"
+    shake_rad: tuple[float, ...] = ()
     c_is_a_guess: bool = False
     photo_variant: tuple[str, ...] = ()
 
@@ -149,6 +150,7 @@ def _camera_json(own: Camera) -> dict[str, Any]:
         "distortion_at": own.distortion_at,
         "shutter": own.shutter,
         "readout_direction": own.readout_direction,
+        "shake_rad": list(own.shake),
         "c_is_a_guess": own.guessed and not own.estimated[0],
         "photo_variant": list(own.photo_variant),
         "parameters": parameters,
@@ -355,6 +357,7 @@ def _camera(name: str, own: _Camera, path: Path) -> Camera:
         distortion_at=own.distortion_at,
         shutter=own.shutter,
         readout_direction=own.readout_direction,
+        shake=own.shake_rad,
         given=None if None in given else np.array(given, dtype=float),
     )
 

@@ -142,6 +142,10 @@ def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
             figures |= {"effect_px": effect_px, "way_m": one.way}
             yield Finding("shutter-rolls", "note", one.camera, figures)
     for name, camera in result.cameras.items():
+        if camera.shake:
+            figures = {"camera": name, "effect_px": camera.shaken / camera.pitch[0]}
+            yield Finding("images-shake", "note", name, figures)
+    for name, camera in result.cameras.items():
         given = camera.values if camera.given is None else camera.given
         for k, key in enumerate(PARAMETERS):
             prior, away = float(camera.prior_sigma[k]), abs(float(camera.values[k] - given[k]))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from acquire.simulate.world.motion import Waves, make_waves
 from photocal.adjustment.mounting import COMMON, NADIR, Attitudes, Mounting, Positions
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
 from photocal.adjustment.solution import Solution
@@ -35,6 +36,8 @@ class Flight:
         m/s in the object frame; rad/s about the camera's axes, as a turn of them: d(M)/dt = [rate]x M.
     time : ndarray, shape (images,)
         Of the exposures, s.
+    vibration : Waves or None
+        Turns of the camera about its axes over time, rad.
     """
 
     camera: Camera
@@ -45,6 +48,7 @@ class Flight:
     points: Floats
     readout_s: float
     time: Floats
+    vibration: Waves | None = None
 
 
 def wide(
@@ -103,6 +107,8 @@ def recorded(truth: Flight, image: NDArray[np.int64], point: NDArray[np.int64]) 
         time = truth.readout_s * line
         centre = truth.centre[image] + truth.velocity[image] * time[:, None]
         turn = Rotation.from_rotvec(truth.rate[image] * time[:, None])
+        if truth.vibration is not None:
+            turn = Rotation.from_rotvec(truth.vibration.at(truth.time[image] + time)) * turn
         q = turn.apply(np.einsum("nij,nj->ni", truth.rotation[image], truth.points[point] - centre))
         plane = projected(truth.camera, q)
         plane[q[:, 2] >= 0] = np.nan
@@ -193,12 +199,16 @@ Case = Literal["attitudes", "positions", "pictures"]
 
 def case(
     name: Case, seed: int, *, readout_s: float, images: int = 60,
-    points: int = 1500,
+    points: int = 1500, sigma_px: float = 1.0, vibration_deg: float = 0.0,
 ) -> tuple[Flight, Network]:  # fmt: skip
     """A flight of which the shutter is not known, with what says how its images moved."""
     rng = np.random.default_rng(seed)
     truth = flight(replace(wide(), shutter="unknown"), rng, images=images, points=points, readout_s=readout_s)
-    network = measured(truth, rng, control=4 if name == "pictures" else 0)
+    if vibration_deg:
+        of_time = np.random.default_rng(1000 + seed)
+        waves = make_waves(np.full(3, np.radians(vibration_deg)), 20.0, 60.0, of_time)
+        truth = replace(truth, vibration=waves)
+    network = measured(truth, rng, control=4 if name == "pictures" else 0, sigma=sigma_px)
     if name != "pictures":
         network = navigated(network, truth, rng, attitudes=name == "attitudes")
     if name == "attitudes":

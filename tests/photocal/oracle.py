@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import legval
 from numpy.typing import NDArray
 
 from photocal.adjustment.network import Network
@@ -193,19 +194,21 @@ def _start(network: Network) -> dict[str, Floats]:
         "exposure": network.exposures.values,
         "point": network.points.values,
         "common": network.mounting.values[None],
-        "deviation": np.zeros((len(network.exposures.values), len(PARAMETERS) + 6)),
+        "deviation": np.zeros((len(network.exposures.values), len(PARAMETERS) + 6 + 15)),
     }
 
 
 def _own_sigma(network: Network) -> Floats:
-    """By how much the parameters of each image and its 6 movements during the readout deviate."""
+    """By how much the parameters of each image deviate, then 6 movements and 15 shakes while it is read."""
     rows = []
     for i, k in enumerate(network.exposures.camera):
         own, motion = network.cameras[k], network.exposures.motion_sigma
         move = (
             np.zeros(6) if motion is None or not own.values[READOUT] else motion[i] * abs(own.values[READOUT])
         )
-        rows.append(np.concatenate([own.deviation_sigma, move]))
+        shake = np.array(own.shake or [0.0] * 6)
+        move = np.hypot(move, [0.0] * 3 + [shake[0]] * 3)
+        rows.append(np.concatenate([own.deviation_sigma, move, np.repeat(shake[1:], 3)]))
     return np.array(rows)
 
 
@@ -269,13 +272,13 @@ def _rolled(
         "right-to-left": -place[:, 0] / width,
     }[own.readout_direction]
     given = network.exposures.motion
-    move = values["deviation"][i, len(PARAMETERS) :]
+    own_move = values["deviation"][i, len(PARAMETERS) :]
+    move, shake = own_move[:6], np.vstack([np.zeros((2, 3)), own_move[6:].reshape(5, 3)])
     if given is not None:
         move = move + given[i] * values["camera"][network.exposures.camera[i], READOUT]
     share = later[:, None]
-    return np.asarray(
-        np.einsum("nij,nj->in", exponential(share * move[3:]), q.T - share * (matrix @ move[:3]))
-    )
+    turn = share * move[3:] + legval(2 * later, shake).T
+    return np.asarray(np.einsum("nij,nj->in", exponential(turn), q.T - share * (matrix @ move[:3])))
 
 
 def _residuals(network: Network, values: dict[str, Numbers], helmert: Helmert) -> Numbers:

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 from drivers.arrays import Floats, Integers
 from photocal.compiled import inlined
-from photocal.geometry.camera import MOTION, OWN
+from photocal.geometry.camera import MOTION, OWN, SHAKE
 
 # Columns that an image may have: its exterior orientation, and room for parameters of its own. Kernels
 # are compiled for each of them, for loops of a known length are much faster; the first is that of networks
 # of Brown's lenses alone, all lines at one pose, whose kernels know no others.
 POSE = 6
-WIDTHS = (POSE, POSE, POSE + len(MOTION), POSE + 20, POSE + len(OWN))
+WIDTHS = (POSE, POSE, POSE + len(MOTION), POSE + len(MOTION + SHAKE), POSE + len(OWN))
 
 
 class Design(NamedTuple):
@@ -71,7 +71,8 @@ class Design(NamedTuple):
 class Values(NamedTuple):
     """What the unknowns are now.
 
-    lenses (lenses, 26): parameters of the camera, and movement of the image during the readout.
+    lenses (lenses, 26 or 41): parameters of the camera, and movement of the image during the readout, see
+        `shutter.rolling_residual`.
     rotation, basis (images, 3, 3): object to camera axes; the turn that each rotation unknown makes.
     centre (images, 3).
     points (points, 3).

@@ -176,6 +176,12 @@ def test_rolling_shutter_in_an_uncertain_motion() -> None:
     same(replace(network, exposures=replace(network.exposures, motion_sigma=sigma)), 1e-4)
 
 
+def test_images_that_shake_while_they_are_read() -> None:
+    network = rolling("brown-ideal", "top-to-bottom", 0.3)
+    shaking = replace(network.cameras[0], shake=(0.02, 0.01, 0.01, 0.005, 0.002, 0.001))
+    same(replace(network, cameras=(shaking,)), 1e-4)
+
+
 def test_weighted_exposures_and_tie_points() -> None:
     exposure = np.array([0.002, 0.002, 0.001, 0.02, 0.03, 0.02])
     network = networks.observe(

@@ -77,3 +77,26 @@ def test_given_readout_is_taken() -> None:
     assert "readout" not in errors
     assert max(abs(error) for error in errors.values()) < 3.3
     assert 0.9 < solution.variance_factor < 1.1
+
+
+def test_vibration_within_the_readout_is_held() -> None:
+    """Lines that lie 0.6 px beside a steady movement spoil the camera where images may not shake."""
+    motion = {"readout_s": 0.03, "sigma_px": 0.1, "vibration_deg": 0.01}
+    truth, network = flights.case("attitudes", 1, **motion, **SMALL)  # type: ignore[arg-type]
+    network, solution, _ = with_readouts(network, adjust(network))
+    errors = flights.standardised(truth, network, solution)
+    assert max(abs(error) for error in errors.values()) < 3.3, errors
+    assert 0.9 < solution.variance_factor < 1.1
+    # Its lines lie as far from a steady movement as 20 to 60 Hz of 0.01 degrees, less what is linear.
+    assert 0.2 < network.cameras[0].shaken / (np.radians(0.01) * flights.C) < 1.0
+    steady = replace(network, cameras=(replace(network.cameras[0], shake=()),))
+    solution = adjust(steady)
+    assert solution.variance_factor > 2.0
+    assert max(abs(error) for error in flights.standardised(truth, steady, solution).values()) > 4.0
+
+
+def test_steady_images_do_not_shake() -> None:
+    for seed in (21, 22, 23):
+        _, network = flights.case("attitudes", seed, readout_s=0.03, **SMALL)
+        network, _, _ = with_readouts(network, adjust(network))
+        assert not network.cameras[0].shake
