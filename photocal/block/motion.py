@@ -25,6 +25,8 @@ MOTION_COLUMNS = (
 APART = 2.5
 # By how much the velocity of an image may depart from zero when nothing at all is known of it, m/s.
 ANY_FLIGHT = 15.0
+# Fewer images say too little of how images turn.
+ENOUGH = 10
 # A strip ends with a turn of the track, or a pause.
 _TURN_DEG = 30.0
 _PAUSE = 4.0
@@ -75,8 +77,31 @@ def motion_of(
         spread_of_rate[attitudes.image] = np.sqrt(attitudes.rate_sigma**2 @ (to_camera**2).T)
         motion[:, 3:] = np.where(np.isnan(motion[:, 3:]), rate, motion[:, 3:])
         sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), spread_of_rate, sigma[:, 3:])
+    motion[:, 3:], sigma[:, 3:] = expected_rates(motion[:, 3:], sigma[:, 3:], gust[:, 1])
     sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), gust[:, 1:], sigma[:, 3:])
     return np.nan_to_num(motion), sigma, np.asarray(~unknown.any(axis=1))
+
+
+def expected_rates(observed: Floats, sigma: Floats, gust: Floats) -> tuple[Floats, Floats]:
+    """What rates are expected where they were observed with errors, and by how much they depart from it.
+
+    A readout that is estimated along observed rates comes out too short by the share that their errors have
+    of what they scatter (errors in variables; Fuller 1987, section 1.1). Rates expected of the observed ones
+    have no such errors (regression calibration): each is drawn towards zero by its reliability. How much
+    images really turn is what the observed rates scatter beyond their sigmas, at least half of these; of few
+    images it is the gust.
+    """
+    seen = np.isfinite(observed) & np.isfinite(sigma)
+    turning = np.broadcast_to(gust[:, None] ** 2, observed.shape).copy()
+    for axis in range(observed.shape[1]):
+        mine = seen[:, axis]
+        if mine.sum() >= ENOUGH:
+            noise = np.mean(sigma[mine, axis] ** 2)
+            beyond = np.mean(observed[mine, axis] ** 2) - noise
+            turning[mine, axis] = max(beyond, noise / 4)
+    share = turning / np.where(seen, turning + sigma**2, 1.0)
+    reliability = np.where(seen, share, 1.0)
+    return observed * reliability, sigma * np.sqrt(reliability)
 
 
 def require_motion(block: Block, network: Network) -> None:

@@ -178,7 +178,7 @@ def test_rolling_shutter_in_an_uncertain_motion() -> None:
 
 def test_images_that_shake_while_they_are_read() -> None:
     network = rolling("brown-ideal", "top-to-bottom", 0.3)
-    shaking = replace(network.cameras[0], shake=(0.02, 0.01, 0.01, 0.005, 0.002, 0.001))
+    shaking = replace(network.cameras[0], shake=(1e-4, 5e-5, 5e-5, 3e-5, 1e-5, 5e-6))
     same(replace(network, cameras=(shaking,)), 1e-4)
 
 

@@ -14,7 +14,7 @@ from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import NADIR, NO_POSITIONS, Attitudes, Mounting
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.block.folder import read_block
-from photocal.block.motion import motion_of, velocity_of_neighbours
+from photocal.block.motion import expected_rates, motion_of, velocity_of_neighbours
 from photocal.block.network import assemble
 from photocal.geometry.rotation import object_to_body
 from photocal.results.adjusted import adjust_block
@@ -81,13 +81,13 @@ def test_rates_of_the_vehicle_turn_what_the_camera_sees(tmp_path: Path) -> None:
     values = np.zeros(17)
     values[3:6] = boresight
     to_camera = Rotation.from_rotvec(boresight).as_matrix() @ NADIR
-    attitudes = Attitudes(np.array([1]), body[None], np.eye(3)[None], rate, np.full((1, 3), 0.01))
+    attitudes = Attitudes(np.array([1]), body[None], np.eye(3)[None], rate, np.full((1, 3), 1e-6))
     block = replace(block, attitudes=attitudes, mounting=Mounting(NADIR, values, np.zeros(17)))
     count = len(block.images.names)
     motion, sigma, _ = motion_of(block, np.zeros((count, 3)), NO_POSITIONS, np.tile(np.eye(3), (count, 1, 1)))
     seen = Rotation.from_matrix(to_camera @ later @ (to_camera @ body).T).as_rotvec() / moment
     assert motion[1, 3:] == pytest.approx(seen, rel=1e-6)
-    assert sigma[1, 3:] == pytest.approx(0.01)
+    assert sigma[1, 3:] == pytest.approx(1e-6)
     assert motion[0, 3:] == pytest.approx(0.0)
 
 
@@ -112,3 +112,21 @@ def test_readout_without_velocities_is_refused(tmp_path: Path) -> None:
     setup.write_text(setup.read_text().replace('"P2"]', '"P2", "readout"]'))
     with pytest.raises(ConfigurationError, match="how fast its images fly"):
         adjust_block(folder, tmp_path / "run")
+
+
+def test_observed_rates_are_drawn_towards_zero_by_their_reliability() -> None:
+    """A product with a third value goes along expected rates without bias, and not along observed ones."""
+    rng = np.random.default_rng(4)
+    true, sigma = rng.normal(0, 0.03, (4000, 3)), np.full((4000, 3), 0.03)
+    observed = true + rng.normal(0, 0.03, true.shape)
+    rates, left = expected_rates(observed, sigma, np.full(4000, 0.1))
+    assert np.sum(true * observed) / np.sum(observed**2) == pytest.approx(0.5, abs=0.03)
+    assert np.sum(true * rates) / np.sum(rates**2) == pytest.approx(1.0, abs=0.05)
+    assert np.std(true - rates) == pytest.approx(left.mean(), rel=0.05)
+
+
+def test_rates_that_nobody_observed_stay_as_they_are() -> None:
+    none = np.full((3, 3), np.nan)
+    rates, sigma = expected_rates(none, none, np.full(3, 0.1))
+    assert np.isnan(rates).all()
+    assert np.isnan(sigma).all()
