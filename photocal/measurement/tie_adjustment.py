@@ -27,6 +27,8 @@ from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
 
 _ROUNDS = 8
+# Share of the tie points that may not meet for reasons of their own.
+FEW_APART = 0.02
 # Three rays give a pose that nothing checks.
 FEWEST_RAYS = 6
 
@@ -206,15 +208,23 @@ def _state(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:
 
 
 def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, Block, Solved]:
-    """Adjust at last, without the tie points whose rays turn out not to meet."""
+    """Adjust at last, without the tie points whose rays turn out not to meet.
+
+    Few of them are wrong themselves; when many do not meet, positions or control may keep them apart.
+    """
+    solved = _solved
     while True:
         try:
-            return ties, block, _solved_at_last(ties.start, block, ties.poses, held=held)
-        except IllPosedError as refusal:
-            apart = set(refusal.points) & set(block.points.names[len(ties.start.points.names) :])
+            return ties, block, solved(ties.start, block, ties.poses, held=held)
+        except (IllPosedError, NotConvergedError) as refusal:
+            names = block.points.names[len(ties.start.points.names) :]
+            apart = set(getattr(refusal, "points", ())) & set(names)
+            if solved is _solved and not 0 < len(apart) <= FEW_APART * len(names):
+                solved = _solved_at_last
+                continue
             if not apart:
                 raise
-        lost = np.array([name in apart for name in block.points.names[len(ties.start.points.names) :]])
+        lost = np.array([name in apart for name in names])
         ties, block = ties.some(~lost[ties.tracks.track]).held()
 
 

@@ -57,6 +57,7 @@ SETS = (
     Recorded("caliterra", ("flight-caliterra-twelve/*",), "12 of 12, 9443, 0.677"),
     Recorded("sequoia-rgb", ("sequoia-rig/*RGB*",)),
     Recorded("sequoia-green", ("sequoia-rig/*GRE*",)),
+    Recorded("sequoia-all", ("sequoia-rig/*",)),
     Recorded("brighton", ("uav-brighton-beach/images/*",), "18 of 18, 7040, 0.709"),
     Recorded("saisies", ("micmac-saisies-gcp/**/*",)),
     Recorded("sxb", ("dbat-sxb/**/*",)),
