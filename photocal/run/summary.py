@@ -329,7 +329,8 @@ def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:
             if key in ("c", "x0", "y0")
         ]
         if texts:
-            yield _line(f"camera {name}"[: _WORD - 1], ", ".join(texts) + f" {camera['unit']}")
+            several = f"{name}: " if len(figures["cameras"]) > 1 else ""
+            yield _line("camera", f"{several}{', '.join(texts)} {camera['unit']}")
     mounting = figures["mounting"]
     if mounting is None:
         return
