@@ -19,7 +19,7 @@ from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
 from photocal.compiled import compiled
 from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES
-from photocal.geometry.lens import scratch
+from photocal.geometry.lens import Scratch, scratch
 
 # A camera at rest is said to shake in one of a thousand flights.
 SIGNIFICANCE = 0.001
@@ -107,7 +107,7 @@ def _by_camera(network: Network, solution: Solution) -> dict[int, _Local]:
     count = len(exposures.camera)
     matrix, pull, squares = np.zeros((count, width, width)), np.zeros((count, width)), np.zeros(count)
     values = values_of(problem, carried(network, free, solution.state))
-    of_images(problem.design, values, matrix, pull, squares)
+    of_images(problem.design, values, scratch(width), matrix, pull, squares)
     rays = np.bincount(network.rays.image, minlength=count)
     spare = np.bincount(network.rays.image, solution.redundancy.sum(axis=1), count).astype(float)
     own = own_parameters(free)
@@ -170,9 +170,10 @@ def _estimated(network: Network, solution: Solution, camera: int) -> Floats:
 
 
 @compiled
-def of_images(design: Design, values: Values, matrix: Floats, pull: Floats, squares: Floats) -> None:
+def of_images(
+    design: Design, values: Values, room: Scratch, matrix: Floats, pull: Floats, squares: Floats
+) -> None:
     """Add what the rays of each image give to its own normal equations."""
-    room = scratch(columns(design))
     by_image = room.by_image
     for j in range(len(design.ray_start) - 1):
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
