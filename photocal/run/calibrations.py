@@ -169,9 +169,11 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
     uses = []
     for i, giver in enumerate(flights):
         for j, taker in enumerate(flights):
-            block = prepared[j][0]
+            block, calibration = prepared[j][0], prepared[i][1]
+            # What the giver's positions had in common stays with them.
+            carried = calibration if i == j else calibration.on_flight(block.mounting)
             try:
-                check = differences(block, of_method(block, "direct", calibration=prepared[i][1]), "check")
+                check = differences(block, of_method(block, "direct", calibration=carried), "check")
             except PhotocalError as refusal:
                 raise type(refusal)(f"{taker.name}: {refusal.what}", remedy=refusal.remedy) from refusal
             if not check.names:
