@@ -101,7 +101,7 @@ def vibrating() -> list[str]:
         "",
         "## Vibration within the readout",
         "",
-        f"{VIBRATING} flights of 40 images each, 30 ms, {VIBRATION_DEG} degrees at 20 to 60 Hz, {MARK_PX} px:",
+        f"{VIBRATING} flights of 40 images each, 30 ms, {VIBRATION_DEG} deg at 20 to 60 Hz, {MARK_PX} px:",
         "root mean square of errors over their standard deviations, of images that may shake and of",
         "steady ones.",
         "",
