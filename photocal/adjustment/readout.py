@@ -56,8 +56,6 @@ def with_readouts(
 ) -> tuple[Network, Solution, tuple[Readout, ...]]:
     """Test the readout where the shutter is unknown, and let the sigmas of gusts follow estimated readouts.
 
-    Images that are found to vibrate while they are read are let shake, see `shake.with_shake`.
-
     A movement that departs from the given motion has that motion's sigma times the readout. With a readout
     of zero nothing departs, and the test of a global shutter is exact.
     """
@@ -94,9 +92,52 @@ def with_readouts(
         found = minimum_of(network, report, state)
     if found is not None:
         solution = with_statistics(*found)
-    network, solution = with_shake(network, solution, report)
     tests |= {k: readout_of(network, solution, k) for k in estimated}
     return network, solution, tuple(tests[k] for k in sorted(tests))
+
+
+def with_moving_images(
+    network: Network, solution: Solution, report: Report | None = None
+) -> tuple[Network, Solution, tuple[Readout, ...]]:
+    """Estimate readouts, see `with_readouts`, and let images shake that vibrate while they are read."""
+    network, solution, readouts = with_readouts(network, solution, report)
+    shaken, solution = with_shake(network, solution, report)
+    place = {camera.id: k for k, camera in enumerate(shaken.cameras)}
+    if shaken is not network:
+        readouts = tuple(
+            readout_of(shaken, solution, place[one.camera]) if one.estimated else one for one in readouts
+        )
+    return shaken, solution, readouts
+
+
+# What c and principal point may be wrong by where a lens is held that nobody has calibrated, as a share of c.
+LENS_SHARE = 0.05
+_LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
+
+
+def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
+    """Whether a readout is significant although c and principal point are held at values that are guesses.
+
+    What a wrong principal point does over a flight there and back is much like a readout.
+    """
+    doubtful = {
+        k: _with_loose_lens(_freed(camera))
+        for k, camera in enumerate(network.cameras)
+        if camera.shutter == "unknown" and not camera.rolling
+    }
+    try:
+        tests = _tested(_with(network, doubtful), solution, list(doubtful))
+    except IllPosedError:
+        return False
+    return any(test.p_value < SIGNIFICANCE for test in tests.values())
+
+
+def _with_loose_lens(camera: Camera) -> Camera:
+    estimated, sigma = camera.estimated.copy(), camera.prior_sigma.copy()
+    for k in _LENS:
+        if not estimated[k]:
+            estimated[k], sigma[k] = True, LENS_SHARE * camera.value("c")
+    return replace(camera, estimated=estimated, prior_sigma=sigma)
 
 
 def _tested(freed: Network, solution: Solution, cameras: list[int]) -> dict[int, Readout]:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import special
 
 from drivers.arrays import Flags, Floats
+from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.kernels.data import POSE, Design, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
@@ -52,7 +53,8 @@ def with_shake(
     The pose and the movement of an image leave what vibrates within its readout, and neighbouring rays of a
     line share it: as independent noise it would make all sigmas too small. Every image gets Legendre
     polynomials of its line as unknowns, observed as zero with sigmas of each degree that are estimated as
-    variance components (Foerstner 1979), beginning with those that cameras already have.
+    variance components (Foerstner 1979), beginning with those that cameras already have. A network that
+    does not bear them stays as it is.
     """
     sigmas = {k: np.array(own.shake[1:]) for k, own in enumerate(network.cameras) if own.shake}
     sigmas |= {
@@ -65,7 +67,11 @@ def with_shake(
     given = network, solution
     for _ in range(ROUNDS):
         before, network = network, _with(network, sigmas)
-        solution = adjust(network, report, carried(before, network, solution.state))
+        try:
+            solution = adjust(network, report, carried(before, network, solution.state))
+        except (IllPosedError, NotConvergedError):
+            # Few images do not bear the lens and so many unknowns: what they share stays.
+            return given
         found = {k: _estimated(network, solution, k) for k in sigmas}
         change = [abs(a - b) > SETTLED * b for k in found for a, b in zip(found[k], sigmas[k], strict=True)]
         if not any(change):

@@ -13,7 +13,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance as covariance_of
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS, Attitudes, Positions
-from photocal.adjustment.readout import READOUT, with_readouts
+from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.block.model import ROLES, Block
 from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
@@ -148,7 +148,7 @@ def with_shutters(block: Block) -> Block:
         return block
     try:
         assembly = assemble(without_weak_images(checkable(block))[0])
-        network = with_readouts(assembly.network, adjust(assembly.network))[0]
+        network = with_moving_images(assembly.network, adjust(assembly.network))[0]
     except PhotocalError:
         return block
     motion, sigma = network.exposures.motion, network.exposures.motion_sigma

@@ -12,7 +12,7 @@ from drivers.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.normal import prepare
-from photocal.adjustment.readout import with_readouts
+from photocal.adjustment.readout import rolls_whatever_the_lens, with_readouts
 from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
@@ -181,7 +181,8 @@ def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camer
     assembly = assemble(replace(block, cameras=cameras))
     solution = adjust(assembly.network, state=_state(assembly, block, poses))
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
-    if any((own.rolling or own.shutter == "unknown") and own.estimated.any() for own in cameras):
+    asked = any(own.shutter == "unknown" and own.estimated.any() for own in cameras)
+    if asked and rolls_whatever_the_lens(assembly.network, solution):
         network, solution, _ = with_readouts(assembly.network, solution)
         assembly = replace(assembly, network=network)
     better = tuple(map(_better, start.cameras, assembly.network.cameras, solution.cameras))
@@ -194,7 +195,7 @@ def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
         rolls = own.estimated | (np.array(PARAMETERS) == "readout")
         direction = adjusted.readout_direction
         own = replace(own, estimated=rolls, shutter="rolling", readout_direction=direction)
-    return replace(own.with_values(values), shake=adjusted.shake)
+    return own.with_values(values)
 
 
 def _state(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:

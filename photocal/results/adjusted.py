@@ -20,7 +20,7 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.network import Network
-from photocal.adjustment.readout import with_readouts
+from photocal.adjustment.readout import with_moving_images
 from photocal.adjustment.rig import OF_HEAD, TURN, head_rotation
 from photocal.adjustment.snooping import Test, snoop, subset
 from photocal.adjustment.solution import Solution, global_test
@@ -510,5 +510,5 @@ def adjusted(
             replace(assembly, network=found.network, points=points, rays=rays),
             found.solution,
         )
-    network, solution, readouts = with_readouts(assembly.network, solution, report)
+    network, solution, readouts = with_moving_images(assembly.network, solution, report)
     return replace(assembly, network=network, readouts=readouts), solution

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.readout import with_readouts
+from photocal.adjustment.readout import with_moving_images
 from tests.photocal import flights
 
 Errors = dict[str, float]
@@ -39,7 +39,7 @@ OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "rolling_shutter.md"
 def flown(case: flights.Case, readout_ms: float, seed: int) -> tuple[Errors, float, float, float, bool]:
     """Standardised errors, sigma of the readout (s), v'Pv over its dof, p, and whether it rolls."""
     truth, network = flights.case(case, seed, readout_s=readout_ms / 1000, images=IMAGES, points=POINTS)
-    network, solution, (readout,) = with_readouts(network, adjust(network))
+    network, solution, (readout,) = with_moving_images(network, adjust(network))
     errors = flights.standardised(truth, network, solution)
     return errors, readout.sigma, solution.variance_factor, readout.p_value, readout.estimated
 
@@ -83,7 +83,7 @@ def check_points() -> list[str]:
                 truth, network = flights.case(
                     case, 500 + seed, readout_s=readout_ms / 1000, images=IMAGES, points=POINTS
                 )
-                network, solution, _ = with_readouts(network, adjust(network))
+                network, solution, _ = with_moving_images(network, adjust(network))
                 true = truth.points[[int(name[1:]) for name in network.point_names]]
                 free = ~(network.points.weight.any(axis=(1, 2)))
                 error, covariance = (solution.points - true)[free], solution.point_covariance[free]
@@ -121,7 +121,7 @@ def vibrating() -> list[str]:
                 sigma_px=MARK_PX,
                 vibration_deg=VIBRATION_DEG,
             )
-            network, solution, _ = with_readouts(network, adjust(network))
+            network, solution, _ = with_moving_images(network, adjust(network))
             steady = replace(network, cameras=(replace(network.cameras[0], shake=()),))
             for name, own, found in (("shake", network, solution), ("steady", steady, adjust(steady))):
                 errors[name].append(flights.standardised(truth, own, found))

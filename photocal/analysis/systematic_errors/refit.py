@@ -18,6 +18,7 @@ from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.near import with_held
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
+from photocal.adjustment.shake import carried
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Near, minimise
 from photocal.adjustment.state import State, start_state
@@ -223,7 +224,9 @@ def without_parameter(fit: Fit, camera: int, parameter: int) -> Near:
     estimated[parameter], values[parameter], start[camera, parameter] = False, 0.0, 0.0
     cameras = list(fit.network.cameras)
     cameras[camera] = replace(own, estimated=estimated, values=values)
-    return lowest(replace(fit.network, cameras=tuple(cameras)), replace(fit.state, cameras=start))
+    without = replace(fit.network, cameras=tuple(cameras))
+    # Without a readout no image departs from the given motion.
+    return lowest(without, carried(fit.network, without, replace(fit.state, cameras=start)))
 
 
 def left_out(

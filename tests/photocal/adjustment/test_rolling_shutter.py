@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.readout import Readout, with_readouts
+from photocal.adjustment.readout import Readout, with_moving_images
 from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal import flights
@@ -18,7 +18,7 @@ SMALL = {"images": 20, "points": 300}
 
 def found(case: flights.Case, readout_s: float, seed: int) -> tuple[dict[str, float], Solution, Readout]:
     truth, network = flights.case(case, seed, readout_s=readout_s, **SMALL)
-    network, solution, (readout,) = with_readouts(network, adjust(network))
+    network, solution, (readout,) = with_moving_images(network, adjust(network))
     return flights.standardised(truth, network, solution), solution, readout
 
 
@@ -46,7 +46,7 @@ def test_global_shutter_stays_one(case: flights.Case) -> None:
 
 def test_lines_may_be_read_from_below() -> None:
     truth, network = flights.case("attitudes", 5, readout_s=-0.03, **SMALL)
-    network, _, (readout,) = with_readouts(network, adjust(network))
+    network, _, (readout,) = with_moving_images(network, adjust(network))
     assert network.cameras[0].readout_direction == "bottom-to-top"
     assert readout.value == pytest.approx(-truth.readout_s, abs=3 * readout.sigma)
 
@@ -83,7 +83,7 @@ def test_vibration_within_the_readout_is_held() -> None:
     """Lines that lie 0.6 px beside a steady movement spoil the camera where images may not shake."""
     motion = {"readout_s": 0.03, "sigma_px": 0.1, "vibration_deg": 0.01}
     truth, network = flights.case("attitudes", 1, **motion, **SMALL)  # type: ignore[arg-type]
-    network, solution, _ = with_readouts(network, adjust(network))
+    network, solution, _ = with_moving_images(network, adjust(network))
     errors = flights.standardised(truth, network, solution)
     assert max(abs(error) for error in errors.values()) < 3.3, errors
     assert 0.9 < solution.variance_factor < 1.1
@@ -98,5 +98,5 @@ def test_vibration_within_the_readout_is_held() -> None:
 def test_steady_images_do_not_shake() -> None:
     for seed in (21, 22, 23):
         _, network = flights.case("attitudes", seed, readout_s=0.03, **SMALL)
-        network, _, _ = with_readouts(network, adjust(network))
+        network, _, _ = with_moving_images(network, adjust(network))
         assert not network.cameras[0].shake
