@@ -19,8 +19,9 @@ from photocal.measurement.placing import oriented, position_sigmas, softened
 from photocal.measurement.refine import HALF, Source, refine_reduced
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
-from photocal.measurement.tie_block import GROSS, intersected, marked_control, misses, views_of, with_ties
+from photocal.measurement.tie_block import GROSS, intersected, marked_control, misses, with_ties
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
+from photocal.results.adjusted import movements
 from photocal.tasks.workers import Workers
 
 # A title and an amount of work give a context in which the work done is told.
@@ -239,8 +240,13 @@ def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:
 
 
 def _views(adjusted: Adjusted) -> OrientedImages:
-    block = replace(adjusted.block, images=replace(adjusted.block.images, values=adjusted.values))
-    return views_of(block, block_frame(adjusted.block))
+    """The images as adjusted, with their movement while a rolling shutter reads them, in a local frame."""
+    block = adjusted.block
+    movement = movements(adjusted.assembly, adjusted.solution, adjusted.values)
+    views = OrientedImages(
+        block.images.names, block.cameras, block.images.camera, adjusted.values, movement=movement
+    )
+    return views.in_local(block_frame(block))
 
 
 def _levels(longest_px: float) -> tuple[int, ...]:

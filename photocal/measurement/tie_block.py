@@ -105,9 +105,8 @@ def fitting(block: Block) -> Flags:
 def intersected(views: OrientedImages, tracks: Tracks) -> Floats:
     """Points where the rays of tracks come closest, local, shape (tracks.count, 3); NaN where they do not."""
     ideal, c = views.ideal(tracks.image, tracks.pixels)
-    return intersect(
-        tracks.track, tracks.count, views.station[tracks.image], views.rotation[tracks.image], ideal, c
-    )
+    rotation, station = views.at_lines(tracks.image, tracks.pixels)
+    return intersect(tracks.track, tracks.count, station, rotation, ideal, c)
 
 
 def misses(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:

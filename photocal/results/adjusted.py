@@ -127,14 +127,14 @@ def result_of(
             block.images.camera,
             values,
             covariance,
-            _movement(assembly, solution, values),
+            movements(assembly, solution, values),
         ),
         points=points,
         residuals=_residuals(block, assembly, solution),
     )
 
 
-def _movement(assembly: NetworkOfBlock, solution: Solution, values: Floats) -> Floats | None:
+def movements(assembly: NetworkOfBlock, solution: Solution, values: Floats) -> Floats | None:
     """How images moved while they were read, along the given axes; None where no shutter rolls."""
     if not any(camera.rolling for camera in assembly.network.cameras):
         return None
