@@ -131,7 +131,7 @@ def test_a_missing_section_is_named_when_it_is_needed(tmp_path: Path) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError, match="does not exist"):
         read_project(tmp_path / "nowhere.toml")
-    with pytest.raises(InputNotFoundError, match="is a folder"):
+    with pytest.raises(InputNotFoundError, match=r"holds no project\.toml"):
         read_project(tmp_path)
 
 
