@@ -125,7 +125,10 @@ def _setup(block: Block) -> str:
     ]
     for own in block.cameras:
         lines += ["", "[[camera]]", *_camera(own)]
-    lines += head_lines(block.heads)
+    # A head whose images were all left out is none of the block's; one alone is no frame.
+    ids = {camera.id for camera in block.cameras}
+    heads = tuple(head for head in block.heads if {head.camera, head.of} <= ids)
+    lines += head_lines(heads if len(heads) > 1 else ())
     return "\n".join(lines) + "\n"
 
 
