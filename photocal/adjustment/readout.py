@@ -18,7 +18,7 @@ from photocal.adjustment.normal import Problem, prepare, values_of
 from photocal.adjustment.sensitivity import along
 from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.solver import Iteration, Minimum
+from photocal.adjustment.solver import Iteration
 from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection
 
 Report = Callable[[Iteration], None]
@@ -62,21 +62,34 @@ def with_readouts(
     doubtful = [
         k for k, camera in enumerate(network.cameras) if camera.shutter == "unknown" and not camera.rolling
     ]
-    tests = dict[int, Readout]()
+    tests, known = dict[int, Readout](), dict[int, Camera]()
     given = network, solution, ()
-    found: tuple[Problem, Minimum] | None = None
-    if doubtful and network.exposures.motion is not None:
-        freed = _with(network, {k: _freed(network.cameras[k]) for k in doubtful})
-        try:
+    try:
+        if doubtful and network.exposures.motion is not None:
+            freed = _with(network, {k: _freed(network.cameras[k]) for k in doubtful})
             tests = _tested(freed, solution, doubtful)
-            rolling = [k for k, readout in tests.items() if readout.p_value < SIGNIFICANCE]
-            if rolling:
-                # The test tells the readout well enough for the sigmas of gusts to begin with.
-                known = {k: _forward(freed.cameras[k].changed(readout=tests[k].value)) for k in rolling}
-                network = _with(network, known)
-                found = minimum_of(network, report, solution.state)
-        except (IllPosedError, NotConvergedError):
+            # The test tells the readout well enough for the sigmas of gusts to begin with.
+            known = {
+                k: _forward(freed.cameras[k].changed(readout=test.value))
+                for k, test in tests.items()
+                if test.p_value < SIGNIFICANCE
+            }
+        network, solution = _settled(_with(network, known), solution, report, changed=bool(known))
+    except (IllPosedError, NotConvergedError):
+        # A readout that nobody has stated and the network does not bear leaves it as it was.
+        if doubtful:
             return given
+        raise
+    estimated = [k for k, camera in enumerate(network.cameras) if camera.estimated[READOUT]]
+    tests |= {k: readout_of(network, solution, k) for k in estimated}
+    return network, solution, tuple(tests[k] for k in sorted(tests))
+
+
+def _settled(
+    network: Network, solution: Solution, report: Report | None, *, changed: bool
+) -> tuple[Network, Solution]:
+    """Adjust until the sigmas of gusts belong to the readouts; `solution` is of a network before a change."""
+    found = minimum_of(network, report, solution.state) if changed else None
     estimated = [k for k, camera in enumerate(network.cameras) if camera.estimated[READOUT]]
     for _ in range(ROUNDS):
         state = solution.state if found is None else found[1].state
@@ -90,10 +103,7 @@ def with_readouts(
             break
         network = _with(network, {k: network.cameras[k].changed(readout=v) for k, v in values.items()})
         found = minimum_of(network, report, state)
-    if found is not None:
-        solution = with_statistics(*found)
-    tests |= {k: readout_of(network, solution, k) for k in estimated}
-    return network, solution, tuple(tests[k] for k in sorted(tests))
+    return network, solution if found is None else with_statistics(*found)
 
 
 def with_moving_images(

@@ -171,6 +171,9 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
     try:
         return _solved_with(start, block, poses, _held(start.cameras) if held else start.cameras)
     except (IllPosedError, NotConvergedError):
+        # A readout, and how each image moves in it, is what few images bear least.
+        if any(own.rolling for own in start.cameras):
+            return _solved(replace(start, cameras=_still(start.cameras)), block, poses, held=held)
         if not any(own.estimated.any() for own in start.cameras):
             raise
         start = start if held else replace(start, cameras=_held(start.cameras))
@@ -258,6 +261,22 @@ def _robustly(ties: _Ties, block: Block) -> _Ties:
 
 def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
     return tuple(replace(own, estimated=np.zeros_like(own.estimated)) for own in cameras)
+
+
+def _still(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    """The cameras as if no shutter rolled: what is left of it goes into the residuals."""
+    readout = np.array(PARAMETERS) == "readout"
+    return tuple(
+        replace(
+            own.changed(readout=0.0),
+            estimated=own.estimated & ~readout,
+            prior_sigma=np.where(readout, np.inf, own.prior_sigma),
+            shutter="global",
+        )
+        if own.rolling
+        else own
+        for own in cameras
+    )
 
 
 def pixel_residuals(assembly: NetworkOfBlock, solution: Solution) -> Floats:
