@@ -21,7 +21,6 @@ SECOND_NS = 1_000_000_000
 class Decoded:
     """Messages of one channel.
 
-    channel: where they go.
     payloads (n,): the encoded messages.
     index (n,): the frame of the batch that each was made from.
     publish_ns (n,): time of the device, UTC, nanoseconds since 1970; time of receipt where the device has

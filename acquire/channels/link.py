@@ -37,7 +37,6 @@ class Tally:
 
     frames, frame_bytes, stamp_bytes, damage_bytes: number and size; stamps are those of the recording format.
     damage: offset in the stream and length of the first `LISTED_RUNS` runs of damage, adjacent ones merged.
-    damage_runs: number of all runs of damage.
     """
 
     frames: int = 0

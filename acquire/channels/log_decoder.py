@@ -103,9 +103,7 @@ Formats = TypeVar("Formats", bound=Definitions)
 class Part(Generic[Formats]):
     """A batch of a log.
 
-    link: name of the link.
     formats: what the log has said of its records so far.
-    batch: the records.
     utc_ns, boot_ns (n,): UTC of each, nanoseconds since 1970, and time since the start of the autopilot; -1
         where it has none.
     """
@@ -128,8 +126,6 @@ class Part(Generic[Formats]):
 class LogDecoder(ABC, Generic[Formats]):
     """Decodes the records of a log; a `Decoder`.
 
-    link: name of the link.
-    boot: when the autopilot started.
     formats: reads the definitions of the log, from its beginning.
     """
 
@@ -157,7 +153,6 @@ _RECEIVERS = {"vehicle_gps_position": "", "sensor_gps": "-sensor", "sensor_gps[1
 class UlogDecoder(LogDecoder[UlogFormats]):
     """Decodes the records of a PX4 log; a `Decoder`.
 
-    link: name of the link.
     boot: when the autopilot started.
     """
 
@@ -289,11 +284,7 @@ class EventListDecoder:
 
 
 class DataflashDecoder(LogDecoder[DataflashFormats]):
-    """Decodes the records of a DataFlash log; a `Decoder`.
-
-    link: name of the link.
-    boot: when the autopilot started.
-    """
+    """Decodes the records of a DataFlash log; a `Decoder`."""
 
     def __init__(self, link: str, boot: BootTime) -> None:
         super().__init__(link, boot, DataflashFormats())

@@ -64,7 +64,6 @@ class MountingValue:
 class Mounting:
     """What an autopilot tells of its mounting, and what follows for the camera.
 
-    values: as told.
     camera_to_antenna_m: lever arm, body axes, m, of a camera at the body's origin, `CAMERA_PLACE_SIGMA_M`
         off on each axis; None where no antenna is stated: zeros are what nobody measured.
     mount_deg: roll, pitch and yaw of the camera mount against the body, `MOUNT_SIGMA_DEG` off; None where the

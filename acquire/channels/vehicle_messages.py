@@ -26,7 +26,6 @@ FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed
 class Sent(SourceMessages):
     """Messages of one kind from one source.
 
-    address: system and component.
     fields (n,): the fields, see `drivers.mavlink.decode.Messages`.
     log_ns (n,): time of receipt, UTC.
     """

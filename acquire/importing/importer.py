@@ -25,12 +25,8 @@ CHUNK_BYTES = 1 << 20
 class Imported:
     """What was imported over one link.
 
-    link: its name.
-    path: the recording.
     sha256, size: of the file as it lies on disk.
-    form: what it is.
     log_time: where the times of receipt come from.
-    tally: frames and damage.
     cut: bytes of a frame that the end of the recording cut off.
     packing_cut: whether the file is packed and its end is missing.
     warning: what to know about the times; empty when they are sure.

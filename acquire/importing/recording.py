@@ -28,7 +28,6 @@ _GZIP = b"\x1f\x8b"
 class Format:
     """A kind of recording.
 
-    name: what people call it.
     link: what a link with it is called when nobody names it; empty: after the file.
     framer: takes the known MAVLink messages and returns what finds the frames.
     """

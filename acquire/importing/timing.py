@@ -116,8 +116,6 @@ Timed = Iterator[tuple[Batch, Integers]]
 class Way:
     """The way of a recording into the log.
 
-    decoder: what decodes it.
-    timed: gives batches their times of receipt.
     told: says, after the import, where the times came from.
     warned: says what to know about the times, given the last one; empty when they are sure.
     """

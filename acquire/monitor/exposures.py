@@ -31,7 +31,6 @@ class Exposures:
     triggers, feedbacks: how many pictures were asked for, and how many were reported.
     pending, missed: those that may still be reported, and those that were not.
     before: those that were not before the device last started again: their numbers have come to mean others.
-    last_trigger, last_feedback: the last numbers.
     offset: number of a feedback less that of its trigger: devices begin to count at 0 or 1.
     """
 

@@ -78,10 +78,7 @@ def receiver_after(
 
 
 def correction_age_s(receiver: Receiver, link: Link, now_ns: int) -> float | None:
-    """Return the age of the corrections of a receiver; None when nobody knows of any.
-
-    now_ns: the time, UTC.
-    """
+    """Return the age of the corrections of a receiver; None when nobody knows of any."""
     if receiver.correction_age_s is not None:
         return receiver.correction_age_s
     return (now_ns - link.corrected_ns) / SECOND_NS if link.corrected_ns else None

@@ -150,8 +150,6 @@ class Alarm:
     number: counts all alarms of the recording.
     level: ``bad`` (act now), ``warn`` (look at it) or ``note``.
     link: what is concerned; may be empty.
-    text: what happened.
-    time_ns: when, UTC.
     """
 
     number: int
@@ -165,11 +163,8 @@ class Alarm:
 class Link:
     """What came over a link.
 
-    frames, frame_bytes, damage_bytes: number and size.
     first_ns, last_ns: receipt of the first and the last frame, UTC; 0 before there was one.
     recent: of the last seconds: second since 1970, frames, bytes.
-    gaps: number of pauses.
-    longest_gap_ns: the longest of them.
     trouble: what the recorder says of it: ``lost`` or ``silent``; empty when all is well.
     corrected_ns: when a correction was sent to its device last, UTC; 0 for never.
     clock_offset_s: clock of this computer less clock of the device.
@@ -192,13 +187,9 @@ class Link:
 class Receiver:
     """The last fix of a receiver.
 
-    link: the link that told it.
     fix: as `acquire.channels.layouts.GNSS_STATUS` names it.
     satellites: number used; negative when unknown.
-    horizontal_m, correction_age_s: what the receiver claims.
-    time_ns: when it was received, UTC.
     expected: the best fix that it has had for a while: a lesser one is a loss.
-    since_ns: since when the fix is what it is.
     starved: whether it was told that its corrections are too old.
     """
 
@@ -225,11 +216,8 @@ class Battery:
 class Look:
     """What the computer says.
 
-    time_ns: its clock, UTC.
     file: name of the log that is read.
     size: bytes of it.
-    ended: whether the log has its end.
-    free_bytes: what is left on its disk.
     trouble: why nothing can be read; empty when all is well.
     """
 
@@ -245,17 +233,11 @@ class Look:
 class State:
     """A recording.
 
-    flight: name of its first file.
     first_ns, last_ns: receipt of the first and the last message, UTC; 0 before there was one.
-    links, receivers, exposures, tracks, batteries, vehicles: by name of link or receiver.
     pictures: where pictures were taken, by the link and the kind of their report.
     stations: latitude and longitude of base stations, degrees.
     marks: rising edges on the time mark input of a receiver: reported, and skipped by its counter.
-    alarms: the latest ones.
-    raised: number of all alarms.
-    look: the last one.
     grown_ns: when the log was seen to have grown last, clock of this computer, UTC.
-    stalled: whether it has not for too long.
     growth: earlier looks as (time, size), to tell how fast it grows.
     """
 

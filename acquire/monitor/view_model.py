@@ -27,7 +27,6 @@ class Layer:
     """A line or points of one name.
 
     kind: ``track``, ``picture``, ``missed`` or ``station``.
-    name: whose.
     points (n, 2): latitude and longitude, degrees.
     edition: as long as it stays, points were only added.
     labels: what stands beside the points; empty for nothing.

@@ -67,10 +67,7 @@ def new_file(path: Path) -> WholeWrites:
 def new_log(
     folder: Path, time_ns: int, make: Callable[[Path], WholeWrites] = new_file
 ) -> tuple[Path, WholeWrites]:
-    """Make the file of a log under a name that is free; the folder is made.
-
-    Whoever makes the file has it: a name that another recorder takes at the same moment is passed over.
-    """
+    """Make the file of a log under a name that is free; the folder is made."""
     folder.mkdir(parents=True, exist_ok=True)
     moment = dt.datetime.fromtimestamp(time_ns / 1e9, dt.UTC).strftime("%Y%m%dT%H%M%SZ")
     for number in itertools.count(1):
@@ -117,7 +114,6 @@ class LogFiles:
     begin: writes to each file what stands at its beginning.
     clock_ns: the clock of the host, UTC nanoseconds since 1970.
     make: makes a new file.
-    raises OutputError: when the first file cannot be made.
     """
 
     def __init__(

@@ -128,10 +128,7 @@ def left_behind(readers: list[threading.Thread], patience_s: float) -> list[str]
 
 
 def read_link(source: Source, inbox: Inbox, stop: threading.Event) -> None:
-    """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own.
-
-    Whatever goes wrong is told, and the port is opened anew.
-    """
+    """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own."""
     pause = _FIRST_PAUSE_S
     lost = False
     peer = ""

@@ -34,7 +34,6 @@ class Said:
 class ReceiverDialogue:
     """Configures a receiver and verifies what it has kept.
 
-    port: the receiver's port that we are connected to.
     rate_ms: time between measurements, milliseconds.
     """
 

@@ -123,10 +123,7 @@ def record(
 def source_of_link(
     link: Link, environment: Mapping[str, str] = os.environ, position: Callable[[], bytes] | None = None
 ) -> Source:
-    """Return the source of a link.
-
-    raises ConfigurationError: when the address cannot be meant or the password is missing.
-    """
+    """Return the source of a link."""
     address = ntrip_address(link.url)
     if address is None:
         return source_of(link.url, link.baud)

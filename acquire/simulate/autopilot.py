@@ -17,11 +17,7 @@ _FRAGMENT_BYTES = 180
 
 
 class Autopilot:
-    """The state of the vehicle's side of a link.
-
-    start_utc_us: UTC at its start, microseconds since 1970.
-    parameters: its parameters beside `PARAMETERS`.
-    """
+    """The state of the vehicle's side of a link."""
 
     def __init__(
         self,

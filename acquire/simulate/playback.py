@@ -41,7 +41,6 @@ class PlayedFlight:
     """A flight to be played.
 
     lines: by the names of the links: vehicle, rover, base.
-    base_protocol: ``ubx`` or ``rtcm3``.
     interval_s: between the measurements of rover and base.
     rates_hz: at which the autopilot sends the messages that matter most.
     parameters: of the autopilot: where the antenna was measured to be from the inertial unit.
@@ -124,10 +123,7 @@ _AUTOPILOT = bytes((1, 1))
 
 
 class FlightClock:
-    """The time of the flight: it begins when every device was spoken to, and then runs `speed` times as fast.
-
-    clock: seconds of a steady clock.
-    """
+    """The time of the flight: begins when every device was spoken to, and runs `speed` times as fast."""
 
     def __init__(
         self,

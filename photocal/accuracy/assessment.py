@@ -77,8 +77,6 @@ class VectorResult:
 class TableResult:
     """One table of a standard applied to the product.
 
-    standard_id, standard_title: the standard.
-    table: the table.
     size: scale denominator or interval in m that was asked for; None when none was.
     decisions: for each class at that size; empty without a size.
     admitted: for each class the exact smallest size.

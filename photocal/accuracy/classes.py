@@ -26,7 +26,6 @@ from photocal.accuracy.statistics import (
 class Sample:
     """What is known of the check points of one product.
 
-    components: E and N for planimetry, h for heights.
     lengths_m (n,): plane distances or absolute height differences, m; None when only moments were published.
     """
 
@@ -43,11 +42,8 @@ class Sample:
 class ClassDecision:
     """Whether a product reaches one class at one scale or interval.
 
-    limit: what the class allows.
     precision: one for each component; empty with a single point.
-    rmse_within: whether the RMSE is within the standard error.
     share_within: share of the points within PEC; None when only moments are known.
-    share_passes: whether that share is enough.
     """
 
     limit: ClassLimit
@@ -71,7 +67,6 @@ class ClassDecision:
 class AdmittedSize:
     """Smallest scale denominator, or contour interval in m, at which a class is reached.
 
-    name: the class.
     precision: by the chi-square test of the spread; None with a single point.
     rmse: by RMSE within the standard error.
     share: by the 90 % rule; None when only moments are known.
@@ -146,12 +141,10 @@ def smallest_listed(sizes: tuple[float, ...], exact: float) -> float | None:
 class ValueClass:
     """RMSE of a product with the survey accuracy of its check points.
 
-    standard: the standard, with the sources of its figures.
     horizontal_m, vertical_m, vegetated_m, spatial_m: RMSE with the survey accuracy, m; None where the
         component was not checked.
     survey_included_horizontal, survey_included_vertical: whether a survey accuracy was given; without one the
         class is too good.
-    points_horizontal, points_vertical, points_vegetated: number of check points.
     target_horizontal_m, target_vertical_m: classes that the project asks for: what the limits below go by.
         None where nobody said.
     systematic: components whose mean exceeds the standard's share of the target.

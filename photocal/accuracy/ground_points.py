@@ -31,7 +31,6 @@ _SAME_POINT_M = 0.005
 class GroundPoints:
     """Ground points of one role, in one coordinate system.
 
-    names: names.
     xyz_m (n, 3): coordinates, m; NaN where not given.
     """
 

@@ -27,7 +27,6 @@ Prose = Annotated[str, AfterValidator(lambda text: " ".join(text.split()))]
 class Question:
     """What the product is to be judged for.
 
-    scale_denominator: map scale 1:N of the product.
     interval_m: contour interval, m; when None, the one that a standard lists for the scale.
     confidence: level of all tests, 0 to 1: two-sided for the bias, one-sided for the precision.
     survey_horizontal_m, survey_vertical_m: RMSE of the survey of the check points, m; the horizontal one
@@ -70,8 +69,6 @@ class PublishedLimit:
 class LimitTable(Table):
     """The classes of one product of a standard.
 
-    product: what is judged.
-    component: which discrepancies judge it.
     basis: whether the limits grow with the scale denominator or with the contour interval.
     pec, ep: limits of each class: mm at map scale, or shares of the interval, as numbers or fractions.
     listed: printed figures: class, scale denominator, interval (m), PEC and EP (m).

@@ -23,8 +23,6 @@ class Moments:
 
     Published studies often print nothing else, therefore tests and classes are computed from these.
 
-    n: number of points.
-    mean_m: mean discrepancy, m.
     std_m: standard deviation about the mean with n - 1, m; NaN for a single point.
     """
 
@@ -48,7 +46,6 @@ class Moments:
 class Spread:
     """Figures of one component beyond its moments, all in m.
 
-    minimum_m, maximum_m, median_m: extremes and median.
     nmad_m: normalised median absolute deviation: the standard deviation that a few outliers cannot spoil.
     """
 
@@ -62,10 +59,8 @@ class Spread:
 class LengthStatistics:
     """Lengths of residual vectors (2D or 3D) summed up in the two ways that the literature mixes.
 
-    n: number of vectors.
     mean_m: arithmetic mean of the lengths, m. Smaller than, or equal to, the root mean square.
     rms_m: root mean square of the lengths, m: the 2D or 3D RMSE.
-    maximum_m: longest vector, m.
     """
 
     n: int
@@ -208,7 +203,6 @@ class PrecisionTest:
 
     chi_squared: degrees of freedom times the ratio of the variances.
     critical: value that it must stay below.
-    confidence: one-sided level of confidence, 0 to 1.
     """
 
     chi_squared: float
@@ -227,7 +221,6 @@ class NormalityTest:
 
     w: statistic of Shapiro and Wilk, 1 for normal data.
     p_value: probability of a smaller value for normal data.
-    confidence: level of confidence of the decision, 0 to 1.
     """
 
     w: float
@@ -253,10 +246,7 @@ def bias_test(component: Moments, confidence: float) -> BiasTest:
 
 
 def precision_test(component: Moments, sigma_m: float, confidence: float) -> PrecisionTest:
-    """Test whether the spread of a component is not larger than a required standard deviation.
-
-    It sees precision only: a bias of any size passes.
-    """
+    """Test whether the spread of a component is not larger than a required standard deviation."""
     dof = _degrees_of_freedom(component)
     if not sigma_m > 0.0:
         raise ConfigurationError(f"required standard deviation {sigma_m} m is not positive")

@@ -46,8 +46,6 @@ class Look:
     ----------
     facts : ImageFacts or None
         None of a file that cannot be read; `refusal` then says why.
-    key : str
-        Of its features in the cache.
     softness : float
         Width of what is seen, in the direction where it is largest, about px: it grows with blur, hardly with
         what is pictured.
@@ -199,10 +197,6 @@ class Quick:
 
     Attributes
     ----------
-    joined : int
-        Pictures that were oriented.
-    left_out : tuple of dict
-        Those that were not, with the reason.
     cameras : list of dict
         As `released.camera_figures`: c that the block gives by itself, with its sigma.
     """
@@ -239,12 +233,7 @@ def orient_quickly(
     plan: MatchingPlan,
     progress: Progress,
 ) -> Quick:
-    """Orient pictures by their features; what was matched before is kept.
-
-    A camera that was calibrated keeps all that was found but its principal distance.
-
-    raises PhotocalError: when they do not hold together.
-    """
+    """Orient pictures by their features; what was matched before is kept."""
     pairs, _ = select_pairs(stated_footprints(facts), len(facts))
     with progress("matching reduced pictures", len(pairs)) as done:
         tracks, _ = match_all(keys, pairs, plan, done)

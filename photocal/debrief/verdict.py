@@ -146,10 +146,6 @@ class Debrief:
     ----------
     verdict : Finding
         Complete, to be looked at, or to be flown again.
-    findings : tuple of Finding
-        What it rests on, the worst first.
-    exposures : ExposureRun or None
-        None where they could not be told.
     """
 
     verdict: Finding

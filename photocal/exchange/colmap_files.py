@@ -49,7 +49,6 @@ class Shot:
     """One image.
 
     quaternion, translation: from object to camera axes.
-    lens: key of its camera.
     marks (n, 2).
     points (n,): keys of the points, or `NO_POINT`.
     """

@@ -305,10 +305,7 @@ _SWITCHES = {
 
 
 def write_dbat(folder: Path, block: Block) -> Path:
-    """Write setup.xml, images.txt, marks.txt, control.txt and check.txt.
-
-    Exterior orientations and tie points are not written: DBAT computes its own start values.
-    """
+    """Write setup.xml, images.txt, marks.txt, control.txt and check.txt."""
     _require_expressible(block)
     own = unbalanced(block.cameras[0])
     names = block.points.names

@@ -114,7 +114,6 @@ class DbatCamera:
     lens_model: -1 or 1 to 5.
     pixel_mm: height of a pixel; its width is (1 + as) times this.
     values: by `NAMES`, in mm.
-    estimate: of `NAMES`.
     """
 
     name: str

@@ -28,7 +28,6 @@ class ForeignProject:
     adjusted: coordinates of control and check points as the program adjusted them.
     cameras: as the program adjusted them, where the block has its start values; else empty.
     camera_sigma: that the program promises, by camera and parameter.
-    remarks: what was assumed or left out.
     weighted: whether the program states sigmas of image coordinates.
     """
 

@@ -38,11 +38,7 @@ class Format:
     """One format; functions are named as `module:function` within this room, or by a dotted module.
 
     name: for `photocal export --format`.
-    title: program and form.
     holds: what comes back when it is read; the points of some formats are the surveyed ones only.
-    space: object coordinates.
-    origin: what has the pixel coordinates (0, 0).
-    axes: of the camera.
     distortion: its direction: added to the projection, or correcting the measurement.
     writes: takes a folder, or the file in it that is named after another colon, a `Reconstruction` and
         `Choices`; gives a `Conversion` for each camera. Empty: it is not exported.

@@ -38,7 +38,6 @@ class GroundMark:
 
     xyz: in the file's coordinate system; geographic ones as longitude, latitude (deg), height (m).
     column, row: px.
-    place: file and line.
     """
 
     point: str

@@ -36,7 +36,6 @@ class Chunk:
     """What a camera XML holds.
 
     reconstruction: cameras that are used, aligned images, markers as points and their projections as rays.
-    markers: in the order of the points.
     crs: the chunk's coordinate system; empty when local.
     """
 

@@ -39,7 +39,6 @@ class PointEntry:
 class Mark:
     """One image observation.
 
-    sigma: in x and y.
     place: file and line, for messages.
     """
 
@@ -67,7 +66,6 @@ def images(
 ) -> Images:
     """Collect images.
 
-    camera: index of each image's camera.
     values, sigma (n, 6): omega, phi, kappa in radians, X, Y, Z in m; NaN and infinity when not given.
     """
     shape = (len(names), 6)
@@ -88,8 +86,6 @@ def observations(
 ) -> Observations:
     """Collect image observations.
 
-    marks: in `unit` and `axes`.
-    unit, axes: as in `Observations`.
     raises InputMalformedError: for an unknown image or point, a point observed twice in an image, or a sigma
         that is not positive.
     """

@@ -34,7 +34,6 @@ DEFAULT_SIGMA_PX = 1.0
 class Photo:
     """One photo of an export.
 
-    number: from 0.
     name: file name without folders.
     pose (6,): omega, phi, kappa in radians, X, Y, Z.
     interior: principal distance, principal point, format (mm), K1, K2, K3, P1, P2.
@@ -53,7 +52,6 @@ class Export:
     interior: default camera of the head, with one digit more than the photos have.
     control: coordinates of the control points by their name.
     points: coordinates of all object points by their name, SmartPoints renumbered behind the others.
-    marks: column and row.
     """
 
     title: str

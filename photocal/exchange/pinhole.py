@@ -100,10 +100,7 @@ def require_credible(focal_px: Sequence[float], others: Sequence[float], place: 
 def to_pinhole(
     own: Camera, program: str, others: Mapping[Model, tuple[str, ...]] | None = None
 ) -> tuple[Pinhole, Conversion]:
-    """Turn a camera into pinhole intrinsics.
-
-    others: models beside `brown-ideal` that the program has, and which of their terms.
-    """
+    """Turn a camera into pinhole intrinsics."""
     require_no_skew(own, program)
     flat, others = in_pixels(own), others or {}
     model: Model = "equidistant" if flat.lens.angular else flat.model

@@ -38,7 +38,6 @@ class Origin:
 class Choices:
     """What some formats must be told.
 
-    angle_unit: for tables of angles.
     origin: of a local frame, for geographic formats.
     changed_utc: time that a file may note as that of its making.
     """
@@ -223,11 +222,7 @@ def orientations_alone(names: Sequence[str], poses: Floats) -> Reconstruction:
 
 
 def vision_block(name: str, given: Reconstruction, files: list[Path]) -> Block:
-    """Make a block of a vision program's model, which has no standard deviations of image coordinates.
-
-    All get 1 px, and the a posteriori variance factor says what they are worth. Surveyed points with standard
-    deviations carry the datum, else it is free.
-    """
+    """Make a block of a vision program's model, which has no standard deviations of image coordinates."""
     if not len(given.pixels):
         raise InputMalformedError("has no measurements of points", where=files[0], remedy="export them too")
     return as_block(given, name, UNIT_SIGMA_PX, tuple(fingerprint(path) for path in files))

@@ -116,10 +116,7 @@ def _turn(vector: Any) -> Floats:
 
 
 def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> Reconstruction:
-    """Give a COLMAP model its rigs: of the model, else of a rig_config.json in its folder or above.
-
-    keys: names of the images by their numbers.
-    """
+    """Give a COLMAP model its rigs: of the model, else of a rig_config.json in its folder or above."""
     if (folder / "rigs.txt").is_file() and (folder / "frames.txt").is_file():
         return _of_model(given, folder, keys)
     paths = (one / "rig_config.json" for one in (folder, *folder.parents[:2]))
@@ -185,10 +182,7 @@ def _sensor(wxyz: Sequence[float], shift: Sequence[float], place: object) -> Sen
 def of_metashape(
     given: Reconstruction, chunk: Element, shots: Sequence[Element], path: Path
 ) -> Reconstruction:
-    """Give a Metashape chunk its multi-camera system: sensors with a master, images with a `master_id`.
-
-    shots: the cameras of the images, in their order.
-    """
+    """Give a Metashape chunk its multi-camera system: sensors with a master, images with a `master_id`."""
     sensors = dict[str, Sensor]()
     for one in chunk.iterfind("sensors/sensor"):
         if one.get("master_id") is not None:

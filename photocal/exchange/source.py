@@ -30,7 +30,6 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 class Line:
     """A line of a text file that can name its place.
 
-    number: from 1.
     text: without its line end.
     """
 

@@ -19,8 +19,6 @@ CATALOGUES = ("findings", "report", "analysis")
 class Catalogue:
     """All texts of one language.
 
-    language: its code.
-    mark: its decimal mark.
     messages: texts by their dotted keys; places for values in braces.
     """
 

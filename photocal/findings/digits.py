@@ -20,7 +20,6 @@ class Measured:
     """A value and its standard deviation as text, with the power of ten that belongs to both.
 
     value, sigma: both with the same number of decimals.
-    exponent: they stand for value x 10^exponent.
     """
 
     value: str
@@ -104,11 +103,7 @@ def relation(p: float, mark: str) -> str:
 
 @dataclass(frozen=True)
 class Number:
-    """A number that a text formats itself, with the decimal mark of its language.
-
-    value: the number.
-    mark: the decimal mark.
-    """
+    """A number that a text formats itself, with the decimal mark of its language."""
 
     value: float
     mark: str

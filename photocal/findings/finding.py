@@ -18,8 +18,6 @@ Figure = float | str | tuple[str, ...] | None
 class Size:
     """How large an error is and what it does.
 
-    figure: its figure.
-    unit: unit of the figure.
     sigma: standard deviation of the figure (a priori).
     c: by how much c was wrong because of it, in the unit of the camera.
     ground_m: what that c makes of heights at the distance of this block, m.
@@ -39,14 +37,11 @@ class Finding:
     """One thing that a check found; `texts` says it, `hypotheses` knows what it means.
 
     code: what it is; the key of its text, and of its remedy where there is one.
-    severity: see above.
     subject: parameter, pair, camera, image or point that is concerned.
     figures: the figures behind it (a `Figure` where a text says it), SI where the name has no unit; names of
         points and images as tuples, terms by their codes; None is no number.
     clauses: codes of what else is to be said, in order.
-    size: of an error that was found.
     cause, remedy: codes of why, and of what to do where it is not the remedy of the code itself.
-    stage: stage of the processing that found it.
     """
 
     code: str

@@ -26,7 +26,6 @@ SYMPTOMS = (
 class Fault:
     """One thing that may be wrong.
 
-    code: key of its texts.
     where: what it falsifies.
     frees: what the search frees in the integrated adjustment: names of the mounting's common values
         (`adjustment.mounting.COMMON`) or of camera parameters; nothing for what is found in another way.
@@ -37,7 +36,6 @@ class Fault:
         left.
     contains: faults that it contains: beside it they are not tested, and it is no other name for them.
     kind_of: the fault that it is a special case of: found as that one, then named.
-    symptoms: findings that follow from it.
     """
 
     code: str

@@ -61,7 +61,6 @@ class BlockCheck:
     """Everything that is said about a block.
 
     judged: those methods that the block allows, in the order of `METHODS`.
-    refused: the others, with the reason.
     exposures: none unless both the direct and the indirect method are there.
     systematic: none without positions, or where they cannot be tested.
     plausibility: mistakes in the ground points.

@@ -47,8 +47,6 @@ class Experiment:
     interiors: empty: the block's own camera.
     patterns: empty: the block's own roles.
     noise: direct orientations are the adjusted ones with this noise.
-    seed: of that noise.
-    confidence: of the tests for bias.
     camera: which camera of the block the interior orientations are of; the others stay as they are.
     """
 
@@ -68,7 +66,6 @@ class Experiment:
 class Run:
     """One run.
 
-    control: number of control points.
     check: at the check points; None when the run failed.
     bias: in X, Y, Z; empty with fewer than two check points.
     without_trend: RMSE after the mean of biased components is removed, m.

@@ -132,9 +132,7 @@ class Estimate:
 
     unit: m, deg, s, mm or px.
     correction: estimated less given.
-    value: estimated.
     sigma: a priori.
-    t: correction / sigma.
     significant: at 0.1 %, two-sided.
     """
 

@@ -58,11 +58,7 @@ class _Rays:
 def intersect_points(
     block: Block, orientation: DirectOrientation, wanted: Integers, joint: Floats | None = None
 ) -> Intersected:
-    """Intersect points from all images that have an orientation.
-
-    The weights of a point's rays come from image observations and orientations together, with the
-    correlation that common errors (mounting, camera) give them: the best linear unbiased estimate.
-    """
+    """Intersect points from all images that have an orientation."""
     if joint is None:
         stated = [np.diag(camera_variance(own)) for own in block.cameras]
         joint = block_diag(orientation.common_covariance, *stated)

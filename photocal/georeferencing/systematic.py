@@ -49,10 +49,8 @@ _NOTEWORTHY = 1e-3
 class Hypothesis:
     """One fault of the table, its values freed.
 
-    name: code of the fault.
     gain: by which v'Pv falls.
     factor: variance factor that is left.
-    unknowns: freed values.
     f, critical: gain / unknowns over the variance factor that is left, and its limit.
     """
 

@@ -40,10 +40,7 @@ class Area:
 
 @dataclass(frozen=True)
 class LocalPlane:
-    """Azimuthal equidistant plane about a point: true to a millimetre over some kilometres.
-
-    latitude_deg, longitude_deg: origin on WGS 84, degrees.
-    """
+    """Azimuthal equidistant plane about a point: true to a millimetre over some kilometres."""
 
     latitude_deg: float
     longitude_deg: float

@@ -63,12 +63,7 @@ def plan_strips(
     run_out_m: float,
     height_m: float,
 ) -> tuple[Strip, ...]:
-    """Cover a polygon with parallel strips, flown to and fro.
-
-    The outer strips fly along the border, so that ground at the border lies in the middle of their
-    photos, and each strip runs out beyond the area. The distances of the strips are evened out: never
-    larger than asked.
-    """
+    """Cover a polygon with parallel strips, flown to and fro."""
     if not (spacing_m > 0.0 and base_m > 0.0 and run_out_m >= 0.0):
         raise ConfigurationError("the distances of strips and exposures must be positive")
     along, across = _along(corners_m, azimuth_rad), _across(corners_m, azimuth_rad)
@@ -129,11 +124,9 @@ IMAGE_SIGMA_PX = 0.5
 class Wish:
     """What is asked of a flight.
 
-    frame: the camera.
     height_m: height above the ground of the area, m.
     forward_overlap, side_overlap: shares of the footprint, 0 to below 1.
     along: side of the image that lies along the flight line: "rows" flies with the image width across.
-    speed_m_s: speed over ground, m/s.
     azimuth_rad: flying direction, clockwise from north, rad; None takes the one with the fewest strips.
     cross_strips: whether strips at right angles are added.
     second_height_m: height above ground of the cross strips, m; it separates principal distance and flying
@@ -170,10 +163,7 @@ class LevelGeometry:
 class Flight:
     """A planned flight.
 
-    area: the polygon.
-    plane: the plane that the strips are laid out in.
     corners_m (n, 2): the polygon in that plane, m.
-    wish: what was asked.
     azimuth_rad: flying direction of the main strips, rad.
     levels: the main height, and the second one where there is one.
     strips: in flying order; cross strips last.

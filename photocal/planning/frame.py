@@ -22,7 +22,6 @@ SMEAR_LIMIT_PX = 0.5
 class Frame:
     """Camera frame for planning.
 
-    focal_m: principal distance, m.
     pixel_m: pixel pitch, m, the same in both directions.
     columns, rows: image size, px.
     """
@@ -45,7 +44,6 @@ def scale_denominator(gsd_m: float, pixel_m: float) -> float:
     """Give the photo scale that has a ground sample distance (canon-elph study, equation 31).
 
     gsd_m: ground sample distance, m.
-    pixel_m: pixel pitch, m.
     returns: denominator of the photo scale.
     """
     return gsd_m / pixel_m
@@ -54,8 +52,6 @@ def scale_denominator(gsd_m: float, pixel_m: float) -> float:
 def flying_height(focal_m: float, denominator: float) -> float:
     """Give the height above ground of a photo scale (canon-elph study, equation 32).
 
-    focal_m: principal distance, m.
-    denominator: denominator of the photo scale.
     returns: height above ground, m; with `scale_denominator` it is f GSD / pixel (Alves Junior et al. 2015,
         equation 1).
     """
@@ -126,10 +122,7 @@ def parallax_sigma(image_sigma_m: float) -> float:
 def stereo_precision(
     height_m: float, base_m: float, focal_m: float, point_m: tuple[float, float], image_sigma_m: float
 ) -> ExpectedPrecision:
-    """Expect the precision of a point intersected from one pair of vertical photos.
-
-    More rays make it better, errors of the orientation worse; neither is in here.
-    """
+    """Expect the precision of a point intersected from one pair of vertical photos."""
     parallax = parallax_sigma(image_sigma_m)
     scale = height_m / focal_m
 
@@ -148,11 +141,7 @@ def normal_case_height_sigma(
 
 
 def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float, pixel_m: float) -> float:
-    """Give the dz of the calibration report form of the Brazilian ministry of defence.
-
-    It is the acceptance limit of the height RMSE at the check points: the normal case with one pixel
-    in each image.
-    """
+    """Give the dz of the calibration report form of the Brazilian ministry of defence."""
     return normal_case_height_sigma(height_m, base_m, focal_m, parallax_sigma(pixel_m))
 
 

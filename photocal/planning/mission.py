@@ -52,7 +52,6 @@ _GROUND_SPEED = 1.0
 class Home:
     """The take-off place.
 
-    latitude_deg, longitude_deg: on WGS 84, degrees.
     height_m: above mean sea level, m.
     """
 
@@ -65,8 +64,6 @@ class Home:
 class Item:
     """One mission item.
 
-    command: what to do.
-    frame: what the height refers to.
     parameters: the seven parameters; the last three are latitude, longitude (degrees) and height (m) where
         the command has a place; None leaves one to the autopilot.
     """

@@ -49,7 +49,6 @@ class Survey:
 class SimulatedPrecision:
     """What the simulated adjustment says.
 
-    method: "indirect" or "integrated".
     check: check points that two photos or more see.
     mean_m, worst_m: root mean square and largest standard deviation of X, Y, Z at the check points, m; empty
         when the flight does not determine them.

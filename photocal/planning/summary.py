@@ -22,12 +22,7 @@ EARLIER_SHARE = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class Target:
-    """A class that the product shall reach.
-
-    name: what and which class.
-    component: which precision decides.
-    ep_m: its standard error, m.
-    """
+    """A class that the product shall reach."""
 
     name: str
     component: str
@@ -44,7 +39,6 @@ def error_budget(product_m: float) -> dict[str, float]:
 def targets_of(standard: Standard, scale_denominator: float, class_name: str) -> tuple[Target, ...]:
     """Give what a class of a standard asks for at a scale.
 
-    scale_denominator: map scale 1:N.
     returns: planimetry, and heights where the standard lists a contour interval for the scale.
     raises ConfigurationError: when the standard has no such class.
     """
@@ -91,7 +85,6 @@ def remarks(
 ) -> tuple[Finding, ...]:
     """Say what stands against a plan.
 
-    exposure_time_s: exposure time, s.
     shortest_interval_s: shortest time between two photos that the camera manages, s.
     """
     listed = []

@@ -96,7 +96,6 @@ def _turning_radius(camera: Camera) -> float:
 def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImages]:
     """Read a block and, where it was adjusted, the results in place of its start values.
 
-    run: folder of its adjustment.
     returns frame: between the block's coordinates and the local ones of the images.
     raises InputNotFoundError, InputMalformedError, ConfigurationError: for what cannot be read, or results
         that belong to another block.

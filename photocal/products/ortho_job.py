@@ -146,7 +146,6 @@ def plan_grid(
 ) -> tuple[Grid, float]:  # fmt: skip
     """Choose the cells of an orthophoto.
 
-    shots, frame, terrain, raster: as for the orthophoto.
     cell: wished size, m; None for the pixel of the images on the ground.
     bounds: wished rectangle; None for all that the images show of the terrain.
     returns pixel: median size of an image's pixel on the ground, m.

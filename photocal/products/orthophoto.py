@@ -88,7 +88,6 @@ IMAGE_MEMORY = 800_000_000
 class Tile:
     """A finished piece.
 
-    column, row: its first cell.
     pixels (bands, rows, columns).
     chosen (rows, columns): image of each cell; -1 for none.
     """

@@ -60,7 +60,6 @@ def check_products(
     """Find the targets of check points in an orthomosaic and sample a terrain model there.
 
     ortho: orthomosaic with round targets, lighter or darker than their surroundings.
-    target_diameter_m: their diameter, m; needed with an orthomosaic.
     search_m: how far from the surveyed place a target is looked for, m; needed with an orthomosaic.
     dtm: terrain model; its height is taken at the surveyed place (bilinear), so that an error in position
         does not count twice.

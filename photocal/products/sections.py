@@ -20,10 +20,8 @@ from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinde
 class Volume:
     """A volume and what its uncertainty is made of.
 
-    value: m3.
     radius_variance, height_variance: shares of the variance that come from the radii and from the heights,
         m6; they add up to the variance where radii and heights are uncorrelated.
-    variance: m6.
     """
 
     value: float
@@ -121,7 +119,6 @@ class Section:
 class Tank:
     """A tank as measured.
 
-    sections: from below.
     cylinder: through all points: its axis shows the tilt; None where the points fix none.
     tilt, tilt_sigma: of that axis against the vertical, radians; NaN without cylinder.
     radius, radius_sigma: mean of the sections, m.

@@ -91,7 +91,6 @@ class Terrain:
     """Heights of a piece of terrain.
 
     heights (rows, columns): at the centres of the cells, m; NaN where there are none.
-    transform: from column and row to X and Y.
     crs: reference system as WKT; empty for a local frame.
     height_kind: "ellipsoidal", "orthometric", "local", or empty when it is not known.
     """

@@ -29,7 +29,6 @@ class Limit:
     """One figure and what it may not exceed; None where it is not determined.
 
     key: "image_x", "image_y", "planimetric" or "altimetric".
-    unit: unit of both.
     value, limit: the root mean square error and its limit.
     """
 
@@ -63,7 +62,6 @@ def limits(
     """Set each figure against its limit.
 
     image_rmse_mm: root mean square of the image residuals in x and y, mm.
-    pixel_mm: pixel size, their limit.
     check_rmse_cm: planimetric and altimetric root mean square error of the check points, cm.
     gsd_cm, dz_cm: their limits: ground sampling distance, expected altimetric accuracy.
     """
@@ -128,8 +126,6 @@ class PrintedKeys(Table):
 class PrintedCheck:
     """What the check of a printed calibration gave.
 
-    name: what the calibration is of.
-    findings: worst first.
     limits: the ministry's limits, with the figures taken as they are printed.
     """
 
@@ -232,13 +228,10 @@ NADIR_DEG = 30.0
 class DerivedFigures:
     """What is known of one camera and its flight; None is not determined.
 
-    camera_id: the camera.
     pixel_mm, focal_mm: pixel size and calibrated principal distance, mm.
     height_m, gsd_cm, base_m: flying height over the object points, ground sampling distance, air base.
     computed: which of those three were computed rather than given.
     dz_cm: expected altimetric accuracy.
-    limits: the ministry's limits.
-    findings: contradictions.
     """
 
     camera_id: str

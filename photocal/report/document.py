@@ -72,9 +72,6 @@ def columns(say: Catalogue, section: str, *heads: str) -> tuple[Column, ...]:
 class Table:
     """A table with its caption above and its note beneath.
 
-    caption: what it shows.
-    columns: the columns.
-    rows: one text for each column.
     note: explanation beneath, may be empty.
     dense: whether it has so many columns that small type is needed.
     widths: shares of the width for each column of text that wraps; empty for columns as wide as their
@@ -96,8 +93,6 @@ class Figure:
     name: short name, unique within the document.
     caption: what it shows, printed beneath.
     alternative: what it shows, in words, for those who cannot see it.
-    svg: the picture.
-    width: share of the text width, 0 to 1.
     """
 
     name: str
@@ -139,12 +134,7 @@ class Document:
     """A whole report.
 
     language: code of its language, as HTML wants it.
-    title, subtitle: what it is, and of what.
-    number: its own number.
     facts: date, client and such, beneath the title.
-    highlights: the main figures.
-    verdicts: what follows from them.
-    sections: the parts.
     words: the few words that the renderers need themselves (page, table, figure ...).
     """
 

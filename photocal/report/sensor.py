@@ -113,7 +113,6 @@ def to_plane(camera: Camera, measured: Floats, residual: Floats, *, unit: str, a
     """Turn observed coordinates and residuals into the image plane of a camera.
 
     measured, residual (n, 2): in `unit` and `axes`.
-    unit: unit of the observations.
     """
     # Pitch in the unit of the observations per pixel, and in the unit of the camera per pixel.
     observed = np.array((1.0, 1.0) if unit == "px" else camera.pitch)

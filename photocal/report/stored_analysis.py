@@ -93,7 +93,6 @@ class JackknifeRecord:
     """Second opinions on standard deviations, by parameter; none where there were too few images.
 
     standard_error, standard_error_corrected: with images left out, and the same after the corrections.
-    sandwich, bootstrap: as `analysis.robust.Robust` has them.
     """
 
     standard_error: dict[str, float | None]
@@ -126,7 +125,6 @@ class JackknifeRecord:
 class ExteriorDifference:
     """Original less adjusted exterior orientation over the images that have both.
 
-    images: number of images.
     mean_m, rmse_m: X, Y, Z in the local frame of the block (east, north, up where it has a reference system).
     mean_arcsec, rmse_arcsec: omega, phi, kappa.
     """
@@ -142,14 +140,11 @@ class ExteriorDifference:
 class StoredAnalysis:
     """The content of `analysis.json` as far as a certificate needs it.
 
-    schema: what it is.
     result_sha256: digest of the result.json that it belongs to.
     alpha, correlation_threshold: level of the F tests, and correlation from which pairs are named.
     findings: hidden errors, worst first.
     cameras: by name; None for one without estimated parameters.
     observation_sigma: of the image coordinates, assumed and found, in the unit of the image plane.
-    jackknife: by camera.
-    methods: each method with its requirements.
     exterior_difference: orientations of the positioning system less the adjusted ones.
     bootstrap_draws: how often images were drawn.
     """

@@ -276,10 +276,7 @@ def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:
 def _registration(
     network: Network, solution: Solution, base: int, head: int, rotation: Floats
 ) -> tuple[int, float | None]:
-    """Rays that two heads have in common, and by how much their pictures of them miss each other, px.
-
-    What one shows goes over to the other by their rotation and principal distances.
-    """
+    """Rays that two heads have in common, and by how much their pictures of them miss each other, px."""
     rig, rays = network.rig, network.rays
     of = rig.head_of(network.exposures.camera)
     pairs = (of[rig.first] == base) & (of[rig.second] == head)

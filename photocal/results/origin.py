@@ -21,7 +21,6 @@ DEPTH = 3
 class Source:
     """What was adjusted.
 
-    folder: the folder that holds all its files.
     setup: the set-up file of another program within it; empty for a block folder.
     """
 

@@ -190,7 +190,6 @@ class AdjustedPoints:
 class Residuals:
     """Image observations and their residuals (computed minus measured), in unit and axes of the observations.
 
-    image_names, point_names: what `image` and `point` are indices into.
     image, point (n,).
     measured, residual (n, 2): NaN residuals where an observation took no part.
     redundancy, standardised (n, 2): redundancy numbers (0 to 1) and standardised residuals; NaN where nothing
@@ -231,15 +230,12 @@ class Residuals:
 class Figures:
     """Figures of the whole adjustment; without redundancy there is no variance factor and no test.
 
-    inputs: the files that were adjusted.
     snooping: test by which gross errors were searched.
     readouts: of shutters that roll, or were tested.
-    rejected: what it found.
     unobserved: points of the block without an observation.
     mounting: lever arm (camera to antenna, body axes, m), boresight (deg), time offset (s), shifts and
         drifts.
     heads: cameras on a frame, but for those that the others refer to.
-    variance_components: where they were estimated.
     mean_precision_m, fiducials, ellipses, reliability: what was asked for beside the rest, as in
         `result.json`.
     """

@@ -65,10 +65,7 @@ def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
 def sigma_figures(
     foreign: ForeignProject, result: Result, factors: Mapping[str, float]
 ) -> list[dict[str, Any]]:
-    """What each group of observations was promised to be, and what its residuals show.
-
-    result: adjusted with the sigmas of control and positions multiplied by these factors.
-    """
+    """What each group of observations was promised to be, and what its residuals show."""
     tie, seen = ties_of(result), result.residuals
     rows: list[dict[str, Any]] = []
     for name, mine in (("image coordinates of tie points", tie), ("marks of surveyed points", ~tie)):

@@ -32,9 +32,7 @@ class Calibrated:
     """A flight whose camera was calibrated.
 
     run: folder with its `result.json` or `certificate.json`.
-    block: folder of its block.
     day, temperature_c: of the calibration, where a certificate says them.
-    heads: cameras on a frame.
     """
 
     name: str
@@ -51,7 +49,6 @@ class Use:
     """Camera and mounting of one flight used for direct georeferencing of another.
 
     of, used_in: names of the flights; the same for the calibration on the job.
-    points: check points.
     rmse_m, predicted_m: X, Y, Z; the prediction contains the survey's own sigma.
     ratio: errors over prediction: 1 when they are as large as predicted.
     """

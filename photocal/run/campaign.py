@@ -110,7 +110,6 @@ Task = tuple[Path, dt.date, str | None, str | None, bool]
 class Outcome:
     """How the run of one project ended.
 
-    figures: empty when it failed.
     told: what it said on the way, where nobody could listen.
     """
 

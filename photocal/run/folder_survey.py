@@ -42,8 +42,6 @@ class Found:
     """Control points and marks of one file.
 
     crs: "local" without one; empty when the file does not say.
-    points: none of a file with marks only.
-    assumed: whether their sigmas are `ASSUMED_M`.
     cameras: where another program's set-up has them.
     """
 

@@ -277,8 +277,6 @@ Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float]
 class Stage:
     """What a stage depends on and how it is made.
 
-    name: also that of its folder.
-    title: what it does, for people.
     make: gets the folder to write into and what shows progress.
     inputs: files and folders by a name that does not change when the project is moved.
     settings: whatever else decides over the result, ready for JSON.
@@ -297,8 +295,6 @@ class Stage:
 class StageResult:
     """A stage that is done.
 
-    kept: whether it was there already.
-    seconds: that it took when it was made.
     foreign: what lies in its folder and is not of it, one phrase each.
     """
 
@@ -338,10 +334,7 @@ def written(progress: Progress, file: Path) -> Progress:
 def update_stage(
     stage: Stage, work: Path, digests: Digests, progress: Progress, *, again: bool = False
 ) -> StageResult:
-    """Make a stage, or keep it while its inputs, settings and code do not change, and publish it.
-
-    It is made and kept in `made_in(work)`, where later stages read it; people find it in `work`.
-    """
+    """Make a stage, or keep it while its inputs, settings and code do not change, and publish it."""
     kept, seconds = _made(stage, made_in(work) / stage.name, digests, progress, again=again)
     public = work / stage.name
     record = made_in(work) / f"{stage.name}.published.json"

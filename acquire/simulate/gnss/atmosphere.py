@@ -36,7 +36,6 @@ class Sight:
 class Atmosphere:
     """One weather for all receivers of a session.
 
-    settings: its strength.
     waves (k, 4): of the ionosphere: wave numbers to the north and the east (rad/m), angular frequency
         (rad/s), phase.
     wet_m: zenith wet delay beyond the standard one.

@@ -85,13 +85,11 @@ def fields_of(system: str) -> Mapping[str, Field]:
 class Ephemeris:
     """One set of orbit and clock parameters.
 
-    system, number: satellite.
     week: GPS week of `toe`, counted on through the rollovers (Galileo's own count is 1024 less).
     issue: IODC of GPS (10 bits, its lower 8 are IODE), IODnav of Galileo (10 bits).
     health: 6 bits of GPS subframe 1, 0 is good; of Galileo 2 bits, for both of its signals, 0 is good.
     accuracy: URA index of GPS, SISA index of Galileo.
     raw: the transmitted integers by the names of `fields_of`.
-    from_gps_ns: from when on it is transmitted.
     """
 
     system: str

@@ -67,7 +67,6 @@ class Broadcast:
 
     klobuchar: four alpha and four beta as transmitted (8 bits each).
     leap_s: GPS time minus UTC.
-    almanacs: from which the almanac pages are made.
     """
 
     klobuchar: tuple[int, ...]

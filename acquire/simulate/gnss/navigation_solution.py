@@ -30,7 +30,6 @@ class OwnPosition:
 
     sigma_m: east, north, up.
     correlation_s: how long its error stays.
-    speed_sigma_m_s: of each component of the velocity.
     carrier: ``none``, ``float`` or ``fixed``: what it says of the carrier phase.
     geoid_m: height of the geoid above the ellipsoid that it uses for heights above sea level.
     """

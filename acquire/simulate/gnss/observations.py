@@ -64,8 +64,6 @@ def run_clock(model: ReceiverModel, start_gps_ns: int, stop_gps_ns: int, rng: np
 class Tracking:
     """A signal at the epochs of a receiver.
 
-    code: whether there is a pseudorange.
-    phase: whether there is a carrier phase.
     lock_s (n,): how long the phase has been followed without a break; 0 where it is not.
     ambiguity (n,): cycles beyond the ones that bring the phase near the pseudorange: whole, or half where
         `half_valid` is not yet set.
@@ -207,12 +205,6 @@ class Observations:
 
     Parameters
     ----------
-    clock : Clock
-        Its epochs (n).
-    place : Place
-        Where its antenna was at them.
-    satellites : tuple of Satellite
-        What `satellite` of the rows counts.
     rows : structured array (m,) of `ROW`
         By epoch, satellite and signal. `phase_cycles` grows with the range, like `code_m`.
     """

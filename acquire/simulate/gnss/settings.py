@@ -17,9 +17,7 @@ GPS, GALILEO = "G", "E"
 class Signal:
     """One signal of one system.
 
-    system: ``G`` GPS, ``E`` Galileo.
     code: RINEX 3 band and attribute, for example ``1C``.
-    frequency_hz: of the carrier.
     ubx: `sigId` of u-blox's interface description (F9 HPG 1.32, section 1.5.4).
     msm: number in the signal mask of RTCM MSM (RTCM 10403.3, tables 3.5-91 and 3.5-99), counted from 1.
     chip_m: length of a chip of the code; for a binary offset carrier the length that gives its code noise.

@@ -44,7 +44,6 @@ class FaultSizes(Table):
     zoom: principal distance of the later passes over that of the first.
     control_m: what is typed too much; with zeros two neighbouring digits change places.
     missing_share: part of the images, all in a row.
-    gap_s: without telemetry.
     slips_per_hour: of every signal; with 360 a new ambiguity has hardly been fixed when the next slip comes.
     """
 

@@ -107,7 +107,6 @@ class Exposures:
     covers, strip (n,): number of the pass and of the strip.
     event_s (n,): when the camera told the receiver, seconds since the start of the flight.
     middle_s (n,): middle of the exposure of the middle row.
-    pose: at that moment.
     cameras (n,): the true camera of each picture; it changes when somebody zooms.
     """
 

@@ -18,7 +18,6 @@ _CLIMB_M_S = 4.0
 class Strip:
     """A straight line of exposures.
 
-    covers: number of its pass.
     begin_m, end_m (3,): where its first and its last exposure are wanted.
     """
 

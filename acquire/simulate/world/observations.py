@@ -83,7 +83,6 @@ class Observations:
     image, point : ndarray of int, shape (n,)
     pixels : ndarray, shape (n, 2)
         With noise.
-    sigma_px : ndarray, shape (n,)
     """
 
     names: tuple[str, ...]

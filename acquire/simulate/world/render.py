@@ -39,7 +39,6 @@ class Ground:
     detail (n, n): brightness, 128 where it is that of the colour.
     texel_m: size of an element of the detail.
     colour (m, m, 3): blue, green, red at steps of `COLOUR_M`.
-    half_m: half the side of the square.
     """
 
     detail: Bytes
@@ -142,7 +141,6 @@ class Plate:
 
     centre_m (3,).
     turn: direction of its upper edge, from east towards north, rad.
-    cell_m: size of a cell.
     cells (k, k): grey values, the first row at the upper edge, with the light margin.
     """
 

@@ -21,7 +21,6 @@ class Terrain:
     """A height field over a square around the origin.
 
     coefficients (n, n): of the cubic spline through heights at steps of `STEP_M`; rows north, columns east.
-    half_m: half the side of the square.
     """
 
     coefficients: Floats

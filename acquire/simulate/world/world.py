@@ -127,7 +127,6 @@ class World:
     """The truth.
 
     place: the local frame: all coordinates below are in it, m.
-    camera: during the first pass.
     base_m (3,): the base's mark.
     start_gps_ns: GPS time of the flight's second 0, since 1980-01-06.
     """
