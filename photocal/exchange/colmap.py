@@ -141,10 +141,8 @@ def _written(pinhole: Pinhole) -> str:
 def _errors(given: Reconstruction) -> Floats:
     """Mean length of each point's residuals, px; -1 when not known."""
     count = np.bincount(given.point, minlength=len(given.point_names))
-    if not len(given.residuals_px):
-        return np.full(len(count), -1.0)
     total = np.bincount(given.point, np.hypot(*given.residuals_px.T), minlength=len(count))
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), -1.0))
+    return np.asarray(np.where((count > 0) & np.isfinite(total), total / np.maximum(count, 1), -1.0))
 
 
 def _camera(lens: Lens, place: object) -> Camera:

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, InputFile, ObjectPoints, Role
 from photocal.exchange import parts
@@ -22,6 +22,7 @@ from photocal.exchange.dbat_camera import (
     IMAGE_FIELDS,
     MARK_FIELDS,
     NAMES,
+    OURS,
     DbatCamera,
     Row,
     from_dbat,
@@ -29,6 +30,7 @@ from photocal.exchange.dbat_camera import (
     to_column_row,
     to_dbat,
 )
+from photocal.exchange.foreign_project import in_pixels
 from photocal.exchange.reconstruction import Choices, Reconstruction, as_block
 from photocal.exchange.source import (
     beside,
@@ -40,7 +42,7 @@ from photocal.exchange.source import (
     text_of,
     write_xml,
 )
-from photocal.geometry.camera import PARAMETERS, Camera, plane_to_pixel
+from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.conversion import Conversion, unbalanced
 
 _UNITS = {"mm": 1.0, "m": 1e3, "um": 1e-3}
@@ -293,15 +295,8 @@ def recognises(path: Path) -> bool:
 
 
 CONTROL_FORMAT = "id,x,y,z,sx,sy,sz"
-# Switches of DBAT's estimation, and the parameters that each of them frees.
-_SWITCHES = {
-    "cc": ("c",),
-    "pp": ("x0", "y0"),
-    "aspect": ("B1",),
-    "skew": ("B2",),
-    "K": ("K1", "K2", "K3", "K4"),
-    "P": ("P1", "P2"),
-}
+# The parameters of ours that each switch of DBAT's estimation frees.
+_SWITCHES = {key: tuple(OURS[NAMES.index(name)] for name in names) for key, names in _GROUPS.items()}
 
 
 def write_dbat(folder: Path, block: Block) -> Path:
@@ -314,14 +309,11 @@ def write_dbat(folder: Path, block: Block) -> Path:
     parts.write_rows(folder / "control.txt", _surveyed(block.points, control), ", ")
     parts.write_rows(folder / "check.txt", _surveyed(block.points, check), ", ")
     parts.write_rows(folder / "images.txt", list(enumerate(block.images.names, start=1)), ", ")
-    observations = block.observations
-    pixels, sigma = _pixels(block, own)
+    seen = in_pixels(block).observations
+    marks = zip(seen.image, seen.point, seen.values, seen.sigma, strict=True)
     parts.write_rows(
         folder / "marks.txt",
-        [
-            [names[j], int(i) + 1, *(pixel + 0.5).tolist(), *s.tolist()]
-            for i, j, pixel, s in zip(observations.image, observations.point, pixels, sigma, strict=True)
-        ],
+        [[names[j], int(i) + 1, *(pixel + 0.5).tolist(), *s.tolist()] for i, j, pixel, s in marks],
         ", ",
     )
     root = Element("document", dbat_script_version="1.0")
@@ -399,16 +391,6 @@ def _surveyed(points: ObjectPoints, rows: Integers) -> list[parts.Row]:
         sigma = np.where(np.isfinite(points.sigma[k]), points.sigma[k], 0.0)
         found.append([points.names[k], *points.values[k].tolist(), *sigma.tolist()])
     return found
-
-
-def _pixels(block: Block, own: Camera) -> tuple[Floats, Floats]:
-    """Column, row and their sigmas in px."""
-    observations = block.observations
-    scale = 1.0 if observations.unit == "px" else 1 / own.pitch[0]
-    if observations.axes == "photo":
-        plane = observations.values * scale
-        return plane_to_pixel(own.size_px, (1.0, 1.0), plane), observations.sigma * scale
-    return observations.values * scale, observations.sigma * scale
 
 
 def _write_camera(element: Element, own: Camera) -> None:

@@ -104,7 +104,7 @@ MODELS: dict[int, tuple[Model, Affinity]] = {
     5: ("brown-observed", "before"),
 }
 WITH_AFFINITY = (3, 4, 5)
-_OURS = ("c", "x0", "y0", "B1", "B2", "K1", "K2", "K3", "K4", "P1", "P2")
+OURS = ("c", "x0", "y0", "B1", "B2", "K1", "K2", "K3", "K4", "P1", "P2")
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
         described.size_px,
         (described.pixel_mm, described.pixel_mm),
         ours,
-        estimate=tuple(_OURS[NAMES.index(name)] for name in estimate),
+        estimate=tuple(OURS[NAMES.index(name)] for name in estimate),
         affinity=affinity,
     )
     return replace(found, distortion_at="measured")
@@ -176,7 +176,7 @@ def to_dbat(
 ) -> tuple[dict[str, float], Floats]:
     """Turn a camera's parameters into DBAT's, with their covariance."""
     width, height = np.array(own.size_px) * own.pitch
-    index = [PARAMETERS.index(name) for name in _OURS]
+    index = [PARAMETERS.index(name) for name in OURS]
     sign = np.array([1.0, 1, -1, 1, 1, -1, -1, -1, -1, -1, -1])
     vector = own.values[index] * sign
     vector[1] += width / 2

@@ -120,9 +120,9 @@ def features(
         angles = dict(
             zip(("omega_deg", "phi_deg", "kappa_deg"), np.degrees(given.poses[k, :3]).tolist(), strict=True)
         )
-        sigma = _sigma(given.pose_sigma[k, 3:]) if len(given.pose_sigma) else {}
         camera = given.cameras[given.image_camera[k]].id
-        yield _point(exposures[k]), {"kind": "exposure", "name": name, "camera": camera, **angles, **sigma}
+        known = {"camera": camera, **angles, **_sigma(given.pose_sigma[k, 3:])}
+        yield _point(exposures[k]), {"kind": "exposure", "name": name, **known}
     seen = np.bincount(given.point, minlength=len(given.point_names))
     ground = float(np.median(given.xyz[:, 2])) if len(given.xyz) else math.nan
     for name, ring in zip(given.image_names, footprints(given, ground), strict=True):
@@ -138,10 +138,11 @@ def features(
             )
     points = to_geographic(given.xyz)
     for k, name in enumerate(given.point_names):
-        role = given.roles[k] if given.roles else "point"
-        sigma = _sigma(given.xyz_sigma[k]) if len(given.xyz_sigma) else {}
-        residual = _residual(given, k) if len(given.residuals_px) else {}
-        yield _point(points[k]), {"kind": role, "name": name, "rays": int(seen[k]), **sigma, **residual}
+        known = {"rays": int(seen[k]), **_sigma(given.xyz_sigma[k])}
+        own = given.residuals_px[given.point == k]
+        if len(own) and np.isfinite(own).all():
+            known["residual_rms_px"] = float(np.sqrt(np.mean(own**2)))
+        yield _point(points[k]), {"kind": given.roles[k] if given.roles else "point", "name": name, **known}
 
 
 def _point(position: Floats) -> dict[str, Any]:
@@ -151,11 +152,6 @@ def _point(position: Floats) -> dict[str, Any]:
 def _sigma(values: Floats) -> dict[str, float]:
     named = zip(("sX_m", "sY_m", "sZ_m"), values.tolist(), strict=True)
     return {name: value for name, value in named if math.isfinite(value)}
-
-
-def _residual(given: Reconstruction, k: int) -> dict[str, float]:
-    own = given.residuals_px[given.point == k]
-    return {"residual_rms_px": float(np.sqrt(np.mean(own**2)))} if len(own) else {}
 
 
 def _kml_geometry(place: Element, geometry: dict[str, Any]) -> None:
@@ -251,10 +247,8 @@ def _corners(geometry: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _residuals(given: Reconstruction) -> Iterator[Sequence[Value]]:
-    residuals = given.residuals_px if len(given.residuals_px) else np.full(given.pixels.shape, np.nan)
-    for i, j, pixel, residual in zip(
-        given.image.tolist(), given.point.tolist(), given.pixels.tolist(), residuals.tolist(), strict=True
-    ):
+    columns = (given.image, given.point, given.pixels, given.residuals_px)
+    for i, j, pixel, residual in zip(*(column.tolist() for column in columns), strict=True):
         yield given.image_names[i], given.point_names[j], *pixel, *residual
 
 

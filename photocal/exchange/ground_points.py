@@ -177,13 +177,16 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
     ]
     if marks:
         write_gcp_list(folder / "gcp_list.txt", crs, marks)
-    sigma = given.pose_sigma[:, 3:] if len(given.pose_sigma) else np.full((len(given.poses), 3), np.nan)
     to_camera = matrix_from_angles(given.poses[:, :3]) @ _to_map(crs, given.poses[:, 3], given.poses[:, 4])
     angles = angles_of_geo(to_camera)
     positions = [
         ImagePosition(name, (x, y, z), (yaw, pitch, roll), (float(np.hypot(sx, sy)), sz))
         for name, (x, y, z), (yaw, pitch, roll), (sx, sy, sz) in zip(
-            given.image_names, given.poses[:, 3:].tolist(), angles.tolist(), sigma.tolist(), strict=True
+            given.image_names,
+            given.poses[:, 3:].tolist(),
+            angles.tolist(),
+            given.pose_sigma[:, 3:].tolist(),
+            strict=True,
         )
     ]
     require_no_blanks(given.image_names)

@@ -214,7 +214,7 @@ def write_jaicov(stem: Path, given: Reconstruction, _: Choices | None = None) ->
     ]
     write_rows(stem.with_suffix(".eor"), eor)
     rays = np.bincount(given.point, minlength=len(points))
-    sigma = given.xyz_sigma / MM if len(given.xyz_sigma) else np.zeros(given.xyz.shape)
+    sigma = np.nan_to_num(given.xyz_sigma) / MM
     obc: list[Row] = [
         [name, *(xyz / MM).tolist(), *s.tolist(), str(count), "1", "1", "0"]
         for name, xyz, s, count in zip(points, given.xyz, sigma, rays, strict=True)
@@ -241,9 +241,7 @@ def _mark_rows(given: Reconstruction, images: list[str], points: list[str]) -> l
     size = np.array([camera.size_px for camera in given.cameras], dtype=float)[own]
     pitch = np.array([camera.pitch for camera in given.cameras])[own]
     plane = pixel_to_plane(size, pitch, given.pixels)
-    residuals = np.zeros(plane.shape)
-    if len(given.residuals_px):
-        residuals = given.residuals_px * pitch * [1.0, -1.0]
+    residuals = np.nan_to_num(given.residuals_px * pitch * [1.0, -1.0])
     return [
         [images[i], points[j], *xy.tolist(), 0.0, 0.0, *r.tolist(), "1", "1", "1"]
         for i, j, xy, r in zip(given.image, given.point, plane, residuals, strict=True)

@@ -28,7 +28,19 @@ from photocal.exchange.source import child, image_size, number, numbers, read_xm
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted, in_pixels
 
-_KEYS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+# Our parameter for each key, its sign (y is up here and down there), and by which power of f it is divided.
+TERMS: dict[str, tuple[str, int, int]] = {
+    "f": ("c", 1, 0),
+    "cx": ("x0", 1, 0),
+    "cy": ("y0", -1, 0),
+    "b1": ("B1", 1, 1),
+    "b2": ("B2", -1, 1),
+    **{f"k{n}": (f"K{n}", 1, 2 * n) for n in (1, 2, 3, 4)},
+    "p1": ("P1", 1, 1),
+    "p2": ("P2", -1, 1),
+    "p3": ("P3", 1, 2),
+    "p4": ("P4", 1, 4),
+}
 
 
 @dataclass(frozen=True)
@@ -128,9 +140,9 @@ def _camera(sensor: Element, path: Path) -> Camera:
     resolution = child(given, "resolution", path)
     sides = [number(resolution.get(side, ""), path, side) for side in ("width", "height")]
     width, height = image_size(sides[0], sides[1], path)
-    value = dict.fromkeys(_KEYS, 0.0)
+    value = dict.fromkeys(TERMS, 0.0)
     for element in given:
-        if element.tag in (*_KEYS, "fx", "fy", "skew"):
+        if element.tag in (*TERMS, "fx", "fy", "skew"):
             value[element.tag] = number(element.text or "", path, element.tag)
     if "fx" in value:
         # The older form: principal point from the corner, and the affinity in fx and skew.
@@ -139,16 +151,8 @@ def _camera(sensor: Element, path: Path) -> Camera:
         value["b2"] = value.get("skew", 0.0)
         value["cx"], value["cy"] = value["cx"] - width / 2, value["cy"] - height / 2
     f = value["f"]
-    require_credible((f,), [value[key] for key in _KEYS if key != "f"], path)
-    ours = {"c": f, "x0": value["cx"], "y0": -value["cy"], "B1": value["b1"] / f, "B2": -value["b2"] / f}
-    ours |= {f"K{n}": value[f"k{n}"] / f ** (2 * n) for n in (1, 2, 3, 4)}
-    # y is up here and down there.
-    ours |= {
-        "P1": value["p1"] / f,
-        "P2": -value["p2"] / f,
-        "P3": value["p3"] / f**2,
-        "P4": value["p4"] / f**4,
-    }
+    require_credible((f,), [value[key] for key in TERMS if key != "f"], path)
+    ours = {name: sign * value[key] / f**power for key, (name, sign, power) in TERMS.items()}
     name = sensor.get("label") or sensor.get("id") or "camera"
     return camera(name, "brown-ideal", "px", (width, height), (1.0, 1.0), ours, affinity="after")
 
@@ -281,18 +285,7 @@ def to_metashape(own: Camera) -> Conversion:
 def _frame(own: Camera) -> dict[str, float]:
     """Metashape's keys of a camera in its model."""
     f = own.value("c")
-    return {
-        "f": f,
-        "cx": own.value("x0"),
-        "cy": -own.value("y0"),
-        "b1": own.value("B1") * f,
-        "b2": -own.value("B2") * f,
-        **{f"k{n}": own.value(f"K{n}") * f ** (2 * n) for n in (1, 2, 3, 4)},
-        "p1": own.value("P1") * f,
-        "p2": -own.value("P2") * f,
-        "p3": own.value("P3") * f**2,
-        "p4": own.value("P4") * f**4,
-    }
+    return {key: sign * own.value(name) * f**power for key, (name, sign, power) in TERMS.items()}
 
 
 def _write_markers(chunk: Element, given: Reconstruction) -> None:
@@ -305,7 +298,7 @@ def _write_markers(chunk: Element, given: Reconstruction) -> None:
     for key, k in enumerate(surveyed):
         marker = SubElement(markers, "marker", id=str(key), label=given.point_names[k])
         xyz = {axis: repr(value) for axis, value in zip("xyz", given.xyz[k].tolist(), strict=True)}
-        if len(given.xyz_sigma) and np.isfinite(given.xyz_sigma[k]).all():
+        if np.isfinite(given.xyz_sigma[k]).all():
             xyz |= {f"s{axis}": repr(s) for axis, s in zip("xyz", given.xyz_sigma[k].tolist(), strict=True)}
         SubElement(marker, "reference", {**xyz, "enabled": str(given.roles[k] == "control").lower()})
         rays = SubElement(seen, "marker", marker_id=str(key))

@@ -274,10 +274,8 @@ def _orientation(axes: Floats, centre: Floats, ground: float, calibration: str) 
 def _points(given: Reconstruction, chosen: list[int]) -> Element:
     root = Element("DicoAppuisFlottant")
     for j in chosen:
-        sigma = np.nan_to_num(given.xyz_sigma[j]) if len(given.xyz_sigma) else np.zeros(3)
-        point = SubElement(root, "OneAppuisDAF")
-        _leaves(point, ("Pt", digits(given.xyz[j])), ("NamePt", given.point_names[j]))
-        SubElement(point, "Incertitude").text = digits(sigma)
+        point, sigma = SubElement(root, "OneAppuisDAF"), digits(np.nan_to_num(given.xyz_sigma[j]))
+        _leaves(point, ("Pt", digits(given.xyz[j])), ("NamePt", given.point_names[j]), ("Incertitude", sigma))
     return root
 
 

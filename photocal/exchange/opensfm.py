@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
@@ -56,7 +56,7 @@ def read_reconstruction(path: Path) -> Reconstruction:
             tuple(cameras.values()),
             tuple(shots),
             np.array([order[shot["camera"]] for shot in shots.values()], dtype=np.int64),
-            from_vision(_rotations(turns), shifts),
+            from_vision(Rotation.from_rotvec(turns).as_matrix(), shifts),
             tuple(points),
             np.array([point["coordinates"] for point in points.values()], dtype=float).reshape(-1, 3),
             none,
@@ -104,16 +104,12 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
     names = [own.id for own in given.cameras]
     cameras = {name: _keys(pinhole) for name, (pinhole, _) in zip(names, made, strict=True)}
     rotation, translation = to_vision(given.poses)
-    from scipy.spatial.transform import Rotation
-
-    turns = np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=float)
+    turns = Rotation.from_matrix(rotation).as_rotvec()
     shots = {
-        name: {
-            "rotation": turns[k].tolist(),
-            "translation": translation[k].tolist(),
-            "camera": names[given.image_camera[k]],
-        }
-        for k, name in enumerate(given.image_names)
+        name: {"rotation": turn, "translation": shift, "camera": names[which]}
+        for name, turn, shift, which in zip(
+            given.image_names, turns.tolist(), translation.tolist(), given.image_camera, strict=True
+        )
     }
     points = {
         name: {"color": [128, 128, 128], "coordinates": xyz}
@@ -182,12 +178,6 @@ def _camera(name: str, keys: dict[str, Any], path: Path) -> Camera:
         **values,  # type: ignore[arg-type]
     )
     return from_pinhole(pinhole, name, path)
-
-
-def _rotations(vectors: Floats) -> Floats:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vectors).as_matrix(), dtype=float)
 
 
 def read_reconstruction_block(path: Path) -> Block:

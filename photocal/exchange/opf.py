@@ -374,8 +374,7 @@ def _projected(given: Reconstruction) -> list[dict[str, Any]]:
 
 def _place(given: Reconstruction, j: int) -> dict[str, list[float]]:
     """Coordinates and standard deviations; a sigma that is not known is 0."""
-    sigma = given.xyz_sigma[j] if len(given.xyz_sigma) else np.zeros(3)
-    return {"coordinates": given.xyz[j].tolist(), "sigmas": np.nan_to_num(sigma).tolist()}
+    return {"coordinates": given.xyz[j].tolist(), "sigmas": np.nan_to_num(given.xyz_sigma[j]).tolist()}
 
 
 def _calibrated(given: Reconstruction, pinholes: list[Pinhole]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, InputFile
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import read_rows, to_column_row
-from photocal.exchange.parts import digits, require_file_name, whole_numbers
+from photocal.exchange.parts import digits, require_file_name, whole_numbers, write_rows
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import Line, fingerprint, image_size, numbers, read_lines, read_text
 from photocal.geometry.camera import Camera, camera
@@ -326,7 +326,8 @@ def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = No
     interiors = [_interior(conversion.camera) for conversion in made]
     numbers = whole_numbers(given.point_names)
     order = sorted(range(len(numbers)), key=lambda j: int(numbers[j]))
-    rows = [f"{numbers[j]} {digits([*given.xyz[j], *_sigma(given, j)])}" for j in order]
+    sigma = np.nan_to_num(given.xyz_sigma)
+    rows = [f"{numbers[j]} {digits([*given.xyz[j], *sigma[j]])}" for j in order]
     control = [row for row, j in zip(rows, order, strict=True) if given.roles and given.roles[j] == "control"]
     width, height = sizes.pop()
     lines = [
@@ -342,8 +343,9 @@ def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = No
     lines += ["", *control, "", *rows, "", *_marks(given, numbers), "", ""]
     path.write_text("\n".join(lines), encoding="utf-8", newline="\n")
     if control:
-        text = "".join(_surveyed(given, j, numbers[j]) for j in order if given.roles[j] == "control")
-        control_beside(path).write_text(text, encoding="utf-8", newline="\n")
+        surveyed = [j for j in order if given.roles[j] == "control"]
+        cells = [[numbers[j], numbers[j], *given.xyz[j], *sigma[j]] for j in surveyed]
+        write_rows(control_beside(path), cells, ", ")
     return made
 
 
@@ -367,28 +369,17 @@ def _interior(own: Camera) -> list[float]:
 
 
 def _photo_lines(k: int, name: str, given: Reconstruction, interior: Sequence[float]) -> list[str]:
-    angles = np.degrees(given.poses[k, [2, 1, 0]])
-    sigma = np.zeros(6)
-    if len(given.pose_sigma):
-        spread = np.nan_to_num(given.pose_sigma[k])
-        sigma = np.concatenate([spread[3:], np.degrees(spread[[2, 1, 0]])])
+    pose, spread = (
+        [*v[3:], *np.degrees(v[2::-1])] for v in (given.poses[k], np.nan_to_num(given.pose_sigma[k]))
+    )
     return [
         f"{k} {name}",
-        f"{k} {digits([*given.poses[k, 3:], *angles])}",
-        f"{k} {digits(sigma)}",
+        f"{k} {digits(pose)}",
+        f"{k} {digits(spread)}",
         "",
         f"{k} {digits(interior)}",
         f"{k} {digits([0.0] * 10)}",
     ]
-
-
-def _surveyed(given: Reconstruction, j: int, number: str) -> str:
-    values = ", ".join(repr(float(value)) for value in (*given.xyz[j], *_sigma(given, j)))
-    return f"{number}, {number}, {values}\n"
-
-
-def _sigma(given: Reconstruction, j: int) -> Floats:
-    return np.nan_to_num(given.xyz_sigma[j]) if len(given.xyz_sigma) else np.zeros(3)
 
 
 def _marks(given: Reconstruction, numbers: Sequence[str]) -> Iterable[str]:

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
@@ -150,18 +151,9 @@ def from_vision(rotation: Floats, translation: Floats) -> Floats:
 
 def rotation_from_quaternion(quaternion: Floats) -> Floats:
     """Rotation matrices of quaternions (w, x, y, z) of any length, shape (..., 4) to (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows, dtype=float), (0, 1), (-2, -1))
+    return np.asarray(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), dtype=float)
 
 
 def quaternion_from_rotation(rotation: Floats) -> Floats:
     """Unit quaternions (w, x, y, z), w not negative, of rotation matrices; inverse of the former."""
-    from scipy.spatial.transform import Rotation
-
-    xyzw = np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True), dtype=float)
-    return np.roll(xyzw, 1, axis=-1)
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True), dtype=float)

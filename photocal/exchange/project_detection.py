@@ -120,18 +120,10 @@ def _micmac(path: Path) -> ForeignProject:
 
 def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
     """Standard deviations of the adjusted calibration, where the XML has their covariance."""
+    from photocal.exchange.metashape import TERMS
     from photocal.exchange.source import numbers, read_xml
 
     found: dict[str, dict[str, float]] = {}
-    power = {"k1": ("K1", 2), "k2": ("K2", 4), "k3": ("K3", 6), "k4": ("K4", 8), "p1": ("P1", 1)}
-    power |= {
-        "f": ("c", 0),
-        "cx": ("x0", 0),
-        "cy": ("y0", 0),
-        "p2": ("P2", 1),
-        "b1": ("B1", 1),
-        "b2": ("B2", 1),
-    }
     for sensor in read_xml(path).iter("sensor"):
         name = sensor.get("label") or sensor.get("id") or "camera"
         own = next((one for one in block.cameras if one.id == name), None)
@@ -142,8 +134,8 @@ def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
         sigma = np.sqrt(np.diag(np.reshape(matrix, (len(names), len(names)))))
         c = own.value("c")
         found[name] = {
-            power[key][0]: float(s) / c ** power[key][1]
+            TERMS[key][0]: float(s) / c ** TERMS[key][2]
             for key, s in zip(names, sigma, strict=True)
-            if key in power
+            if key in TERMS
         }
     return found

@@ -58,7 +58,7 @@ class Reconstruction:
     pixels (rays, 2): column and row as measured; the centre of the upper-left pixel is (0, 0).
     roles: control, check or tie for each point; empty when not known.
     pose_sigma, xyz_sigma, residuals_px: like `poses` (radians, m), `xyz` and `pixels`; residuals computed
-        minus measured. Empty when unknown.
+        minus measured. NaN where unknown, and where they are not given.
     frame, height: "local", or a coordinate reference system with the kind of its heights, as in a block
         folder.
     heads, exposure: cameras on a frame, and the exposure of each image (empty for one by itself).
@@ -83,6 +83,12 @@ class Reconstruction:
     heads: tuple[Head, ...] = ()
     exposure: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        likes = {"pose_sigma": self.poses, "xyz_sigma": self.xyz, "residuals_px": self.pixels}
+        for name, like in likes.items():
+            if len(getattr(self, name)) != len(like):
+                object.__setattr__(self, name, np.full(like.shape, np.nan))
+
 
 def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[InputFile, ...]) -> Block:
     """Make a block of a reconstruction: orientations and points as start values."""
@@ -91,9 +97,8 @@ def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[In
     role = np.array([ROLES.index(own) for own in roles], dtype=np.int64)
     sigma = np.full((count, 3), np.inf)
     surveyed = (role != ROLES.index("tie")) & np.isfinite(given.xyz).all(axis=1)
-    if len(given.xyz_sigma):
-        known = surveyed & np.isfinite(given.xyz_sigma).all(axis=1)
-        sigma[known] = given.xyz_sigma[known]
+    known = surveyed & np.isfinite(given.xyz_sigma).all(axis=1)
+    sigma[known] = given.xyz_sigma[known]
     # What is called control without a standard deviation holds nothing.
     bare = (role == ROLES.index("control")) & ~np.isfinite(sigma).all(axis=1)
     role[bare] = ROLES.index("tie")

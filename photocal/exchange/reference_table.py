@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.parts import UNKNOWN, PointEntry, require_unique
+from photocal.exchange.parts import PointEntry, require_unique
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import number, read_text
 from photocal.geometry.conversion import Conversion
@@ -104,11 +104,9 @@ def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion,
         ("cameras.csv", given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:]),
         ("markers.csv", given.point_names, given.xyz, given.xyz_sigma),
     ):
-        known = sigmas if len(sigmas) else (UNKNOWN,) * len(names)
-        rows = zip(names, places, known, strict=True)
-        write_references(
-            folder / file, crs, (PointEntry(name, xyz=xyz, sigma=sigma) for name, xyz, sigma in rows)
-        )
+        rows = zip(names, places, sigmas, strict=True)
+        entries = (PointEntry(name, xyz=xyz, sigma=sigma) for name, xyz, sigma in rows)
+        write_references(folder / file, crs, entries)
     return ()
 
 
