@@ -72,32 +72,30 @@ class Receiver:
         return out
 
     def _answer(self, message: Any, frame: bytes) -> bytes:
-        from pyubx2 import GET, UBXMessage
-
         payload = frame[6:-2]
         identity = message.identity
         if identity == "MON-VER":
             software, hardware, extensions = VERSIONS[self._generation]
             texts = [software.encode().ljust(30, b"\0"), hardware.encode().ljust(10, b"\0")]
             texts += [text.encode().ljust(30, b"\0") for text in extensions]
-            return bytes(UBXMessage(b"\x0a", b"\x04", GET, payload=b"".join(texts)).serialize())
+            return _message(b"\x0a\x04", b"".join(texts))
         if identity == "CFG-VALSET" and self._generation >= 9:
             values = {k: v for k, v in vars(message).items() if k.startswith("CFG_") and isinstance(v, int)}
             return self._set(frame, lambda: self.settings.update(values))
         if identity == "CFG-VALGET" and self._generation >= 9:
             keys = [int.from_bytes(payload[at : at + 4], "little") for at in range(4, len(payload), 4)]
             answer = b"\x01\0\0\0" + b"".join(self._value(key) for key in keys)
-            return bytes(UBXMessage(b"\x06", b"\x8b", GET, payload=answer).serialize()) + self._ack(frame)
+            return _message(b"\x06\x8b", answer) + self._ack(frame)
         if identity == "CFG-MSG" and self._generation == 8:
             key = payload[0], payload[1]
             if len(payload) == 2:
                 rates = bytes((*key, 0, self.rates.get(key, 0), 0, 0, 0, 0))
-                return bytes(UBXMessage(b"\x06", b"\x01", GET, payload=rates).serialize()) + self._ack(frame)
+                return _message(b"\x06\x01", rates) + self._ack(frame)
             return self._set(frame, lambda: self.rates.update({key: payload[2]}))
         if identity == "CFG-RATE" and self._generation == 8:
             if not payload:
                 rate = self.measurement_ms.to_bytes(2, "little") + b"\1\0\1\0"
-                return bytes(UBXMessage(b"\x06", b"\x08", GET, payload=rate).serialize()) + self._ack(frame)
+                return _message(b"\x06\x08", rate) + self._ack(frame)
 
             def keep() -> None:
                 self.measurement_ms = int.from_bytes(payload[:2], "little")
@@ -118,7 +116,10 @@ class Receiver:
 
     @staticmethod
     def _ack(frame: bytes, *, good: bool = True) -> bytes:
-        from pyubx2 import GET, UBXMessage
+        return _message(b"\x05\x01" if good else b"\x05\x00", frame[2:4])
 
-        kind = b"\x01" if good else b"\x00"
-        return bytes(UBXMessage(b"\x05", kind, GET, payload=frame[2:4]).serialize())
+
+def _message(kind: bytes, payload: bytes) -> bytes:
+    from pyubx2 import GET, UBXMessage
+
+    return bytes(UBXMessage(kind[:1], kind[1:], GET, payload=payload).serialize())

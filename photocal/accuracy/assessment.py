@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -163,11 +164,9 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
             for name in COMPONENTS
             if len(discrepancies.component(name)[0])
         ),
-        _plane(plane) if len(plane) else None,
-        _height(height[:, 0]) if len(height) else None,
-        VectorResult(length_statistics(lengths(space)), None, counted_error(lengths(space), PROBABLE_ERROR))
-        if len(space)
-        else None,
+        _vectors(lengths(plane), lambda _: circular_error(plane.T @ plane / len(plane), PROBABLE_ERROR)),
+        _vectors(np.abs(height[:, 0]), lambda rms_m: linear_error(rms_m, PROBABLE_ERROR)),
+        _vectors(lengths(space), lambda _: None),
         _similarity(discrepancies),
         tables,
         values,
@@ -190,22 +189,12 @@ def _component(discrepancies: Discrepancies, name: str, confidence: float) -> Co
     )
 
 
-def _plane(vectors: Floats) -> VectorResult:
-    second_moments: Floats = vectors.T @ vectors / len(vectors)
-    return VectorResult(
-        length_statistics(lengths(vectors)),
-        circular_error(second_moments, PROBABLE_ERROR),
-        counted_error(lengths(vectors), PROBABLE_ERROR),
-    )
-
-
-def _height(values: Floats) -> VectorResult:
-    statistics = length_statistics(np.abs(values))
-    return VectorResult(
-        statistics,
-        linear_error(statistics.rms_m, PROBABLE_ERROR),
-        counted_error(np.abs(values), PROBABLE_ERROR),
-    )
+def _vectors(lengths_m: Floats, probable: Callable[[float], float | None]) -> VectorResult | None:
+    """Sum up lengths, with the probable error of their root mean square; None without any."""
+    if not len(lengths_m):
+        return None
+    statistics = length_statistics(lengths_m)
+    return VectorResult(statistics, probable(statistics.rms_m), counted_error(lengths_m, PROBABLE_ERROR))
 
 
 def _similarity(discrepancies: Discrepancies) -> SimilarityTrend | None:

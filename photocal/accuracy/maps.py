@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -210,74 +209,35 @@ def write_geopackage(
     raises ConfigurationError: when no point has a position.
     raises OutputError: when the file cannot be written.
     """
-    rows = [row for role, discrepancies in groups for row in _rows(role, discrepancies)]
+    rows = [
+        (name, role, place, d, math.hypot(d[0], d[1]))
+        for role, discrepancies in groups
+        if discrepancies.positions_m is not None
+        for name, place, d in zip(
+            discrepancies.points, discrepancies.positions_m, discrepancies.d_m, strict=True
+        )
+        if np.isfinite(place[:2]).all()
+    ]
     if not rows:
         raise ConfigurationError(
             "a map needs the positions of the points",
             where=path,
             remedy="add the columns E and N to the table",
         )
-    enlarged = _enlargement(rows)
+    drawn = [row for row in rows if math.isfinite(row[-1])]
+    # The longest vector is a fair share of the map.
+    longest = max((length for *_, length in drawn), default=0.0)
+    extent = float(np.max(np.ptp(np.array([place[:2] for _, _, place, _, _ in rows]), axis=0)))
+    enlarged = _LONGEST * max(extent, 1.0) / longest if longest > 0.0 else 1.0
     with output_file(path) as aside, geopackage(aside, system) as database:
-        points = ((row.place, row.point_columns()) for row in rows)
+        points = (
+            (place[None, :2], (name, role, float(place[2]), *d.tolist(), length))
+            for name, role, place, d, length in rows
+        )
         add_layer(database, _POINTS, system, points, changed_utc)
-        vectors = ((row.vector(enlarged), row.vector_columns(enlarged)) for row in rows if row.has_vector)
+        vectors = (
+            (place[:2] + np.outer([0.0, enlarged], d[:2]), (name, role, *d[:2].tolist(), length, enlarged))
+            for name, role, place, d, length in drawn
+        )
         add_layer(database, _VECTORS, system, vectors, changed_utc)
     return len(rows)
-
-
-@dataclass(frozen=True)
-class _Row:
-    """A point with its place (east, north, height) and its discrepancies, m."""
-
-    role: str
-    name: str
-    e_n_h: Floats
-    d: Floats
-
-    @property
-    def place(self) -> Floats:
-        """Where it lies, shape (1, 2)."""
-        return self.e_n_h[None, :2]
-
-    @property
-    def plane_m(self) -> float:
-        """Length of the discrepancy in the plane."""
-        return math.hypot(self.d[0], self.d[1])
-
-    @property
-    def has_vector(self) -> bool:
-        """Whether its discrepancy in the plane is known."""
-        return math.isfinite(self.plane_m)
-
-    def vector(self, enlarged: float) -> Floats:
-        """Give the drawn vector, shape (2, 2)."""
-        return np.vstack([self.e_n_h[:2], self.e_n_h[:2] + enlarged * self.d[:2]])
-
-    def point_columns(self) -> tuple[str | float, ...]:
-        """Give what stands beside the point."""
-        east, north, up = self.d.tolist()
-        return self.name, self.role, float(self.e_n_h[2]), east, north, up, self.plane_m
-
-    def vector_columns(self, enlarged: float) -> tuple[str | float, ...]:
-        """Give what stands beside the vector."""
-        return self.name, self.role, *self.d[:2].tolist(), self.plane_m, enlarged
-
-
-def _rows(role: str, discrepancies: Discrepancies) -> list[_Row]:
-    if discrepancies.positions_m is None:
-        return []
-    return [
-        _Row(role, name, place, d)
-        for name, place, d in zip(
-            discrepancies.points, discrepancies.positions_m, discrepancies.d_m, strict=True
-        )
-        if np.isfinite(place[:2]).all()
-    ]
-
-
-def _enlargement(rows: list[_Row]) -> float:
-    """Factor that makes the longest vector a fair share of the map."""
-    longest = max((row.plane_m for row in rows if row.has_vector), default=0.0)
-    extent = float(np.max(np.ptp(np.array([row.e_n_h[:2] for row in rows]), axis=0)))
-    return _LONGEST * max(extent, 1.0) / longest if longest > 0.0 else 1.0

@@ -40,13 +40,7 @@ def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, A
         "sign": SIGN,
         "unit": "m",
         "points": len(assessment.discrepancies.points),
-        "question": {
-            "scale_denominator": question.scale_denominator,
-            "interval_m": question.interval_m,
-            "confidence": question.confidence,
-            "survey_horizontal_m": question.survey_horizontal_m,
-            "survey_vertical_m": question.survey_vertical_m,
-        },
+        "question": {key: figure for key, figure in vars(question).items() if "target" not in key},
         "components": {component.name: _component(component) for component in assessment.components},
         "planimetry": _vector(assessment.plane, "ce90"),
         "height": _vector(assessment.height, "le90"),
@@ -74,19 +68,10 @@ def _component(component: ComponentResult) -> dict[str, Any]:
         "std_m": finite(figures.std_m),
         "rmse_m": figures.rmse_m,
         "rmse_after_trend_removal_m": component.rmse_after_trend_removal_m,
-        "minimum_m": component.spread.minimum_m,
-        "maximum_m": component.spread.maximum_m,
-        "median_m": component.spread.median_m,
-        "nmad_m": component.spread.nmad_m,
+        **vars(component.spread),
         "bias_test": None
         if bias is None
-        else {
-            "t": finite(bias.t),
-            "critical": bias.critical,
-            "confidence": bias.confidence,
-            "p_value": bias.p_value,
-            "biased": bias.significant,
-        },
+        else {**vars(bias), "t": finite(bias.t), "biased": bias.significant},
         "normality_test": None
         if normality is None
         else {"w": normality.w, "p_value": normality.p_value, "rejected": normality.rejected},
@@ -184,12 +169,10 @@ _NONE = "-"
 
 def to_text(assessment: Assessment) -> str:
     """Write an assessment for people: several lines, figures in m."""
+    count, level = len(assessment.discrepancies.points), assessment.question.confidence
     parts = [
-        _heading(assessment),
-        _points(assessment),
-        _statistics(assessment),
-        _vectors(assessment),
-        _tests(assessment),
+        f"{count} check points; discrepancies are {SIGN}, in metres; tests at {level:.0%}.",
+        *(part(assessment) for part in (_points, _statistics, _vectors, _tests)),
     ]
     similarity = assessment.similarity
     if similarity is not None:
@@ -211,13 +194,6 @@ def findings_text(said: tuple[Finding, ...]) -> str:
     say = catalogue("en")
     texts = [finding_text(finding, say, plain) for finding in said]
     return "\n".join(textwrap.fill(t, _WIDTH, initial_indent="* ", subsequent_indent="  ") for t in texts)
-
-
-def _heading(assessment: Assessment) -> str:
-    return (
-        f"{len(assessment.discrepancies.points)} check points; discrepancies are {SIGN}, in metres; "
-        f"tests at {assessment.question.confidence:.0%}."
-    )
 
 
 def _points(assessment: Assessment) -> str:
@@ -267,15 +243,12 @@ def _vectors(assessment: Assessment) -> str:
 def _tests(assessment: Assessment) -> str:
     table = _table("Tests", "", "t", "limit", "bias", "Shapiro-Wilk p", "normal", "outliers")
     for c in assessment.components:
-        table.add_row(
-            f"d{c.name}",
-            _NONE if c.bias is None else f"{c.bias.t:.3f}",
-            _NONE if c.bias is None else f"{c.bias.critical:.4f}",
-            _NONE if c.bias is None else ("yes" if c.bias.significant else "no"),
-            _NONE if c.normality is None else f"{c.normality.p_value:.3f}",
-            _NONE if c.normality is None else ("no" if c.normality.rejected else "yes"),
-            ", ".join(c.outliers) or _NONE,
-        )
+        cells, bias, normality = [_NONE] * 5, c.bias, c.normality
+        if bias is not None:
+            cells[:3] = f"{bias.t:.3f}", f"{bias.critical:.4f}", _yes(bias.significant)
+        if normality is not None:
+            cells[3:] = f"{normality.p_value:.3f}", _yes(not normality.rejected)
+        table.add_row(f"d{c.name}", *cells, ", ".join(c.outliers) or _NONE)
     return _render(table)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -131,6 +131,12 @@ class ObjectPoints:
         """Which points play a role, shape (n,)."""
         return np.asarray(self.role == ROLES.index(role))
 
+    def only(self, chosen: Flags | Integers) -> ObjectPoints:
+        """Give some of the points."""
+        names = tuple(self.names[k] for k in np.arange(len(self.names))[chosen])
+        cross = None if self.cross is None else self.cross[chosen]
+        return ObjectPoints(names, self.values[chosen], self.sigma[chosen], self.role[chosen], cross)
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -152,6 +158,11 @@ class Observations:
     point: Integers
     values: Floats
     sigma: Floats
+
+    def only(self, chosen: Flags | Integers) -> Observations:
+        """Give some of the observations."""
+        columns = ("image", "point", "values", "sigma")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in columns})
 
 
 @dataclass(frozen=True)

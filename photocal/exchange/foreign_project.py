@@ -76,24 +76,6 @@ def without_weak_points(block: Block) -> tuple[Block, int]:
     """Leave out tie and check points with one ray; control may have one."""
     rays = np.bincount(block.observations.point, minlength=len(block.points.names))
     keep = (rays >= 2) | ((block.points.role == ROLES.index("control")) & (rays >= 1))
-    number = np.where(keep, np.cumsum(keep) - 1, -1)
-    seen, points = block.observations, block.points
-    left = keep[seen.point]
-    return replace(
-        block,
-        points=replace(
-            points,
-            names=tuple(name for name, stays in zip(points.names, keep, strict=True) if stays),
-            values=points.values[keep],
-            sigma=points.sigma[keep],
-            role=points.role[keep],
-            cross=None if points.cross is None else points.cross[keep],
-        ),
-        observations=replace(
-            seen,
-            image=seen.image[left],
-            point=number[seen.point[left]],
-            values=seen.values[left],
-            sigma=seen.sigma[left],
-        ),
-    ), int((~keep).sum())
+    seen = block.observations.only(keep[block.observations.point])
+    seen = replace(seen, point=(np.cumsum(keep) - 1)[seen.point])
+    return replace(block, points=block.points.only(keep), observations=seen), int((~keep).sum())

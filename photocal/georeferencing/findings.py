@@ -86,12 +86,7 @@ def _mistyped(one: Mistyped) -> Finding:
 
 def _stated_sigma(one: GroupTest) -> Finding:
     """Name standard deviations that are wrong by a factor: too large ones only cost precision."""
-    figures: dict[str, Figure] = {
-        "group": one.name,
-        "factor": one.factor,
-        "lower": one.lower,
-        "upper": one.upper,
-    }
+    figures = {"group": one.name, "factor": one.factor, "lower": one.lower, "upper": one.upper}
     if one.factor > 1.0:
         return Finding("sigmas-too-small", "doubtful", one.name, figures)
     return Finding("sigmas-too-large", "note", one.name, figures)
@@ -124,15 +119,11 @@ def _named(error: SystematicError) -> Finding:
     if shift is not None:
         # What explains as much as a shift in plane leaves no mistake of the base alone.
         alone = error.found.name == "datum-shift" and not error.alternatives
-        special = _shift(shift.estimates, alone, next((one for one in same if _is_change(one)), None))
+        changes = (one for one in same if (known := fault(one.name)) and known.each == "part")
+        special = _shift(shift.estimates, alone, next(changes, None))
     elif error.found.name == "lever-arm":
         special = _swapped_axes(error.found.estimates)
     return special or _systematic(error)
-
-
-def _is_change(one: Hypothesis) -> bool:
-    known = fault(one.name)
-    return known is not None and known.each == "part"
 
 
 def _systematic(error: SystematicError) -> Finding:

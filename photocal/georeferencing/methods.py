@@ -19,7 +19,7 @@ from photocal.block.model import ROLES, Block
 from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.georeferencing.direct import Calibration, direct_orientation, joint_covariance, with_calibration
-from photocal.georeferencing.space_intersection import Intersected, intersect_points
+from photocal.georeferencing.space_intersection import intersect_points
 
 Method = Literal["direct", "integrated", "indirect"]
 # Three points orient an image in up to four ways and nothing checks them.
@@ -125,11 +125,7 @@ def _of_images(observed: Positions | Attitudes, keep: Flags) -> dict[str, Any]:
 
 def _keep(block: Block, keep: Flags) -> Block:
     """Return the block with some of its observations."""
-    if keep.all():
-        return block
-    o = block.observations
-    chosen = replace(o, image=o.image[keep], point=o.point[keep], values=o.values[keep], sigma=o.sigma[keep])
-    return replace(block, observations=chosen)
+    return block if keep.all() else replace(block, observations=block.observations.only(keep))
 
 
 def ground_points(block: Block) -> Integers:
@@ -218,18 +214,18 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
         found.covariance,
         np.zeros(len(found.points), dtype=np.bool_),
         poses,
-        _direct_residuals(block, found),
+        _by_image(
+            len(block.images.names),
+            block.observations.image[found.rays],
+            found.residuals,
+            found.standardised,
+        ),
         found.chi_squared,
         found.degrees_of_freedom,
         # The points of an image share its errors: their sum of squares is not chi-squared.
         None,
         None,
     )
-
-
-def _direct_residuals(block: Block, found: Intersected) -> ImageResiduals:
-    image = block.observations.image[found.rays]
-    return _by_image(len(block.images.names), image, found.residuals, found.standardised)
 
 
 def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:

@@ -12,7 +12,7 @@ from photocal.adjustment.intersection import intersect
 from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
 from photocal.block.network import observed_plane, plane_per_unit
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import skew
 from photocal.georeferencing.direct import DirectOrientation, MovedRays, moved_rays
@@ -60,8 +60,12 @@ def intersect_points(
 ) -> Intersected:
     """Intersect points from all images that have an orientation."""
     if joint is None:
-        stated = [np.diag(camera_variance(own)) for own in block.cameras]
-        joint = block_diag(orientation.common_covariance, *stated)
+        # What the block states of the interior orientation; 0 where it states nothing.
+        stated = (
+            np.where(np.isfinite(camera.prior_sigma) & camera.estimated, camera.prior_sigma, 0.0)
+            for camera in block.cameras
+        )
+        joint = block_diag(orientation.common_covariance, *(np.diag(sigma**2) for sigma in stated))
     corrected = _corrected(block, np.diag(joint)[len(orientation.common_covariance) :])
     moved = moved_rays(block, orientation)
     observations = block.observations
@@ -75,7 +79,9 @@ def intersect_points(
         corrected.ideal[chosen],
         corrected.distance[chosen],
     )
-    pitch = plane_per_unit(block) if block.observations.unit == "px" else _pitches(block)
+    pitch = plane_per_unit(block)
+    if block.observations.unit == "mm":
+        pitch = np.array([camera.pitch for camera in block.cameras])
     found = []
     for point in wanted:
         rays = chosen[observations.point[chosen] == point]
@@ -178,12 +184,6 @@ def _misclosure(
     return np.asarray(result + by_shared @ joint @ by_shared.T)
 
 
-def camera_variance(camera: Camera) -> Floats:
-    """Variances of the interior orientation as the block states them, shape (20,); 0 where it states none."""
-    sigma = np.where(np.isfinite(camera.prior_sigma) & camera.estimated, camera.prior_sigma, 0.0)
-    return np.asarray(sigma**2)
-
-
 def _corrected(block: Block, variance: Floats) -> _Rays:
     """Correct the observations; `variance` of all camera parameters tells which derivatives are needed."""
     plane, sigma = observed_plane(block)
@@ -208,7 +208,3 @@ def _corrected(block: Block, variance: Floats) -> _Rays:
             by_camera[mine, :, k] = (higher - lower) / (2 * move[k])
     covariance = by_plane @ (sigma[:, :, None] ** 2 * np.swapaxes(by_plane, 1, 2))
     return _Rays(ideal, covariance, by_camera, camera, distance)
-
-
-def _pitches(block: Block) -> Floats:
-    return np.array([camera.pitch for camera in block.cameras])

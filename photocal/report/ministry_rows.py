@@ -100,39 +100,23 @@ def _image_side(axis: int) -> Callable[[Context], Filled]:
     return fill
 
 
-def _triple(
-    values: tuple[float, ...] | None, sigmas: tuple[float, ...] | None, names: str, c: Context
-) -> Filled:
-    if values is None or sigmas is None:
-        return None
-    return _offsets(values, sigmas, names, c), "given"
+def _mounting(key: str, unit: str, scale: float, names: str) -> Callable[[Context], Filled]:
+    """Offsets that were given, else those that the adjustment estimated; None for those that it held."""
 
+    def fill(c: Context) -> Filled:
+        system, mounting = c.particulars.gnss_ins, c.run.result.mounting or {}
+        values, sigmas = getattr(system, f"{key}_{unit}"), getattr(system, f"{key}_sigma_{unit}")
+        origin: Origin = "given"
+        if values is None or sigmas is None:
+            axes = [mounting[name] for name in (f"{key}_{axis}" for axis in "xyz") if name in mounting]
+            if len(axes) != 3 or not any(axis.estimated for axis in axes):
+                return None
+            values, sigmas = ([scale * getattr(axis, part) for axis in axes] for part in ("value", "sigma"))
+            origin = "computed"
+        printed = [measured(v, s, c.say.mark) for v, s in zip(values, sigmas, strict=True)]
+        return "; ".join(f"d{n} {_with_sigma(m)}" for n, m in zip(names, printed, strict=True)), origin
 
-def _offsets(values: tuple[float, ...], sigmas: tuple[float, ...], names: str, c: Context) -> str:
-    printed = [measured(v, s, c.say.mark) for v, s in zip(values, sigmas, strict=True)]
-    return "; ".join(f"d{name} {_with_sigma(m)}" for name, m in zip(names, printed, strict=True))
-
-
-def _mounting(prefix: str, scale: float, names: str, c: Context) -> Filled:
-    """Offsets that the adjustment estimated; None for those that it held."""
-    mounting = c.run.result.mounting or {}
-    found = [mounting[key] for key in (f"{prefix}_{axis}" for axis in "xyz") if key in mounting]
-    if len(found) != 3 or not any(one.estimated for one in found):
-        return None
-    values, sigmas = (tuple(scale * getattr(one, key) for one in found) for key in ("value", "sigma"))
-    return _offsets(values, sigmas, names, c), "computed"
-
-
-def _lever_arm(c: Context) -> Filled:
-    system = c.particulars.gnss_ins
-    given = _triple(system.lever_arm_cm, system.lever_arm_sigma_cm, "XYZ", c)
-    return given or _mounting("lever_arm", 100.0, "XYZ", c)
-
-
-def _boresight(c: Context) -> Filled:
-    system = c.particulars.gnss_ins
-    given = _triple(system.boresight_deg, system.boresight_sigma_deg, "ωφκ", c)
-    return given or _mounting("boresight", 1.0, "ωφκ", c)
+    return fill
 
 
 def _with_sigma(m: object) -> str:
@@ -259,8 +243,8 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "gnss_ins": lambda c: _given(c.particulars.gnss_ins.receiver),
     "rtk_advice": lambda c: (c.say("ministry.rtk"), "fixed"),
     "gnss_ins_description": lambda c: _given(c.particulars.gnss_ins.description),
-    "lever_arm": _lever_arm,
-    "boresight": _boresight,
+    "lever_arm": _mounting("lever_arm", "cm", 100.0, "XYZ"),
+    "boresight": _mounting("boresight", "deg", 1.0, "ωφκ"),
     "calibration": lambda c: (c.say("ministry.calibration"), "computed"),
     "method": _method,
     "test_field": _test_field,

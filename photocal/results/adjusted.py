@@ -105,14 +105,9 @@ def result_of(
         heads=_heads(assembly.network, solution),
         variance_components=tuple(
             ComponentFactor(
-                one.name,
-                one.observations,
-                one.redundancy,
-                one.factor,
-                one.sigma if one.estimated else None,
-                one.estimated,
+                **vars(part) | {"sigma": part.sigma if part.estimated else None, "estimated": part.estimated}
             )
-            for one in components
+            for part in components
         ),
         readouts=assembly.readouts,
         rejected=_rejected(block, assembly),
@@ -161,12 +156,12 @@ def network_of(block: Block, result: Result) -> NetworkOfBlock:
             assembly, network=network, points=assembly.points[points], rays=assembly.rays[rays]
         )
     if any(camera.shutter != "global" for camera in assembly.network.cameras):
-        found = [result.cameras[camera.id] for camera in assembly.network.cameras]
-        cameras = tuple(map(_with_shutter, assembly.network.cameras, found))
+        adjusted_cameras = [result.cameras[camera.id] for camera in assembly.network.cameras]
+        cameras = tuple(map(_with_shutter, assembly.network.cameras, adjusted_cameras))
         assembly = replace(assembly, network=replace(assembly.network, cameras=cameras))
     if not result.variance_components:
         return assembly
-    factors = {one.name: one.factor for one in result.variance_components}
+    factors = {part.name: part.factor for part in result.variance_components}
     network = with_factors(assembly.network, rays_by_camera(assembly.network), factors)
     return replace(assembly, network=network)
 
@@ -182,23 +177,23 @@ def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
     points = result.points.values[[point[name] for name in network.point_names]]
     return replace(
         start_state(network),
-        cameras=np.array([result.cameras[own.id].values for own in network.cameras]),
+        cameras=np.array([result.cameras[camera.id].values for camera in network.cameras]),
         rotation=matrix_from_angles(poses[:, :3]),
         centre=np.ascontiguousarray(poses[:, 3:]),
         points=np.ascontiguousarray(assembly.frame.to_local(points)),
     )
 
 
-def _with_shutter(camera: Camera, found: Camera) -> Camera:
+def _with_shutter(camera: Camera, result: Camera) -> Camera:
     """Camera with the readout and the shakes that a result estimated, from what its sigmas belong to."""
     readout = np.array(PARAMETERS) == "readout"
-    given = found.values if found.given is None else found.given
+    given = result.values if result.given is None else result.given
     return replace(
         camera,
         values=np.where(readout, given, camera.values),
-        estimated=np.where(readout, found.estimated, camera.estimated),
-        readout_direction=found.readout_direction,
-        shake=found.shake,
+        estimated=np.where(readout, result.estimated, camera.estimated),
+        readout_direction=result.readout_direction,
+        shake=result.shake,
     )
 
 
@@ -240,17 +235,17 @@ def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:
     names = [network.cameras[k].id for k in rig.camera]
     turned = Rotation.from_matrix(head_rotation(rig, values)).as_rotvec()
     given = Rotation.from_matrix(rig.rotation).as_rotvec()
-    found = []
+    heads = []
     for k, name in enumerate(names):
         lead = int(np.flatnonzero(rig.base == rig.base[k])[0])
         with_others = int((head[rig.second] == k).sum() + len(np.unique(rig.first[head[rig.first] == k])))
         if k == lead or not with_others:
             continue
-        own = covariance[k * len(OF_HEAD) :, k * len(OF_HEAD) :][: len(OF_HEAD), : len(OF_HEAD)]
-        own = own * np.outer(scale, scale)
-        sigma = np.sqrt(np.diag(own))
+        mine = slice(k * len(OF_HEAD), (k + 1) * len(OF_HEAD))
+        of_head = covariance[mine, mine] * np.outer(scale, scale)
+        sigma = np.sqrt(np.diag(of_head))
         at = np.flatnonzero(free[k])
-        found.append(
+        heads.append(
             AdjustedHead(
                 name,
                 names[lead],
@@ -266,11 +261,11 @@ def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:
                     for n, key in enumerate(OF_HEAD)
                     for known in [scale[n] * rig.sigma[k, n]]
                 },
-                tuple(map(tuple, (own[np.ix_(at, at)] / np.outer(sigma[at], sigma[at])).tolist())),
+                tuple(map(tuple, (of_head[np.ix_(at, at)] / np.outer(sigma[at], sigma[at])).tolist())),
                 *_registration(network, solution, lead, k, head_rotation(rig, values)),
             )
         )
-    return tuple(found)
+    return tuple(heads)
 
 
 def _registration(
@@ -311,11 +306,9 @@ def _fiducials(fit: FiducialFit) -> dict[str, Any]:
 
 def _rejected(block: Block, assembly: NetworkOfBlock) -> tuple[RejectedRay, ...]:
     seen = block.observations
-    part = np.zeros(len(seen.image), dtype=np.bool_)
-    part[assembly.rays] = True
     return tuple(
         RejectedRay(block.images.names[seen.image[row]], block.points.names[seen.point[row]])
-        for row in np.flatnonzero(~part)
+        for row in np.setdiff1d(np.arange(len(seen.image)), assembly.rays)
     )
 
 
@@ -328,9 +321,9 @@ def _checks(
     surveyed = block.points.sigma[assembly.points[check]]
     stated = [[u if np.isfinite(u) and u > 0.0 else None for u in row] for row in surveyed.tolist()]
     rows = zip(np.flatnonzero(check), d.tolist(), points.sigma[check].tolist(), stated, strict=True)
-    found = tuple(CheckPoint(points.names[j], *dj, *sj, *uj) for j, dj, sj, uj in rows)
+    checked = tuple(CheckPoint(points.names[j], *dj, *sj, *uj) for j, dj, sj, uj in rows)
     lengths = _lengths(block, assembly, solution)
-    return CheckSummary(len(d), dict(zip("xyz", rmse, strict=True)), found, lengths)
+    return CheckSummary(len(d), dict(zip("xyz", rmse, strict=True)), checked, lengths)
 
 
 def _lengths(block: Block, assembly: NetworkOfBlock, solution: Solution) -> tuple[CheckLength, ...]:
@@ -345,18 +338,18 @@ def _lengths(block: Block, assembly: NetworkOfBlock, solution: Solution) -> tupl
         return ()
     ends = dict.fromkeys(end for k in known for end in names[k])
     joint = joint_covariance(factored(network, solution.state), [("point", end) for end in ends])
-    found = []
+    lengths = []
     for k in known:
         first, second = names[k]
         apart = solution.points[place[second]] - solution.points[place[first]]
         length = float(np.linalg.norm(apart))
         along = dict(zip(XYZ, apart / length, strict=True))
         sign = {first: -1.0, second: 1.0}
-        row = np.array([sign.get(one.of, 0.0) * along[one.parameter] for one in joint.unknowns])
+        row = np.array([sign.get(unknown.of, 0.0) * along[unknown.parameter] for unknown in joint.unknowns])
         sigma = float(np.sqrt(max(row @ joint.covariance @ row, 0.0)))
-        error = length - float(asked.values[k])
-        found.append(CheckLength(first, second, float(asked.values[k]), error, sigma, float(asked.sigma[k])))
-    return tuple(found)
+        given, given_sigma = float(asked.values[k]), float(asked.sigma[k])
+        lengths.append(CheckLength(first, second, given, length - given, sigma, given_sigma))
+    return tuple(lengths)
 
 
 def observed_residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Floats:
@@ -460,16 +453,13 @@ def _adjusted_block(
     assembly, solution = adjusted(assembly, snooping, report)
     components: tuple[Component, ...] = ()
     if wanted.components:
-        found = estimate_components(assembly.network, rays_by_camera(assembly.network), report=report)
-        assembly, solution = replace(assembly, network=found.network), found.solution
-        components = found.components
+        weighed = estimate_components(assembly.network, rays_by_camera(assembly.network), report=report)
+        assembly, solution = replace(assembly, network=weighed.network), weighed.solution
+        components = weighed.components
     timing |= solution.timing_s
     result = result_of(block, assembly, solution, snooping=snooping, components=components, timing_s=timing)
-    return (
-        replace(result, **more_figures(assembly, result.points.covariance, wanted)),
-        assembly,
-        solution,
-    )
+    result = replace(result, **more_figures(assembly, result.points.covariance, wanted))
+    return result, assembly, solution
 
 
 def _with_origin(facts: BlockFacts, source: Path, block: Block, output: Path) -> BlockFacts:
@@ -501,11 +491,9 @@ def adjusted(
     if snooping is None:
         solution = adjust(network, report)
     else:
-        found = snoop(network, snooping, report)
-        points, rays = assembly.points[found.points], assembly.rays[found.accepted]
-        assembly, solution = (
-            replace(assembly, network=found.network, points=points, rays=rays),
-            found.solution,
-        )
+        clean = snoop(network, snooping, report)
+        points, rays = assembly.points[clean.points], assembly.rays[clean.accepted]
+        assembly = replace(assembly, network=clean.network, points=points, rays=rays)
+        solution = clean.solution
     network, solution, readouts = with_moving_images(assembly.network, solution, report)
     return replace(assembly, network=network, readouts=readouts), solution

@@ -20,6 +20,7 @@ from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
 from photocal.geometry.camera import OWN
+from photocal.results.folder import write_csv
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ def _write(path: Path, columns: dict[str, Any]) -> None:
         name: pa.array(values, from_pandas=True) if isinstance(values, np.ndarray) else values
         for name, values in columns.items()
     }
-    pyarrow.csv.write_csv(pa.table(arrays), path, pyarrow.csv.WriteOptions(quoting_style="needed"))
+    write_csv(path, pa.table(arrays))
 
 
 def _photo_variant(block: Block, solution: Solution) -> dict[str, Any]:

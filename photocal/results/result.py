@@ -365,8 +365,42 @@ class Result(Figures):
         return f"{sigma:.3g}" if self.scale is None else f"{sigma:.3g} (scaled {self.scale * sigma:.3g})"
 
     def tables(self) -> dict[str, Any]:
-        """Images, points and residuals as Arrow tables (degrees, m, unit of the rays)."""
-        return _tables(self)
+        """Images, points and residuals as Arrow tables, as in the run folder (degrees, m, unit of rays)."""
+        import pyarrow as pa
+
+        images, points, rays = self.images, self.points, self.residuals
+        values, sigma = images.values * SHOWN, images.sigma * SHOWN
+        of_images: dict[str, Any] = {
+            "image": pa.array(images.names, pa.string()),
+            "camera": pa.array([images.cameras[k].id for k in images.camera], pa.string()),
+        }
+        for kind, prefix in ((values, ""), (sigma, "s")):
+            for k, name in enumerate(PLACE):
+                of_images[prefix + name] = kind[:, 3 + k]
+            for k, name in enumerate(ANGLES):
+                of_images[prefix + name[0] if prefix else name] = kind[:, k]
+        if images.movement is not None:
+            of_images |= dict(zip(MOTION, (images.movement * SHOWN[::-1]).T, strict=True))
+        of_points: dict[str, Any] = {
+            "point": pa.array(points.names, pa.string()),
+            "role": pa.array(points.role, pa.string()),
+            **{name: points.values[:, k] for k, name in enumerate(PLACE)},
+            **{f"s{name}": points.sigma[:, k] for k, name in enumerate(PLACE)},
+            "rays": points.rays,
+        }
+        columns = {
+            name: pa.DictionaryArray.from_arrays(rows, pa.array(names, pa.string())).dictionary_decode()
+            for name, rows, names in (
+                ("image", rays.image, rays.image_names),
+                ("point", rays.point, rays.point_names),
+            )
+        }
+        columns |= {axis: rays.measured[:, k] for k, axis in enumerate("xy")}
+        for name, pair in (("v", rays.residual), ("r", rays.redundancy), ("w", rays.standardised)):
+            for k, axis in enumerate("xy"):
+                # Of an observation that takes no part, or that no other checks, cells are empty.
+                columns[name + axis] = pa.array(pair[:, k], from_pandas=True)
+        return {"images": pa.table(of_images), "points": pa.table(of_points), "residuals": pa.table(columns)}
 
     def images_of(self, camera: str) -> Integers:
         """Which images a camera took."""
@@ -376,40 +410,3 @@ class Result(Figures):
         """Accepted observations in the images of a camera."""
         part = self.residuals.accepted
         return part.only(np.flatnonzero(np.isin(part.image, self.images_of(camera))))
-
-
-def _tables(result: Result) -> dict[str, Any]:
-    """Images, points and residuals as Arrow tables, as in the run folder (degrees, m, unit of the rays)."""
-    import pyarrow as pa
-
-    images, points, rays = result.images, result.points, result.residuals
-    values, sigma = images.values * SHOWN, images.sigma * SHOWN
-    of_images: dict[str, Any] = {
-        "image": pa.array(images.names, pa.string()),
-        "camera": pa.array([images.cameras[k].id for k in images.camera], pa.string()),
-    }
-    for kind, prefix in ((values, ""), (sigma, "s")):
-        for k, name in enumerate(PLACE):
-            of_images[prefix + name] = kind[:, 3 + k]
-        for k, name in enumerate(ANGLES):
-            of_images[prefix + name[0] if prefix else name] = kind[:, k]
-    if images.movement is not None:
-        of_images |= dict(zip(MOTION, (images.movement * SHOWN[::-1]).T, strict=True))
-    of_points: dict[str, Any] = {
-        "point": pa.array(points.names, pa.string()),
-        "role": pa.array(points.role, pa.string()),
-        **{name: points.values[:, k] for k, name in enumerate(PLACE)},
-        **{f"s{name}": points.sigma[:, k] for k, name in enumerate(PLACE)},
-        "rays": points.rays,
-    }
-    seen: dict[str, Any] = {
-        "image": pa.DictionaryArray.from_arrays(rays.image, pa.array(rays.image_names, pa.string())),
-        "point": pa.DictionaryArray.from_arrays(rays.point, pa.array(rays.point_names, pa.string())),
-    }
-    columns = {name: names.dictionary_decode() for name, names in seen.items()}
-    columns |= {axis: rays.measured[:, k] for k, axis in enumerate("xy")}
-    for name, pair in (("v", rays.residual), ("r", rays.redundancy), ("w", rays.standardised)):
-        for k, axis in enumerate("xy"):
-            # Of an observation that takes no part, or that no other checks, cells are empty.
-            columns[name + axis] = pa.array(pair[:, k], from_pandas=True)
-    return {"images": pa.table(of_images), "points": pa.table(of_points), "residuals": pa.table(columns)}

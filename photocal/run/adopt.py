@@ -243,6 +243,8 @@ def adopt(
 
     raises PhotocalError: for a project that cannot be read or adjusted.
     """
+    from photocal.findings.catalogue import catalogue
+    from photocal.findings.texts import finding_text, plain
     from photocal.report.analysis_record import analyse_run
     from photocal.report.issue import issue
 
@@ -259,10 +261,9 @@ def adopt(
     with progress("adjustment", None):
         result = adjust_block(source, run)
     with progress("analysis", None):
-        analyse_run(run, source)
+        hidden = analyse_run(run, source).findings
     with progress("sigmas of control and positions", None):
         weighed, factors = _as_residuals_agree(source)
-    hidden = json.loads((run / "analysis.json").read_text(encoding="utf-8"))["findings"]
     figures = {
         "schema": SCHEMA,
         "program": foreign.program,
@@ -277,7 +278,7 @@ def adopt(
         "positions": position_figures(foreign, result),
         "control": control_figures(foreign, result),
         "exterior": exterior_figures(foreign, result),
-        "hidden": [finding["sentence"] for finding in hidden],
+        "hidden": [finding_text(finding, catalogue("en"), plain) for finding in hidden],
     }
     text = json.dumps(figures, indent=1, allow_nan=False) + "\n"
     (output / FIGURES).write_text(text, encoding="utf-8")
@@ -296,13 +297,8 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     names = block.images.names
     sizes = {name: block.cameras[k].size_px for name, k in zip(names, block.images.camera, strict=True)}
     control = in_map_system(read_control_marks(lists[0], ASSUMED_M, sizes))
-    bare = replace(
-        block,
-        points=control.points,
-        observations=replace(
-            block.observations, image=_NO, point=_NO, values=np.empty((0, 2)), sigma=np.empty((0, 2))
-        ),
-    )
+    none = block.observations.only(np.empty(0, dtype=np.int64))
+    bare = replace(block, points=control.points, observations=none)
     marked, unknown = with_marks(bare, named_after(control.marks, names))
     seen = marked.observations
     order = np.argsort(seen.point, kind="stable")
@@ -346,9 +342,6 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     remarks = [f"control of {lists[0].name}, in {control.crs}, taken as Cartesian"]
     remarks += [f"{len(unknown)} marks are in no image of the project"] if unknown else []
     return replace(given, block=moved, remarks=(*given.remarks, *remarks))
-
-
-_NO = np.empty(0, dtype=np.int64)
 
 
 def _write(folder: Path, foreign: ForeignProject) -> None:

@@ -6,7 +6,7 @@ import datetime as dt
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -56,8 +56,8 @@ class Use:
     of: str
     used_in: str
     points: int
-    rmse_m: tuple[float, float, float]
-    predicted_m: tuple[float, float, float]
+    rmse_m: tuple[float, ...]
+    predicted_m: tuple[float, ...]
     ratio: float
 
 
@@ -183,18 +183,13 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
                     giver.name,
                     taker.name,
                     len(check.names),
-                    _triple(check.rmse),
-                    _triple(np.sqrt(variance.mean(axis=0))),
+                    tuple(check.rmse.tolist()),
+                    tuple(np.sqrt(variance.mean(axis=0)).tolist()),
                     check.ratio,
                 )
             )
             done()
     return tuple(uses)
-
-
-def _triple(values: Any) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
 
 
 def uses_text(uses: Sequence[Use]) -> str:

@@ -159,14 +159,7 @@ def of_foreign(path: Path, block: Block) -> Found:
         )
         if surveyed[j]
     )
-    rows = np.flatnonzero(surveyed)
-    points = ObjectPoints(
-        tuple(names[k] for k in rows),
-        block.points.values[rows],
-        block.points.sigma[rows],
-        block.points.role[rows],
-    )
-    return Found(path, block.frame, points, marks, cameras=block.cameras)
+    return Found(path, block.frame, block.points.only(surveyed), marks, cameras=block.cameras)
 
 
 def _micmac(path: Path, _: Sizes) -> Found:

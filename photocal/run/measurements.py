@@ -65,13 +65,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
         project.cameras,
         images,
         points,
-        replace(
-            seen,
-            image=seen.image[kept],
-            point=seen.point[kept],
-            values=seen.values[kept],
-            sigma=seen.sigma[kept],
-        ),
+        seen.only(kept),
         (fingerprint(path),),
     )
     return with_points_on_the_ground(block)

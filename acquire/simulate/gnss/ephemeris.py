@@ -50,29 +50,22 @@ _ORBIT = {
     "omega": _angle(32, -31),
     "omega_dot": _angle(24, -43),
     "idot": _angle(14, -43),
-    "cuc": Field(16, 2.0**-29),
-    "cus": Field(16, 2.0**-29),
-    "crc": Field(16, 2.0**-5),
-    "crs": Field(16, 2.0**-5),
-    "cic": Field(16, 2.0**-29),
-    "cis": Field(16, 2.0**-29),
+    **dict.fromkeys(("cuc", "cus", "cic", "cis"), Field(16, 2.0**-29)),
+    **dict.fromkeys(("crc", "crs"), Field(16, 2.0**-5)),
 }
 GPS_FIELDS = _ORBIT | {
-    "toe": Field(16, 16.0, signed=False),
-    "toc": Field(16, 16.0, signed=False),
+    **dict.fromkeys(("toe", "toc"), Field(16, 16.0, signed=False)),
     "af0": Field(22, 2.0**-31),
     "af1": Field(16, 2.0**-43),
     "af2": Field(8, 2.0**-55),
     "tgd": Field(8, 2.0**-31),
 }
 GALILEO_FIELDS = _ORBIT | {
-    "toe": Field(14, 60.0, signed=False),
-    "toc": Field(14, 60.0, signed=False),
+    **dict.fromkeys(("toe", "toc"), Field(14, 60.0, signed=False)),
     "af0": Field(31, 2.0**-34),
     "af1": Field(21, 2.0**-46),
     "af2": Field(6, 2.0**-59),
-    "bgd_e5a": Field(10, 2.0**-32),
-    "bgd_e5b": Field(10, 2.0**-32),
+    **dict.fromkeys(("bgd_e5a", "bgd_e5b"), Field(10, 2.0**-32)),
 }
 
 

@@ -81,12 +81,17 @@ def subframe(ephemeris: Ephemeris, gps_s: int, broadcast: Broadcast) -> list[int
     count = (tow // SUBFRAME_S + 1) % 100_800
     handover = field(count, 17) + "00" + field(number, 3)
     page = tow // 30 % PAGES
+    e, issue = ephemeris, (ephemeris.issue & 0xFF, 8)
     if number == 1:
-        words = _subframe_1(ephemeris, week)
+        # After the week: P code on L2.
+        head = [(week % 1024, 10), (1, 2), (e.accuracy, 4), (e.health, 6), (e.issue >> 8, 2), (0, 88)]
+        words = _split(joined([*head, *e.bits("tgd"), issue, *e.bits("toc af2 af1 af0")]))
     elif number == 2:
-        words = _subframe_2(ephemeris)
+        orbit = e.bits("crs delta_n m0 cuc e cus sqrt_a toe")
+        words = _split(joined([issue, *orbit, (0, 1), (27, 5)]))
     elif number == 3:
-        words = _subframe_3(ephemeris)
+        orbit = e.bits("cic omega0 cis i0 crc omega omega_dot")
+        words = _split(joined([*orbit, issue, *e.bits("idot")]))
     elif number == 4:
         words = _subframe_4(page, week, broadcast)
     else:
@@ -118,23 +123,6 @@ def parity(data: str, last: tuple[int, int]) -> str:
     return "".join(
         str((last[before - 29] + sum(int(data[bit - 1]) for bit in bits)) % 2) for before, bits in _PARITY
     )
-
-
-def _subframe_1(e: Ephemeris, week: int) -> list[str]:
-    issue = [(e.issue >> 8, 2), (0, 88), *e.bits("tgd"), (e.issue & 0xFF, 8)]
-    # After the week: P code on L2.
-    head = [(week % 1024, 10), (1, 2), (e.accuracy, 4), (e.health, 6)]
-    return _split(joined([*head, *issue, *e.bits("toc af2 af1 af0")]))
-
-
-def _subframe_2(e: Ephemeris) -> list[str]:
-    orbit = e.bits("crs delta_n m0 cuc e cus sqrt_a toe")
-    return _split(joined([(e.issue & 0xFF, 8), *orbit, (0, 1), (27, 5)]))
-
-
-def _subframe_3(e: Ephemeris) -> list[str]:
-    orbit = e.bits("cic omega0 cis i0 crc omega omega_dot")
-    return _split(joined([*orbit, (e.issue & 0xFF, 8), *e.bits("idot")]))
 
 
 def _subframe_4(page: int, week: int, broadcast: Broadcast) -> list[str]:
@@ -306,13 +294,13 @@ def almanac_word(second: bool, tow: int, almanacs: Sequence[Ephemeris]) -> str:
     reference = [((one.week - GST_BEHIND_WEEKS) % 4, 2), (round(one.value("toe")) // 600, 10)]
     if count % 2 == 0:
         if not second:
-            return joined([(7, 6), _ISSUE, *reference, *_shape(one), *_node(one), _anomaly(one), (0, 6)])
+            return joined([(7, 6), _ISSUE, *reference, *_shape(one), *_node(one), _angle(one, "m0"), (0, 6)])
         return joined([(8, 6), _ISSUE, *_clock(one), *_shape(two), *_node(two), (0, 1)])
     if not second:
-        return joined([(9, 6), _ISSUE, *reference, _anomaly(two), *_clock(two), *_shape(three)])
+        return joined([(9, 6), _ISSUE, *reference, _angle(two, "m0"), *_clock(two), *_shape(three)])
     # The difference to GPS time is zero here.
     offset = [(0, 16), (0, 12), (0, 8), (0, 6)]
-    return joined([(10, 6), _ISSUE, *_node(three), _anomaly(three), *_clock(three), *offset])
+    return joined([(10, 6), _ISSUE, *_node(three), _angle(three, "m0"), *_clock(three), *offset])
 
 
 def _shape(e: Ephemeris) -> Bits:
@@ -325,17 +313,9 @@ def _node(e: Ephemeris) -> Bits:
     return [_angle(e, "omega0"), (round(e.value("omega_dot") / SEMICIRCLE_RAD * 2**33), 11)]
 
 
-def _anomaly(e: Ephemeris) -> tuple[int, int]:
-    return _angle(e, "m0")
-
-
 def _clock(e: Ephemeris) -> Bits:
-    return [
-        (round(e.value("af0") * 2**19), 16),
-        (round(e.value("af1") * 2**38), 13),
-        (e.health, 2),
-        (e.health, 2),
-    ]
+    bias, rate = round(e.value("af0") * 2**19), round(e.value("af1") * 2**38)
+    return [(bias, 16), (rate, 13), (e.health, 2), (e.health, 2)]
 
 
 def _angle(e: Ephemeris, name: str) -> tuple[int, int]:

@@ -67,43 +67,22 @@ def messages(
         utc_ns = int(true_ns[k]) + GPS_EPOCH_NS - leap_s * SECOND_NS
         second = (utc_ns + 5_000_000) // SECOND_NS
         civil, nano = dt.datetime.fromtimestamp(second, dt.UTC), utc_ns - second * SECOND_NS
+        east, north, up = speed[k]
+        metres = (height[k], height[k] - own.geoid_m, horizontal, vertical, north, east, -up, ground[k])
         yield (
             int(true_ns[k]) + _LATENCY_NS,
             struct.pack(
                 "<IH5BBIiBBBBiiiiIIiiiiiIIHBB4xihH",
                 nominal % (WEEK_S * SECOND_NS) // 1_000_000,
-                civil.year,
-                civil.month,
-                civil.day,
-                civil.hour,
-                civil.minute,
-                civil.second,
-                _EVERYTHING_VALID,
-                25,
-                nano,
-                3,
-                flags,
-                _CONFIRMED,
-                int(numbers[k]),
-                round(lon[k] * 1e7),
-                round(lat[k] * 1e7),
-                round(height[k] * 1e3),
-                round((height[k] - own.geoid_m) * 1e3),
-                round(horizontal * 1e3),
-                round(vertical * 1e3),
-                round(speed[k, 1] * 1e3),
-                round(speed[k, 0] * 1e3),
-                round(-speed[k, 2] * 1e3),
-                round(ground[k] * 1e3),
+                *civil.timetuple()[:6],
+                *(_EVERYTHING_VALID, 25, nano, 3, flags, _CONFIRMED, int(numbers[k])),
+                *(round(angle * 1e7) for angle in (lon[k], lat[k])),
+                *(round(value * 1e3) for value in metres),
                 round(course[k] * 1e5),
                 round(own.speed_sigma_m_s * np.sqrt(3) * 1e3),
                 round(np.degrees(np.arctan2(own.speed_sigma_m_s, max(ground[k], 1e-3))) * 1e5),
                 min(round(pdop[k] * 100), 9999),
-                0,
-                0,
-                0,
-                0,
-                0,
+                *[0] * 5,
             ),
         )
 
@@ -139,15 +118,8 @@ def dilution(observations: Observations) -> tuple[Integers, Floats]:
     rows = observations.rows[observations.rows["signal"] == 0]
     count = len(observations.clock)
     cosine = np.cos(rows["elevation"])
-    design = np.stack(
-        [
-            cosine * np.sin(rows["azimuth"]),
-            cosine * np.cos(rows["azimuth"]),
-            np.sin(rows["elevation"]),
-            np.ones(len(rows)),
-        ],
-        axis=1,
-    )
+    plane = cosine * np.sin(rows["azimuth"]), cosine * np.cos(rows["azimuth"])
+    design = np.column_stack([*plane, np.sin(rows["elevation"]), np.ones(len(rows))])
     normal = np.zeros((count, 4, 4))
     for i in range(4):
         for j in range(4):

@@ -65,24 +65,21 @@ def simulate(
     x, y, _ = base.position(np.array([start_gps_ns]))[0].tolist()
     atmosphere = Atmosphere.by_chance(sky, for_air, math.atan2(y, x))
     span = start_gps_ns, stop_gps_ns
-    moving = observe(
-        rover,
-        satellites,
-        atmosphere,
-        _slipping(rover_model, faults.rover_slips_per_hour),
-        span,
-        for_rover,
-        gaps_s=faults.rover_gaps_s,
-        outages=faults.outages,
-    )
-    still = observe(
-        base,
-        satellites,
-        atmosphere,
-        _slipping(base_model, faults.base_slips_per_hour),
-        span,
-        for_base,
-        gaps_s=faults.base_gaps_s,
+    moving, still = (
+        observe(
+            antenna,
+            satellites,
+            atmosphere,
+            model if slips is None else replace(model, slips_per_hour=slips),
+            span,
+            chance,
+            gaps_s=gaps_s,
+            outages=outages,
+        )
+        for antenna, model, slips, chance, gaps_s, outages in (
+            (rover, rover_model, faults.rover_slips_per_hour, for_rover, faults.rover_gaps_s, faults.outages),
+            (base, base_model, faults.base_slips_per_hour, for_base, faults.base_gaps_s, ()),
+        )
     )
     at = still.place
     shift = np.array(faults.base_shift_m) @ axes(at.lat[:1], at.lon[:1])[0]
@@ -104,7 +101,3 @@ def _refuse(start_gps_ns: int, stop_gps_ns: int, models: tuple[ReceiverModel, ..
         raise ConfigurationError(
             f"{wrong[0]!r} is no satellite", where="outages", remedy="name them as G05 or E24"
         )
-
-
-def _slipping(model: ReceiverModel, rate: float | None) -> ReceiverModel:
-    return model if rate is None else replace(model, slips_per_hour=rate)

@@ -105,19 +105,10 @@ def rover_ubx(
 ) -> Stream:
     """Return the rover's stream: RXM-RAWX, RXM-SFRBX, NAV-PVT and TIM-TM2."""
     for_position, for_marks = rng.spawn(2)
-    parts = [
-        _ubx(KIND, messages(session.rover, session.sky.leap_s)),
-        _ubx(
-            navigation_messages.KIND,
-            navigation_messages.messages(session.rover, session.span_gps_ns, session.sky),
-        ),
-        _ubx(
-            navigation_solution.KIND,
-            navigation_solution.messages(
-                session.rover, own_position or OwnPosition(), session.sky.leap_s, for_position
-            ),
-        ),
-    ]
+    solved = navigation_solution.messages(
+        session.rover, own_position or OwnPosition(), session.sky.leap_s, for_position
+    )
+    parts = [*_raw(session, session.rover), _ubx(navigation_solution.KIND, solved)]
     if events is not None:
         marks = time_marks.messages(events, session.rover.clock, session.sky.leap_s, for_marks)
         parts.append(_ubx(time_marks.KIND, marks))
@@ -126,19 +117,14 @@ def rover_ubx(
 
 def base_ubx(session: Session) -> Stream:
     """Return the base's stream of u-blox: RXM-RAWX, RXM-SFRBX and NAV-SVIN with the announced position."""
-    return _stream(
-        [
-            _ubx(KIND, messages(session.base, session.sky.leap_s)),
-            _ubx(
-                navigation_messages.KIND,
-                navigation_messages.messages(session.base, session.span_gps_ns, session.sky),
-            ),
-            _ubx(
-                navigation_solution.SURVEY_KIND,
-                navigation_solution.survey_messages(session.base, session.announced_m),
-            ),
-        ]
-    )
+    surveyed = navigation_solution.survey_messages(session.base, session.announced_m)
+    return _stream([*_raw(session, session.base), _ubx(navigation_solution.SURVEY_KIND, surveyed)])
+
+
+def _raw(session: Session, receiver: Observations) -> list[list[Timed]]:
+    """Return what a receiver measured, and what the satellites told it."""
+    told = navigation_messages.messages(receiver, session.span_gps_ns, session.sky)
+    return [_ubx(KIND, messages(receiver, session.sky.leap_s)), _ubx(navigation_messages.KIND, told)]
 
 
 def base_rtcm(

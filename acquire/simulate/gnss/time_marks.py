@@ -55,40 +55,22 @@ def messages(
     """
     true_ns = clock.true_gps_ns
     latest = [0, 0]
-    for mark in _marks(events, true_ns):
+    for epoch, count, edges in _marks(events, true_ns):
         flags = _RUNNING | _BASE[events.time_base] << 3 | _UTC_KNOWN | _VALID
-        for kind, (edge_ns, bit) in enumerate(zip(mark.edges, (_RISING, _FALLING), strict=True)):
+        for kind, (edge_ns, bit) in enumerate(zip(edges, (_RISING, _FALLING), strict=True)):
             noise = round(float(rng.normal(0, events.accuracy_s)) * SECOND_NS)
             if edge_ns is not None:
                 flags |= bit
                 latest[kind] = _stamp(edge_ns + noise, events, clock, leap_s)
-        (rising_week, rising_ms, rising_ns), (falling_week, falling_ms, falling_ns) = map(_split, latest)
-        yield (
-            int(true_ns[mark.epoch]) + _LATENCY_NS,
-            struct.pack(
-                "<BBHHHIIIII",
-                0,
-                flags,
-                mark.count % 65_536,
-                rising_week,
-                falling_week,
-                rising_ms,
-                rising_ns,
-                falling_ms,
-                falling_ns,
-                max(round(events.accuracy_s * SECOND_NS), 1),
-            ),
-        )
+        (rising_week, *rising), (falling_week, *falling) = map(_split, latest)
+        accuracy_ns = max(round(events.accuracy_s * SECOND_NS), 1)
+        head = struct.pack("<BBHHH", 0, flags, count % 65_536, rising_week, falling_week)
+        body = struct.pack("<5I", *rising, *falling, accuracy_ns)
+        yield int(true_ns[epoch]) + _LATENCY_NS, head + body
 
 
-@dataclass(frozen=True)
-class _Mark:
-    epoch: int
-    count: int
-    edges: tuple[int | None, int | None]
-
-
-def _marks(events: Events, true_ns: Integers) -> Iterator[_Mark]:
+def _marks(events: Events, true_ns: Integers) -> Iterator[tuple[int, int, tuple[int | None, int | None]]]:
+    """Yield the epoch that tells of a mark, the number of its rising edge, and its edges."""
     rising = np.searchsorted(true_ns, events.rising_gps_ns).tolist()
     falling = np.searchsorted(true_ns, events.falling_gps_ns).tolist()
     for place, epoch in enumerate(rising):
@@ -97,12 +79,12 @@ def _marks(events: Events, true_ns: Integers) -> Iterator[_Mark]:
         if place < len(falling) and falling[place] == epoch:
             end = int(events.falling_gps_ns[place])
             if epoch < len(true_ns):
-                yield _Mark(epoch, count, (edge, end))
+                yield epoch, count, (edge, end)
             continue
         if epoch < len(true_ns):
-            yield _Mark(epoch, count, (edge, None))
+            yield epoch, count, (edge, None)
         if place < len(falling) and falling[place] < len(true_ns):
-            yield _Mark(falling[place], count, (None, int(events.falling_gps_ns[place])))
+            yield falling[place], count, (None, int(events.falling_gps_ns[place]))
 
 
 def _stamp(gps_ns: int, events: Events, clock: Clock, leap_s: int) -> int:

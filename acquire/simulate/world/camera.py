@@ -9,19 +9,15 @@ import numpy as np
 from acquire.simulate.world import configuration
 from drivers.arrays import Flags, Floats
 
+OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+
 
 @dataclass(frozen=True)
 class Camera:
     """A camera with radial and tangential distortion; pixel centres are whole numbers, rows go down.
 
-    Attributes
-    ----------
-    width, height : int
-        px.
-    fx, fy, cx, cy : float
-        px.
-    k1, k2, p1, p2, k3 : float
-        In units of the principal distance.
+    width, height, fx, fy, cx, cy: px.
+    k1, k2, p1, p2, k3: in units of the principal distance.
     """
 
     width: int
@@ -40,9 +36,7 @@ class Camera:
     @classmethod
     def of(cls, given: configuration.Camera) -> Camera:
         """Make the camera of a configuration."""
-        names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-        values = {name: getattr(given, name) for name in names}
-        return cls(*given.size_px, given.pitch_mm, **values)
+        return cls(*given.size_px, given.pitch_mm, **{name: getattr(given, name) for name in OPENCV})
 
     def zoomed(self, factor: float) -> Camera:
         """Give the camera with a longer principal distance.
@@ -65,20 +59,16 @@ class Camera:
         """Give columns and rows of points in OpenCV's camera axes (x right, y down, z forward).
 
         points (..., 3).
-
         returns (..., 2): px; NaN behind the camera and where the polynomial turns back, far outside the
-            image.
-
-        Notes
-        -----
-        OpenCV 4 documentation, calib3d, "Detailed Description".
+            image. Source: OpenCV 4 documentation, calib3d, "Detailed Description".
         """
         depth = np.where(points[..., 2] > 0, points[..., 2], np.nan)
         plane = points[..., :2] / depth[..., None]
         # Beyond the image the polynomial may fold points back into it.
         reach = 1.3 * np.hypot(self.width / self.fx, self.height / self.fy) / 2
         outside = np.hypot(plane[..., 0], plane[..., 1]) > reach
-        return np.asarray(np.where(outside[..., None], np.nan, self._to_pixels(self._distorted(plane))))
+        pixels = self._distorted(plane) * [self.fx, self.fy] + [self.cx, self.cy]
+        return np.asarray(np.where(outside[..., None], np.nan, pixels))
 
     def directions(self, pixels: Floats) -> Floats:
         """Give the directions seen at columns and rows, in OpenCV's axes with z = 1, shape (..., 3)."""
@@ -105,14 +95,9 @@ class Camera:
         down = y * radial + self.p1 * (r2 + 2 * y**2) + 2 * self.p2 * x * y
         return np.stack([across, down], axis=-1)
 
-    def _to_pixels(self, plane: Floats) -> Floats:
-        return np.asarray(plane * [self.fx, self.fy] + [self.cx, self.cy])
-
     def certificate_terms(self, unit: str) -> dict[str, float]:
         """Give the same camera as `brown-ideal`, affinity `after`, y up from the middle of the image.
 
-        Notes
-        -----
         With x = c u and y = -c v the radial term k1 r^2 becomes K1 = k1 / c^2; of the tangential ones p2
         belongs to x in OpenCV and P1 does so here, and the turned y axis changes the sign of p1.
         """
@@ -129,8 +114,3 @@ class Camera:
             "P2": -self.p1 / c,
             "B1": self.fx / self.fy - 1,
         }
-
-    def opencv_terms(self) -> dict[str, float]:
-        """Give fx, fy, cx, cy, k1, k2, p1, p2, k3."""
-        names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-        return {name: float(getattr(self, name)) for name in names}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -185,14 +186,10 @@ class Motion:
 
     def _moved(self, time_s: Floats, derivative: int) -> Floats:
         time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
-        share, slope, bend = self._airborne(time)
-        sway = [self.sway.at(time, k) for k in range(derivative + 1)]
-        parts = {
-            0: lambda: share * sway[0],
-            1: lambda: share * sway[1] + slope * sway[0],
-            2: lambda: share * sway[2] + 2 * slope * sway[1] + bend * sway[0],
-        }
-        return np.asarray(self.way(time, nu=derivative) + parts[derivative]())
+        share, orders = self._airborne(time), range(derivative + 1)
+        # Leibniz: derivatives of the product of share and sway.
+        swayed = (math.comb(derivative, k) * share[k] * self.sway.at(time, derivative - k) for k in orders)
+        return np.asarray(self.way(time, nu=derivative) + sum(swayed))
 
     def _airborne(self, time: Floats) -> tuple[Floats, Floats, Floats]:
         """Give how far the vehicle is in the air, 0 to 1, with its first two derivatives, shape (n, 1)."""

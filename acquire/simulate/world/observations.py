@@ -74,15 +74,10 @@ MARGIN_PX = 8.0
 class Observations:
     """Measured places of points in images.
 
-    Attributes
-    ----------
-    names : tuple of str (points,)
-        Targets first, then ties.
-    points_m : ndarray, shape (points, 3)
-        True coordinates in the local frame.
-    image, point : ndarray of int, shape (n,)
-    pixels : ndarray, shape (n, 2)
-        With noise.
+    names: targets first, then ties.
+    points_m (points, 3): true coordinates in the local frame.
+    image, point, sigma_px (n,).
+    pixels (n, 2): with noise.
     """
 
     names: tuple[str, ...]
@@ -110,9 +105,10 @@ def observe(world: World) -> Observations:
     area = np.array(given.plan.area_m)
     middle = area.mean(axis=0)
     # Ties lie beyond the area, too, as far as pictures overlap there.
-    places = random.uniform(*_wide(area, middle), (given.observing.ties, 2)) if given.observing.ties else None
+    low, high = (middle + 1.25 * (corner - middle) for corner in (area.min(axis=0), area.max(axis=0)))
     points = world.targets.centre_m
-    if places is not None:
+    if given.observing.ties:
+        places = random.uniform(low, high, (given.observing.ties, 2))
         heights = world.terrain.height(places[:, 0], places[:, 1])
         points = np.vstack([points, np.column_stack([places, heights])])
     found = sight(points, world.exposures, world.motion, world.rig, given.camera.readout_s, MARGIN_PX)
@@ -126,7 +122,3 @@ def observe(world: World) -> Observations:
     noisy = pixels + random.standard_normal(pixels.shape) * sigma[:, None]
     names = (*world.targets.names, *(f"T{number:04d}" for number in range(1, given.observing.ties + 1)))
     return Observations(names, points, image, point, noisy, sigma)
-
-
-def _wide(area: Floats, middle: Floats) -> tuple[Floats, Floats]:
-    return middle + 1.25 * (area.min(axis=0) - middle), middle + 1.25 * (area.max(axis=0) - middle)

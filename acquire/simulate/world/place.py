@@ -48,7 +48,7 @@ class Place:
     @cached_property
     def axes(self) -> Floats:
         """Rows: east, north and up in geocentric axes, shape (3, 3)."""
-        (sb, cb), (sl, cl) = (_sin_cos(angle) for angle in (self.latitude, self.longitude))
+        (sb, cb), (sl, cl) = ((np.sin(angle), np.cos(angle)) for angle in (self.latitude, self.longitude))
         return np.array([[-sl, cl, 0.0], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]])
 
     @cached_property
@@ -112,7 +112,3 @@ def geodetic(position_m: Floats) -> Floats:
         height = across * np.cos(latitude) + z * np.sin(latitude) - SEMI_MAJOR_M**2 / normal
         latitude = np.arctan2(z, across * (1 - _ECCENTRICITY2 * normal / (normal + height)))
     return np.column_stack([latitude, np.arctan2(y, x), height])
-
-
-def _sin_cos(angle: float) -> tuple[float, float]:
-    return float(np.sin(angle)), float(np.cos(angle))

@@ -261,9 +261,10 @@ def render(scene: Scene, number: int) -> Bytes:
     world = scene.world
     given, exposures = world.configuration.pictures, world.exposures
     camera = exposures.cameras[number]
-    grid = _cast(scene, number)
-    hits = world.terrain.intersect(grid.start_m.reshape(-1, 3), grid.direction.reshape(-1, 3))
-    places = hits.reshape(grid.direction.shape)
+    pose = _poses(world, number, _grid(camera.height))
+    rays = scene.directions[camera] @ (TO_OPENCV @ pose.rotation)
+    start = np.broadcast_to(pose.centre_m[:, None], rays.shape)
+    places = world.terrain.intersect(start.reshape(-1, 3), rays.reshape(-1, 3)).reshape(rays.shape)
     every_row, every_column = (np.arange(size, dtype=float) for size in (camera.height, camera.width))
     east, north = (
         _between(places[..., k], every_row, every_column).astype(np.float32, order="C") for k in (0, 1)
@@ -279,24 +280,9 @@ def render(scene: Scene, number: int) -> Bytes:
     return np.asarray(np.clip(np.rint(exposed), 0, 255), np.uint8)
 
 
-@dataclass(frozen=True)
-class _Rays:
-    start_m: Floats
-    direction: Floats
-
-
 def _grid(size: int) -> Floats:
     """Give the nodes of the grid along one side: the last lies on or beyond the last pixel."""
     return np.arange(0, size - 1 + GRID_PX, GRID_PX, dtype=float)
-
-
-def _cast(scene: Scene, number: int) -> _Rays:
-    camera = scene.world.exposures.cameras[number]
-    local = scene.directions[camera]
-    pose = _poses(scene.world, number, _grid(camera.height))
-    turned = local @ (TO_OPENCV @ pose.rotation)
-    start = np.broadcast_to(pose.centre_m[:, None], turned.shape)
-    return _Rays(start, turned)
 
 
 def _poses(world: World, number: int, rows: Floats) -> Pose:

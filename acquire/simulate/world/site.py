@@ -25,8 +25,8 @@ def write_project(world: World, site: Path) -> None:
     given = world.configuration
     block = given.level is Level.BLOCK
     crs, height = ("local", "local") if block else (given.place.crs, "ellipsoidal")
-    sections: list[tuple[str, dict[str, Any]]] = []
-    sections.append(("[project]", {"name": given.name, "crs": crs, "height": height, "output": "work"}))
+    head = {"name": given.name, "crs": crs, "height": height, "output": "work"}
+    sections: list[tuple[str, dict[str, Any]]] = [("[project]", head)]
     if block:
         sections.append(("[measurements]", {"block": "block"}))
     else:
@@ -44,11 +44,7 @@ def write_project(world: World, site: Path) -> None:
 def _flight(world: World, notes: FieldBook) -> list[tuple[str, dict[str, Any]]]:
     given, rig = world.configuration, world.configuration.rig
     base = world.place.to_geodetic(notes.base_m[None])[0]
-    place = [
-        round(float(np.degrees(base[0])), 10),
-        round(float(np.degrees(base[1])), 10),
-        round(float(base[2]), 4),
-    ]
+    place = [*(round(angle, 10) for angle in np.degrees(base[:2]).tolist()), round(float(base[2]), 4)]
     pictures = given.level is Level.PICTURES
     control: dict[str, Any] = {"points": "control.csv"}
     if pictures:

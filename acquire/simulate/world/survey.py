@@ -38,8 +38,10 @@ def take_notes(world: World, coordinates: Floats) -> FieldBook:
     if world.has(Fault.CONTROL_DIGITS):
         control = [k for k, role in enumerate(world.targets.roles) if role == "control"]
         row = control[int(world.random("faults").integers(len(control)))]
-        added = given.fault_sizes.control_m
-        texts[row] = _added(texts[row], added) if any(added) else _swapped(texts[row])
+        added, wrong = given.fault_sizes.control_m, _swapped(texts[row])
+        if any(added):
+            wrong = tuple(f"{float(text) + more:.4f}" for text, more in zip(texts[row], added, strict=True))
+        texts[row] = wrong
         mistyped = world.targets.names[row]
     base = world.base_m + world.base_error_m
     arm = np.array(given.rig.camera_to_antenna_m)
@@ -52,10 +54,6 @@ def take_notes(world: World, coordinates: Floats) -> FieldBook:
         arm,
         mistyped,
     )
-
-
-def _added(texts: tuple[str, ...], added: tuple[float, float, float]) -> tuple[str, ...]:
-    return tuple(f"{float(text) + more:.4f}" for text, more in zip(texts, added, strict=True))
 
 
 def _swapped(texts: tuple[str, ...]) -> tuple[str, ...]:

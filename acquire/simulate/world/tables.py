@@ -15,15 +15,15 @@ Columns = dict[str, tuple[str, Iterable[Any]]]
 
 def write_table(path: Path, columns: Columns) -> None:
     """Write a CSV file; `columns`: format of each value and the values; NaN becomes an empty cell."""
-    cells = [[_cell(value, form) for value in values] for form, values in columns.values()]
+    cells = [
+        [
+            "" if isinstance(value, (float, np.floating)) and np.isnan(value) else format(value, form)
+            for value in values
+        ]
+        for form, values in columns.values()
+    ]
     lines = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _cell(value: Any, form: str) -> str:
-    if isinstance(value, (float, np.floating)) and np.isnan(value):
-        return ""
-    return format(value, form)
 
 
 def toml_text(sections: Sequence[tuple[str, Mapping[str, Any]]]) -> str:

@@ -36,9 +36,9 @@ class Terrain:
 
     def intersect(self, start_m: Floats, direction: Floats) -> Floats:
         """Give where rays first meet the ground."""
-        above, below = (
-            (height - start_m[:, 2]) / direction[:, 2] for height in (self._highest + 1, self._lowest - 1)
-        )
+        # A spline stays within its coefficients.
+        limits = self.coefficients.max() + 1, self.coefficients.min() - 1
+        above, below = ((height - start_m[:, 2]) / direction[:, 2] for height in limits)
         flatness = np.hypot(direction[:, 0], direction[:, 1]) / -direction[:, 2]
         # A ray steeper than any slope goes into the ground once; others may come out of a hill again.
         grazing = np.flatnonzero(flatness * self._steepest >= 1.0)
@@ -49,26 +49,11 @@ class Terrain:
         return np.asarray(start_m + along[:, None] * direction)
 
     @cached_property
-    def _nodes(self) -> Floats:
-        """Heights at the nodes."""
-        rows, columns = np.indices(self.coefficients.shape)
-        return np.asarray(
-            map_coordinates(self.coefficients, [rows, columns], order=3, mode="nearest", prefilter=False)
-        )
-
-    @cached_property
-    def _highest(self) -> float:
-        # A spline stays within its coefficients.
-        return float(self.coefficients.max())
-
-    @cached_property
-    def _lowest(self) -> float:
-        return float(self.coefficients.min())
-
-    @cached_property
     def _steepest(self) -> float:
         """Bound of the slope: that of the nodes, and something for what lies between."""
-        down, across = np.gradient(self._nodes, STEP_M)
+        places = np.indices(self.coefficients.shape)
+        nodes = map_coordinates(self.coefficients, places, order=3, mode="nearest", prefilter=False)
+        down, across = np.gradient(nodes, STEP_M)
         return 1.5 * float(np.hypot(down, across).max())
 
     def _first(
@@ -112,8 +97,6 @@ class Terrain:
 def make_terrain(given: configuration.Terrain, half_m: float, random: np.random.Generator) -> Terrain:
     """Draw a surface.
 
-    Notes
-    -----
     White noise filtered to a power spectrum k^-exponent below the longest wave (spectral synthesis; Saupe
     1988, in The Science of Fractal Images, section 2.5). Waves shorter than four steps are left out.
     """

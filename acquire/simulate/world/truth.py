@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.simulate.world.camera import Camera
+from acquire.simulate.world.camera import OPENCV, Camera
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
 from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.place import Place
@@ -97,7 +97,7 @@ def _camera(camera: Camera) -> dict[str, object]:
     return {
         "px": camera.certificate_terms("px"),
         "mm": camera.certificate_terms("mm"),
-        "opencv": camera.opencv_terms(),
+        "opencv": {name: float(getattr(camera, name)) for name in OPENCV},
     }
 
 

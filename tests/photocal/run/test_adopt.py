@@ -6,6 +6,7 @@ import datetime as dt
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -86,13 +87,10 @@ def quiet(*_: Any) -> Any:
 
 def adopted(folder: Path, monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Any]:
     """Adopt without analysis and certificate, which have tests of their own."""
-    monkeypatch.setattr("photocal.report.analysis_record.analyse_run", lambda run, _: _no_findings(run))
+    outcome = SimpleNamespace(findings=())
+    monkeypatch.setattr("photocal.report.analysis_record.analyse_run", lambda *_: outcome)
     monkeypatch.setattr("photocal.report.issue.issue", lambda *_, **__: None)
     return module.adopt(folder, folder / "adopted", dt.date(2026, 1, 1), quiet, **changes)
-
-
-def _no_findings(run: Path) -> None:
-    (run / "analysis.json").write_text('{"findings": []}')
 
 
 def largest(figures: dict[str, Any]) -> float:
