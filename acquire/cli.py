@@ -1,21 +1,21 @@
-"""The command `acquire`: a list of its commands, each in a module of its own."""
+"""The command `acquire`: a list of its commands."""
 
 from __future__ import annotations
 
 import os
 
-from acquire.commands import check, export, import_, info, monitor, record, recover, replay, simulate
+from acquire.commands import flight_log, recording, simulate
 from acquire.console import application, run
 
 app = application("Record, import, replay and inspect flights; the flight log is an MCAP file.")
-app.command()(check.check)
-app.command()(export.export)
-app.command("import")(import_.import_)
-app.command()(info.info)
-app.command()(monitor.monitor)
-app.command()(record.record)
-app.command()(recover.recover)
-app.command()(replay.replay)
+app.command()(recording.check)
+app.command()(flight_log.export)
+app.command("import")(flight_log.import_)
+app.command()(flight_log.info)
+app.command()(recording.monitor)
+app.command()(recording.record)
+app.command()(flight_log.recover)
+app.command()(flight_log.replay)
 app.add_typer(simulate.app, name="simulate")
 
 

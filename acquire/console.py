@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -32,6 +32,19 @@ def application(help_text: str) -> typer.Typer:
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
+
+
+def option(text: str, *names: str, **settings: Any) -> Any:
+    """Describe an option of a command: its help, and its names where they are not that of the parameter."""
+    return typer.Option(*names, help=text, **settings)
+
+
+def argument(text: str, **settings: Any) -> Any:
+    """Describe an argument of a command by its help."""
+    return typer.Argument(help=text, **settings)
+
+
+AsJson = Annotated[bool, option("Print the figures as JSON.", "--json")]
 
 
 def printable(text: str) -> str:

@@ -95,7 +95,7 @@ _RECORDER = f"""
 import sys
 for name in {LEAN!r}:
     sys.modules[name] = None
-import acquire.commands.record, acquire.recording.configuration, acquire.recording.recorder
+import acquire.commands.recording, acquire.recording.configuration, acquire.recording.recorder
 import acquire.transports.sources
 from drivers.scan import compile_search
 compile_search()

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from acquire.console import answer, application, progress
+from acquire.console import AsJson, answer, application, argument, option, progress
 from drivers.errors import ConfigurationError, OutputError
 
 FAULTS = (
@@ -23,9 +23,9 @@ app = application("Simulate flights: their telemetry, a whole survey with its tr
 def simulate(
     context: typer.Context,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Telemetry log of a short flight to write (.tlog).")
+        Path | None, option("Telemetry log of a short flight to write (.tlog).", "-o", "--output")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write the telemetry log of the flight `small`, which never took place: the same bytes each time.
 
@@ -59,18 +59,16 @@ def simulate(
 @app.command()
 def flight(
     configuration: Annotated[
-        Path, typer.Argument(metavar="CONFIG.toml|NAME", help="Its plan; `small` and `survey` are known.")
+        Path, argument("Its plan; `small` and `survey` are known.", metavar="CONFIG.toml|NAME")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to make: site/ and truth/.")],
-    level: Annotated[
-        str | None, typer.Option(help="pictures, observations or block, instead of the file's.")
-    ] = None,
+    output: Annotated[Path, option("Folder to make: site/ and truth/.", "-o", "--output")],
+    level: Annotated[str | None, option("pictures, observations or block, instead of the file's.")] = None,
     observations_only: Annotated[
-        bool, typer.Option("--observations-only", help="The same as --level block: fast, for statistics.")
+        bool, option("The same as --level block: fast, for statistics.", "--observations-only")
     ] = False,
-    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the file's.")] = None,
-    fault: Annotated[list[str] | None, typer.Option(help=FAULTS)] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    seed: Annotated[int | None, option("Instead of the file's.", min=0)] = None,
+    fault: Annotated[list[str] | None, option(FAULTS)] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Simulate a survey flight: what a surveyor brings home in site/, the truth in truth/.
 
@@ -105,32 +103,26 @@ def flight(
 @app.command()
 def serve(
     flown: Annotated[
-        Path, typer.Argument(metavar="DIR|CONFIG.toml", help="A simulated flight with streams, or its plan.")
+        Path, argument("A simulated flight with streams, or its plan.", metavar="DIR|CONFIG.toml")
     ],
-    speed: Annotated[float, typer.Option(min=0.01, max=100, help="Times as fast as it was.")] = 1.0,
+    speed: Annotated[float, option("Times as fast as it was.", min=0.01, max=100)] = 1.0,
     record: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Configuration for `acquire record` to write; without: record.toml in site/."
-        ),
+        option("Configuration for `acquire record` to write; without: record.toml in site/.", metavar="FILE"),
     ] = None,
-    udp_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="To which the vehicle sends; 0: any free one.")
-    ] = 0,
+    udp_port: Annotated[int, option("To which the vehicle sends; 0: any free one.", min=0, max=65535)] = 0,
     base_on_tcp: Annotated[
-        bool, typer.Option("--base-on-tcp", help="The base is a TCP server, not a serial port.")
+        bool, option("The base is a TCP server, not a serial port.", "--base-on-tcp")
     ] = False,
     at_once: Annotated[
-        bool, typer.Option("--at-once", help="Begin at once, not when the recorder speaks to the devices.")
+        bool, option("Begin at once, not when the recorder speaks to the devices.", "--at-once")
     ] = False,
     now: Annotated[
         bool,
-        typer.Option(
-            "--now", help="For practice: fly the plan anew, with all clocks as of now; begins in a minute."
-        ),
+        option("For practice: fly the plan anew, with all clocks as of now; begins in a minute.", "--now"),
     ] = False,
-    linger: Annotated[float, typer.Option(min=0, help="Seconds to stay after the end.")] = 3.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    linger: Annotated[float, option("Seconds to stay after the end.", min=0)] = 3.0,
+    as_json: AsJson = False,
 ) -> None:
     """Play a simulated flight on real ports, as hardware: vehicle by UDP, receivers on pseudo terminals.
 

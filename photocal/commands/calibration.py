@@ -9,9 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
-from acquire.console import answer, progress
+from acquire.console import AsJson, answer, argument, option, progress
 from drivers.errors import ConfigurationError
-from photocal.commands.options import AsJson, argument, option
 
 if TYPE_CHECKING:
     import datetime as dt

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from acquire.console import answer, numbers_of, progress
+from acquire.console import AsJson, answer, argument, numbers_of, option, progress
 from drivers.errors import ConfigurationError
-from photocal.commands.options import AsJson, argument, option
 
 if TYPE_CHECKING:
     import numpy as np

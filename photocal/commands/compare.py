@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from acquire.console import AsJson, answer, argument, option, progress
 from drivers.arrays import as_plain
-from photocal.commands.options import AsJson, argument, option
 
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
@@ -51,7 +51,6 @@ def compare(
     """
     import numpy as np
 
-    from acquire.console import answer, progress
     from acquire.outputs import output_file
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.analysis.stability.comparison import compare as compare_pairs

@@ -14,9 +14,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
-from acquire.console import Check, answer
+from acquire.console import Check, answer, argument, option
 from drivers.errors import PhotocalError, ProgramMissingError
-from photocal.commands.options import argument, option
 
 OLDEST_PYTHON = (3, 11)
 # The program is not older than this: a clock before it is wrong.

@@ -6,9 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from acquire.console import answer, numbers_of
+from acquire.console import answer, argument, numbers_of, option
 from drivers.errors import ConfigurationError
-from photocal.commands.options import argument, option
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:

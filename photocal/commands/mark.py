@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer, progress
+from acquire.console import answer, argument, option, progress
 from drivers.errors import ConfigurationError
-from photocal.commands.options import argument, option
 
 if TYPE_CHECKING:
     from photocal.measurement.marking.scene import Scene

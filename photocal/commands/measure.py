@@ -7,9 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from acquire.console import answer, numbers_of, progress
+from acquire.console import answer, argument, numbers_of, option, progress
 from drivers.errors import ConfigurationError
-from photocal.commands.options import argument, option
 
 if TYPE_CHECKING:
     from photocal.measurement.block_files import Measured

@@ -7,24 +7,29 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer, numbers_of, progress
-from photocal.commands.options import (
-    AsJson,
-    Base,
-    BaseLink,
-    BasePosition,
-    BaseSigma,
-    BaseWeather,
-    Navigation,
-    Rover,
-    RoverLink,
-    argument,
-    option,
-)
+from acquire.console import AsJson, answer, argument, numbers_of, option, progress
 
 if TYPE_CHECKING:
     from drivers.arrays import Floats
     from photocal.navigation.exposure_run import Choices
+
+Rover = Annotated[Path | None, option("RINEX observations of the rover.")]
+Base = Annotated[Path | None, option("RINEX observations of the base.")]
+Navigation = Annotated[
+    list[str] | None,
+    option("RINEX navigation file; may be repeated. `base`: those that the base's link recorded."),
+]
+BasePosition = Annotated[
+    str | None,
+    option("LAT,LON,H of the base: degrees, ellipsoidal height in metres; or a CSRS-PPP or SINEX file."),
+]
+BaseSigma = Annotated[str | None, option("Standard deviations E,N,U of the base's position, metres.")]
+BaseWeather = Annotated[
+    str | None,
+    option("TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa."),
+]
+RoverLink = Annotated[str, option("Link of the rover in the flight log.")]
+BaseLink = Annotated[str, option("Link of the base in the flight log.")]
 
 
 def ppk(

@@ -6,9 +6,8 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
-from acquire.console import answer, numbers_of, progress
+from acquire.console import AsJson, answer, argument, numbers_of, option, progress
 from drivers.errors import ConfigurationError
-from photocal.commands.options import AsJson, argument, option
 
 # Cells so many pixels wide leave pixels out.
 _COARSE = 2.0

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from acquire.console import answer, progress
-from photocal.commands.options import AsJson, argument, option
+from acquire.console import AsJson, answer, argument, option, progress
 
 if TYPE_CHECKING:
     from photocal.geometry.camera import Camera

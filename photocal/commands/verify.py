@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from acquire.console import answer, progress
+from acquire.console import answer, argument, option, progress
 from drivers.arrays import as_plain
 from drivers.errors import InputMalformedError, InputNotFoundError
-from photocal.commands.options import argument, option
 
 if TYPE_CHECKING:
     from photocal.report.verification import Difference

@@ -1,0 +1,192 @@
+"""Commands before and during a flight: check, record and monitor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from acquire.console import answer, argument, option
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Callable
+
+    from acquire.log.reader import Messages
+    from acquire.monitor.state import State
+    from acquire.monitor.tail import Tail
+
+
+def check(
+    configuration: Annotated[Path, argument("Configuration (TOML) of the recording.")],
+    seconds: Annotated[float, option("How long to listen.", min=0.1, max=600)] = 5.0,
+    as_json: Annotated[bool, option("Print the findings as JSON.", "--json")] = False,
+) -> None:
+    """Look at ports, heartbeats, fix, rates, disk space and clock before a flight.
+
+    The rates asked for are requested by `acquire record`; here they are only seen. Ends with 10 when
+    something is not as it should be.
+
+    Example: `acquire check flight.toml`
+    """
+    from acquire.recording import preflight
+    from acquire.recording.caster_position import caster_positions
+    from acquire.recording.configuration import read_configuration
+    from acquire.recording.recorder import Host, sources_of
+    from drivers.errors import DeviceError
+    from drivers.mavlink.dialect import ardupilotmega
+
+    chosen = read_configuration(configuration)
+    host, dialect = Host(), ardupilotmega()
+    positions = caster_positions(chosen, dialect)
+    sources = sources_of(chosen, positions, host.clock_ns)
+    checks = preflight.check(chosen, configuration.parent, sources, positions, seconds, host, dialect)
+    answer(
+        as_json,
+        lambda: preflight.as_json(checks),
+        lambda: "\n".join(f"{'good' if c.state == 'good' else 'BAD '}  {c.part}: {c.text}" for c in checks),
+    )
+    bad = [one.part for one in checks if one.state != "good"]
+    if bad:
+        raise DeviceError(
+            f"not ready: {', '.join(bad)}", where=configuration, remedy="see to these before the flight"
+        )
+
+
+def record(
+    configuration: Annotated[Path, argument("Configuration (TOML): [recording], [[link]], [site].")],
+    as_json: Annotated[bool, option("Print the figures as JSON at the end.", "--json")] = False,
+) -> None:
+    """Record all links until Ctrl-C; the file is safe on disk at least once a second.
+
+    Example: `acquire record flight.toml`
+    """
+    from acquire.operating_system import stopped_by_signals
+    from acquire.recording.configuration import read_configuration
+    from acquire.recording.recorder import record as recording
+
+    chosen = read_configuration(configuration)
+    stop = stopped_by_signals()
+    result = recording(chosen, configuration.parent, stop, lambda text: typer.echo(text, err=True))
+    answer(
+        as_json,
+        lambda: {
+            "schema": "acquire.record/1",
+            "output": str(result.paths[0]),
+            "files": [str(path) for path in result.paths],
+            "alarms": [
+                {"kind": a.kind, "link": a.link, "text": a.text, "time_utc_ns": a.time_ns}
+                for a in result.alarms
+            ],
+            "links": [
+                {
+                    "link": name,
+                    "frames": t.frames,
+                    "frame_bytes": t.frame_bytes,
+                    "damage_bytes": t.damage_bytes,
+                }
+                for name, t in result.tallies.items()
+            ],
+        },
+        lambda: "\n".join(
+            [
+                f"{name}: {t.frames} frames, {t.damage_bytes} bytes of damage"
+                for name, t in result.tallies.items()
+            ]
+            + [f"wrote {path}" for path in result.paths]
+        ),
+    )
+
+
+def monitor(
+    source: Annotated[
+        Path,
+        argument("Flight log (.mcap), folder of a recording, or its configuration (.toml)."),
+    ],
+    page: Annotated[bool, option("Show it as a local web page instead.", "--page")] = False,
+    address: Annotated[
+        str,
+        option("HOST:PORT of the page. Beyond this computer the page demands a token."),
+    ] = "127.0.0.1:8740",
+    debrief: Annotated[Path | None, option("File that `photocal debrief` writes: the page shows it.")] = None,
+    foxglove: Annotated[
+        bool, option("Also serve the channels to Foxglove, with a token.", "--foxglove")
+    ] = False,
+    foxglove_address: Annotated[str, option("HOST:PORT for Foxglove.")] = "127.0.0.1:8765",
+    mute: Annotated[bool, option("Do not ring the bell of the terminal.", "--mute")] = False,
+    as_json: Annotated[bool, option("Print the state once as JSON.", "--json")] = False,
+) -> None:
+    """Show fix, satellites, corrections, rates, pictures, disk, clock and alarms of a recording live.
+
+    It reads the log as it grows: it needs nothing of the recorder and cannot disturb it.
+
+    Example: `acquire monitor flight.toml --page`
+    """
+    from acquire.monitor.tail import read_all, tail_of
+    from acquire.monitor.view_model import view_of
+
+    tail = tail_of(source)
+    if as_json:
+        answer(True, lambda: view_of(read_all(tail)).as_json(), str)
+    elif foxglove:
+        from acquire.monitor.foxglove_server import serving_foxglove
+        from acquire.web import read_address
+
+        with serving_foxglove(read_address(foxglove_address)) as (listen, url):
+            typer.echo(f"Foxglove: open a connection to {url}", err=True)
+            _show(tail, address if page else None, mute, listen, debrief)
+    else:
+        _show(tail, address if page else None, mute, lambda _: None, debrief)
+
+
+def _show(
+    tail: Tail,
+    address: str | None,
+    mute: bool,
+    listen: Callable[[list[Messages]], None],
+    debrief: Path | None,
+) -> None:
+    """Show a recording until Ctrl-C, on a page or here."""
+    from acquire.monitor.tail import follow
+    from acquire.operating_system import stopped_by_signals
+
+    stop = stopped_by_signals()
+    if address is None:
+        _in_terminal(tail, stop, mute, listen)
+        return
+    from acquire.monitor.page import Latest, application
+    from acquire.web import read_address, serving
+
+    latest = Latest(lambda: tail.path.parent if tail.path else None, debrief)
+    with serving(application(latest), read_address(address)) as url:
+        typer.echo(f"open {url}")
+        follow(tail, latest.publish, stop, listen)
+
+
+def _in_terminal(
+    tail: Tail, stop: threading.Event, mute: bool, listen: Callable[[list[Messages]], None]
+) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    from acquire.monitor.tail import follow, read_all
+    from acquire.monitor.terminal import render
+    from acquire.monitor.view_model import layers, view_of
+
+    console = Console()
+    if not console.is_terminal:
+        state = read_all(tail)
+        console.print(render(view_of(state), layers(state), console.width, console.height))
+        return
+    told = 0
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+
+        def show(state: State) -> None:
+            nonlocal told
+            if not mute and any(a.number > told and a.level == "bad" for a in state.alarms):
+                console.bell()
+            told = state.raised
+            live.update(render(view_of(state), layers(state), console.width, console.height), refresh=True)
+
+        follow(tail, show, stop, listen)
