@@ -236,11 +236,11 @@ def recover(
             "had_its_end": result.complete,
             "damaged": list(result.damaged),
         },
-        lambda: _text(result, log, target),
+        lambda: _recovered(result, log, target),
     )
 
 
-def _text(result: Recovered, log: Path, target: Path) -> str:
+def _recovered(result: Recovered, log: Path, target: Path) -> str:
     if result.intact:
         return f"{log} was whole, {target} is a copy: {result.messages} messages"
     lines = [f"saved {result.messages} messages in {result.chunks} chunks to {target}"]
