@@ -31,7 +31,7 @@ from photocal.adjustment.rank import (
     share_of_datum,
     weakest_pivot,
 )
-from photocal.adjustment.sensitivity import pulls
+from photocal.adjustment.sensitivity import across, along, pulls
 from photocal.adjustment.state import State, moved_exposures, round_the_middle
 from photocal.adjustment.unknowns import unknowns
 
@@ -45,9 +45,10 @@ ROUNDING = 1e-6
 # After one this short the normal equations are those from before it.
 NEGLIGIBLE = 1e-12
 ITERATIONS = 50
-# Where a step gains no more than this share of v'Pv, and of what the one before has gained, the rest of the
-# way is gone with the factor that there is, in so many steps at most: each costs a small part of a whole one.
-FAST, CHORDS = 1e-2, 12
+# Where a step gains no more than this share of v'Pv, and of what the one before has gained, or is shorter
+# than a sigma, the rest of the way is gone with the factor that there is, in so many steps at most: each
+# costs a small part of a whole one. They may grow by this much where the ground is flatter than it seemed.
+FAST, WITHIN, CHORDS, FLATTER = 1e-2, 1.0, 16, 16.0
 # With a factor from elsewhere the rate is known less well: so much less is to be left.
 SURER = 1e-2
 # Where the iteration comes to no end, a step this short (sigmas) is none.
@@ -55,8 +56,9 @@ NEARLY = 0.01
 # A step that moves the block as a whole, but for this little, is one of the datum alone.
 WHOLE = 0.99
 # A step that would gain no more than this share of v'Pv, and gains nothing, is too long for a valley that
-# bends (a precise block that something imprecise holds in space): parts of it are tried before damping.
-VALLEY, LEAST_SHARE = 0.01, 0.02
+# bends (a precise block that something imprecise holds in space): it bends with it, or parts of it do, before
+# damping. The bend is seen over so much of the step.
+VALLEY, PARTS, LOOK = 0.01, (1.0, 1 / 4, 1 / 16, 1 / 64), 0.1
 # Below this share of a diagonal element that remains after elimination, rounding decides.
 SINGULAR_PIVOT = 1e-13
 
@@ -102,8 +104,8 @@ def minimise(
     raises IllPosedError: when the observations do not determine the unknowns.
     raises NotConvergedError: when the iteration does not end.
     """
-    damping, decrement, share, steps = 0.0, np.inf, 1.0, list[Iteration]()
-    start = state
+    damping, decrement, steps = 0.0, np.inf, list[Iteration]()
+    tried, bends, start = np.inf, False, state
     normal = normal_equations(problem, state)
     while len(steps) < ITERATIONS:
         step = reduced_step(problem, normal, damping)
@@ -111,39 +113,85 @@ def minimise(
             explain_singular(problem, state)
         along_a_valley, there = False, None
         if step is not None:
-            moved, step_decrement = moved_by(problem, state, normal, share * step)
+            moved, step_decrement = moved_by(problem, state, normal, step)
             # Steps shrink at a steady rate: the next one tells how far the minimum still is.
             shrinking = min(1.0, step_decrement / decrement) if steps else 1.0
-            left, whole = step_decrement * shrinking, damping == 0.0 and share == 1.0
+            left, whole = step_decrement * shrinking, damping == 0.0
             last = whole and step_decrement < SHORT * near and left < near
             if last and step_decrement < NEGLIGIBLE and not len(problem.stiffened):
                 # Over so short a step the normal equations do not change by what shows in any figure.
                 normal = replace(normal, chi_squared=normal.chi_squared - step_decrement)
                 _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, step_decrement, damping)])
                 return Minimum(moved, normal, tuple(steps), factored=True)
-            if whole and step_decrement < max(FAST * min(decrement, normal.chi_squared), ROUNDING):
+            fast = step_decrement < FAST * min(decrement, normal.chi_squared)
+            if whole and (fast or step_decrement < min(WITHIN, FAST * tried)):
+                tried = step_decrement
                 there = _by_chords(problem, normal, moved, near, step_decrement, steps, report)
             if there is not None:
                 return _released(problem, Minimum(there, None, tuple(steps)), start)
+            along_a_valley = ROUNDING < step_decrement < VALLEY * normal.chi_squared
+            if bends and along_a_valley:
+                moved = _around_the_bend(problem, normal, state, step) or moved
             calmer = damping / 10 if damping > 1e-6 and step_decrement >= ROUNDING else 0.0
             trial = normal_equations(problem, moved, calmer, normal.kept)
             lower = trial.chi_squared < normal.chi_squared
-            if lower or (step_decrement < ROUNDING and share == 1.0):
-                state, normal, decrement = moved, trial, step_decrement
+            # So near, v'Pv tells less of the way than that the steps become shorter.
+            settling = whole and step_decrement < min(NEARLY**2, decrement)
+            if lower or settling or step_decrement < ROUNDING:
+                state, normal, decrement, damping = moved, trial, step_decrement, calmer
                 _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, decrement, damping)])
-                if last or (whole and not lower):
+                if last or (whole and not lower and not settling):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
-                damping, share = calmer, min(1.0, 4 * share)
                 continue
-            along_a_valley = ROUNDING < step_decrement < VALLEY * normal.chi_squared
-        if along_a_valley and share > LEAST_SHARE:
-            share /= 4
+        if along_a_valley and not bends:
+            bends = True
         else:
-            damping, share = 10 * damping if damping else 1e-3, 1.0
+            damping = 10 * damping if damping else 1e-3
         if damping > 1e8:
             return _released(problem, _ended(problem, state, steps, SINGULAR), start)
         normal = normal_equations(problem, state, damping, normal.kept)
     return _released(problem, _ended(problem, state, steps, SUSPECT), start)
+
+
+def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Floats) -> State | None:
+    """State lower along a step that bends as the ground does; None where there is none.
+
+    To the second order: geodesic acceleration (Transtrum and Sethna 2012, arXiv:1201.5885).
+    """
+    design, structure, layout = problem.design, problem.structure, problem.layout
+    points, threads = np.zeros_like(state.points), len(design.pieces) - 1
+    back_substitute(design, structure, step, normal.kept, points, np.zeros(threads))
+    points[layout.kept_points] = step[layout.point_columns]
+    here, there, change = np.zeros((3, *design.plane.shape))
+    depth, values = np.zeros(len(design.plane)), values_of(problem, state)
+    ahead = values_of(problem, moved_along(problem, state, LOOK * step, LOOK * points))
+    evaluate(design, values, here, depth)
+    evaluate(design, ahead, there, depth)
+    along(design, values, structure, step, points, change)
+    reduced, of_points = np.zeros((threads, layout.size)), np.zeros_like(points)
+    across(design, values, structure, 2 / LOOK * ((there - here) / LOOK - change), reduced, of_points)
+    right = reduced.sum(axis=0)
+    right[layout.point_columns] += of_points[layout.kept_points]
+    bend, bend_points = full_solution(problem, normal, -right, -of_points)
+    best, lowest = None, normal.chi_squared
+    for part in PARTS:
+        # Far from where it was looked at, the bend may be another: straight on, too.
+        found = best
+        for bent in (part**2 / 2, 0.0):
+            moved = moved_along(problem, state, part * step + bent * bend, part * points + bent * bend_points)
+            try:
+                chi_squared = gradient(problem, moved, _others(problem, moved))[0]
+            except NotConvergedError:  # behind a camera
+                continue
+            if chi_squared < lowest:
+                best, lowest = moved, chi_squared
+        if best is found and best is not None:
+            break
+    return best
+
+
+def _others(problem: Problem, state: State) -> list[Equations]:
+    return list(other_equations(problem, state).values())
 
 
 def _tell(steps: list[Iteration], report: Callable[[Iteration], None] | None, made: list[Iteration]) -> None:
@@ -172,7 +220,7 @@ def _by_chords(
         made.append(Iteration(made[-1].number + 1, chi_squared, length, 0.0))
 
     def equations(state: State) -> list[Equations]:
-        return list(other_equations(problem, state).values())
+        return _others(problem, state)
 
     try:
         there = chords(problem, normal, state, SURER * near, equations, decrement, told=told).state
@@ -304,30 +352,70 @@ def chords(
     """Step to a minimum with a factor that is given, after a step of squared length `before`.
 
     told: gets v'Pv after each step, and the step's squared length.
-    raises NotConvergedError: when the steps do not shrink fast.
+    raises NotConvergedError: when the steps do not come to an end soon.
+
+    What the gradients tell of the curvature mends the factor (limited-memory BFGS, Nocedal 1980): along what
+    is hardly determined that of the residuals themselves counts, which normal equations leave out.
     """
+
+    def solved(right: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+        step, moved = full_solution(problem, normal, *right)
+        if hold is None:
+            return step, moved
+        column, along, along_points = hold
+        share = step[column] / along[column]
+        return step - share * along, moved - share * along_points
+
+    steps, changes = list[tuple[Floats, Floats]](), list[tuple[Floats, Floats]]()
+    last: tuple[Floats, Floats] | None = None
     for _ in range(CHORDS):
-        chi_squared, reduced, points = gradient(problem, state, equations(state))
-        step, moved = full_solution(problem, normal, -reduced, -points)
-        if hold is not None:
-            column, along, along_points = hold
-            share = step[column] / along[column]
-            step, moved = step - share * along, moved - share * along_points
+        chi_squared, *slope = gradient(problem, state, equations(state))
         # Points that stay in the reduced system stand in both parts.
-        points[problem.layout.kept_points] = 0.0
-        length = -float(reduced @ step + np.sum(points * moved))
-        if not (length < before / 2 or length < ROUNDING):
+        slope[1][problem.layout.kept_points] = 0.0
+        if last is not None:
+            changes.append((slope[0] - last[0], slope[1] - last[1]))
+            if not _times(steps[-1], changes[-1]) > 0.0:
+                del steps[-1], changes[-1]
+        last = slope[0], slope[1]
+        step, moved = _mended(solved, steps, changes, last)
+        length = -_times(last, (step, moved))
+        if not (0.0 <= length < FLATTER * before or length < ROUNDING):
             break
         state = moved_along(problem, state, step, moved)
         told(chi_squared - length, length)
         # Steps shrink at a steady rate: the next one tells how far the minimum still is.
         left = length * min(1.0, length / before)
-        if left < near:
+        # Steps this short that do not become shorter are rounding.
+        if left < near or (length < FAST * ROUNDING and length > before / 2):
             return Near(state, chi_squared - length, max(left, 0.0))
         before = length
+        steps.append((step, moved))
     raise NotConvergedError(
         "the minimum is not near", remedy="adjust the changed network from its start values"
     )
+
+
+def _times(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float:
+    return float(one[0] @ other[0] + np.vdot(one[1], other[1]))
+
+
+def _mended(
+    solved: Callable[[tuple[Floats, Floats]], tuple[Floats, Floats]],
+    steps: list[tuple[Floats, Floats]],
+    changes: list[tuple[Floats, Floats]],
+    slope: tuple[Floats, Floats],
+) -> tuple[Floats, Floats]:
+    """Step against a slope, by a factor and by how slopes have changed along steps (Nocedal 1980)."""
+    right, shares = (-slope[0], -slope[1]), list[float]()
+    known = [(s, y, _times(s, y)) for s, y in zip(steps, changes, strict=True)]
+    for s, y, curvature in reversed(known):
+        shares.append(_times(s, right) / curvature)
+        right = right[0] - shares[-1] * y[0], right[1] - shares[-1] * y[1]
+    step, moved = solved(right)
+    for (s, y, curvature), share in zip(known, reversed(shares), strict=True):
+        more = share - _times(y, (step, moved)) / curvature
+        step, moved = step + more * s[0], moved + more * s[1]
+    return step, moved
 
 
 def moved_along(problem: Problem, state: State, step: Floats, points: Floats) -> State:
