@@ -140,10 +140,10 @@ def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift:
     best = candidates[int(np.argmax(votes))]
     near = candidates[np.abs(candidates - best) <= reach]
     best = float(np.median(near))
-    score = _hits(x, y, best, reach)
+    score = int(_hits(x, y, np.array([best]), reach)[0])
     apart = candidates[np.abs(candidates - best) > 3 * reach]
     top = apart[np.argsort(-votes[np.abs(candidates - best) > 3 * reach], kind="stable")[:200]]
-    rival = max((_hits(x, y, float(other), reach) for other in top), default=0)
+    rival = int(_hits(x, y, top, reach).max(initial=0))
     if score < _LEAST_PAIRS or rival > _CERTAIN * score:
         raise IllPosedError(
             f"the match is ambiguous: an offset of {best:+.3f} s pairs {score} of {len(x)} images, "
@@ -153,9 +153,11 @@ def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift:
     return best
 
 
-def _hits(x: Floats, y: Floats, offset: float, reach: float) -> int:
-    partner, _ = _partners(x + offset, y, reach)
-    return len(np.unique(partner[partner >= 0]))
+def _hits(x: Floats, y: Floats, offsets: Floats, reach: float) -> Integers:
+    """Count the events that images come onto with each of some offsets."""
+    partner, _ = _partners((x[None, :] + offsets[:, None]).ravel(), y, reach)
+    pair = np.repeat(np.arange(len(offsets)), len(x)) * len(y) + partner
+    return np.bincount(np.unique(pair[partner >= 0]) // len(y), minlength=len(offsets))
 
 
 def _partners(from_s: Floats, to_s: Floats, reach: float) -> tuple[Integers, Flags]:

@@ -351,10 +351,11 @@ def adjust_densely(network: Network, iterations: int = 40, defect: int = 0) -> R
     begin = x = np.array([start[kind][index, n] for kind, index, n in column])
     step = np.full(len(x), np.inf)
     place, rays = network.rays.plane, 2 * len(network.rays.image)
+    apart = _apart(network, column, x)
     for _ in range(iterations):
         helmert = _helmert(network, _values(network, column, x), place)
         v = _residuals(network, _values(network, column, x), helmert)
-        design = _jacobian(network, column, x, helmert)
+        design = _jacobian(network, column, x, helmert, apart)
         # Corrections of the measured coordinates, v = -Q B' M^-1 w, from whitened conditions.
         back = -np.einsum("nb,nab,nca->nbc", network.rays.sigma**2, helmert.by_place, helmert.root)
         border = _constraints(network, column, design, defect)
@@ -407,12 +408,47 @@ def _constraints(
     return np.asarray(np.where(datum[:, None], null, 0.0) / max(np.abs(null).max(initial=0.0), 1e-300))
 
 
+@dataclass(frozen=True)
+class Apart:
+    """Unknowns that no observation has together: one complex step tells the derivatives of a whole group.
+
+    groups: columns of each group. touched (observations, unknowns): where a derivative may be.
+    """
+
+    groups: list[NDArray[np.int64]]
+    touched: NDArray[np.bool_]
+
+
+def _apart(network: Network, column: dict[tuple[str, int, int], int], x: Floats) -> Apart:
+    """Group unknowns by what they touch a little beside their values, where no derivative is just zero."""
+    rng = np.random.default_rng(1)
+    x = x * (1 + 1e-6 * rng.uniform(-1, 1, len(x))) + 1e-9 * rng.uniform(-1, 1, len(x))
+    helmert = _helmert(network, _values(network, column, x), network.rays.plane)
+    alone = Apart([np.array([n]) for n in range(len(x))], np.ones((1, len(x)), dtype=np.bool_))
+    touched = _jacobian(network, column, x, helmert, alone) != 0
+    together = touched.T.astype(np.float64) @ touched > 0
+    groups: list[list[int]] = []
+    for n in range(len(x)):
+        free = next((group for group in groups if not together[n, group].any()), None)
+        if free is None:
+            groups.append([n])
+        else:
+            free.append(n)
+    return Apart([np.array(group) for group in groups], touched)
+
+
 def _jacobian(
-    network: Network, column: dict[tuple[str, int, int], int], x: Floats, helmert: Helmert
+    network: Network, column: dict[tuple[str, int, int], int], x: Floats, helmert: Helmert, apart: Apart
 ) -> Floats:
-    columns = []
-    for at in range(len(x)):
-        moved = x.astype(complex)
-        moved[at] += 1e-30j
-        columns.append(_residuals(network, _values(network, column, moved), helmert).imag / 1e-30)
-    return np.column_stack(columns)
+    def slope(direction: Floats) -> Floats:
+        values = _values(network, column, x + 1e-30j * direction)
+        return np.asarray(_residuals(network, values, helmert).imag / 1e-30)
+
+    along = np.random.default_rng(2).uniform(0.5, 1.5, len(x))
+    whole = slope(along)
+    design, touched = np.zeros((len(whole), len(x))), np.broadcast_to(apart.touched, (len(whole), len(x)))
+    for group in apart.groups:
+        of_group = slope(np.isin(np.arange(len(x)), group).astype(np.float64))
+        design[:, group] = np.where(touched[:, group], of_group[:, None], 0.0)
+    assert np.abs(design @ along - whole).max() <= 1e-9 * np.abs(design).max()
+    return design
