@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,16 +51,41 @@ def browser() -> Iterator[Browser]:
         running.close()
 
 
+Once = Callable[[str, Callable[[Path], object]], Path]
+
+
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """Fill a folder once for all workers of a run; who asks later waits for it, and only reads."""
+    common = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        common = common.parent
+
+    def folder(name: str, fill: Callable[[Path], object]) -> Path:
+        made, filled = common / name, common / f"{name}.filled"
+        with (common / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not filled.exists():
+                shutil.rmtree(made, ignore_errors=True)
+                made.mkdir()
+                fill(made)
+                filled.touch()
+        return made
+
+    return folder
+
+
+@pytest.fixture(scope="session")
+def wheel(once: Once) -> Path:
     """The wheel of the sources."""
-    return installed_package.build(tmp_path_factory.mktemp("wheel"))
+    (built,) = once("wheel", installed_package.build).glob("photocal-*.whl")
+    return built
 
 
 @pytest.fixture(scope="session")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def installed(once: Once, wheel: Path) -> Path:
     """The interpreter of an environment that has the wheel and not the sources."""
-    return installed_package.install(wheel, tmp_path_factory.mktemp("installed"))
+    return once("installed", lambda folder: installed_package.install(wheel, folder)) / "bin" / "python"
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +101,11 @@ def two_workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         silence_logs=50,
     ) as running:
         yield running
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker more than cores: some tests wait for devices, pages and other processes."""
+    return (os.cpu_count() or 1) + 1
 
 
 SLOW_S, SLOW = 10.0, "photocal/slow"

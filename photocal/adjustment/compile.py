@@ -15,7 +15,7 @@ from photocal.adjustment.network import Exposures, Network, Points, Rays, Relati
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.snooping import snoop
 from photocal.adjustment.solver import gradient
-from photocal.geometry.camera import PARAMETERS, camera
+from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES, camera
 from photocal.geometry.distortion import distorted, undistorted
 
 
@@ -47,13 +47,8 @@ def compile_usual() -> None:
     """Compile what networks of Brown's lenses without a rolling shutter need."""
     network = _network()
     distorted(network.cameras[0], undistorted(network.cameras[0], network.rays.plane))
-    solution = adjust(network)
     snoop(network)
-    # What an analysis does with the factor.
-    at = factored(network, solution.state)
-    ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
-    followed_by(at, ones.steps[0], ones.moved[0])
-    gradient(at.problem, at.state, [])
+    _with_factor(network)
     # A free network with a scale bar passes through what the datum and kept points need.
     points = network.points.values
     length = np.linalg.norm(points[15:] - points[:1], axis=1)
@@ -72,7 +67,17 @@ def compile_unusual() -> None:
     # With a few photo-variant parameters every image has columns for them.
     varied = replace(network.cameras[0], deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
     adjust(replace(network, cameras=(varied,)))
-    # Moving while it is read, every image has six more columns.
+    # Moving while it is read, every image has six more columns, and fifteen more where it shakes.
     rolls = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0, "readout": 0.01})
     moving = replace(network.exposures, motion=np.ones((2, 6)), motion_sigma=np.ones((2, 6)))
-    adjust(replace(network, cameras=(rolls,), exposures=moving))
+    for lens in (rolls, replace(rolls, shake=(1e-4,) * (1 + len(SHAKE_DEGREES)))):
+        _with_factor(replace(network, cameras=(lens,), exposures=moving))
+
+
+def _with_factor(network: Network) -> None:
+    """Adjust, and do what an analysis does with the factor."""
+    solution = adjust(network)
+    at = factored(network, solution.state)
+    ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
+    followed_by(at, ones.steps[0], ones.moved[0])
+    gradient(at.problem, at.state, [])

@@ -173,10 +173,11 @@ def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Float
     right = reduced.sum(axis=0)
     right[layout.point_columns] += of_points[layout.kept_points]
     bend, bend_points = full_solution(problem, normal, -right, -of_points)
-    best, lowest = None, normal.chi_squared
+    best: State | None = None
+    lowest = normal.chi_squared
     for part in PARTS:
+        before = lowest
         # Far from where it was looked at, the bend may be another: straight on, too.
-        found = best
         for bent in (part**2 / 2, 0.0):
             moved = moved_along(problem, state, part * step + bent * bend, part * points + bent * bend_points)
             try:
@@ -185,7 +186,7 @@ def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Float
                 continue
             if chi_squared < lowest:
                 best, lowest = moved, chi_squared
-        if best is found and best is not None:
+        if best is not None and lowest == before:
             break
     return best
 

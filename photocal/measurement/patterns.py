@@ -80,8 +80,8 @@ def _beside(p: Floats, angle: float, x: Floats, y: Floats) -> Floats:
     return np.asarray((y - p[1]) * np.cos(angle) - (x - p[0]) * np.sin(angle))
 
 
-def _edge(distance: Floats, blur: float) -> Floats:
-    return np.asarray(erf(distance / (np.sqrt(2) * max(abs(blur), _FINEST_BLUR_PX))))
+def _edge(distance: Floats, blur: Floats | float) -> Floats:
+    return np.asarray(erf(distance / (np.sqrt(2) * np.maximum(np.abs(blur), _FINEST_BLUR_PX))))
 
 
 def _bar(distance: Floats, width: float, blur: float) -> Floats:

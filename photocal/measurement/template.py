@@ -15,7 +15,8 @@ import numpy as np
 from drivers.arrays import Flags, Floats
 from photocal.measurement.image_file import Grey
 
-# Grey values at columns and rows, relative to the middle of the window, for a vector of parameters.
+# Grey values at columns and rows, relative to the middle of the window, for a vector of parameters; for
+# several of them, (k, m, 1), in rows, (m, n).
 Template = Callable[[Floats, Floats, Floats], Floats]
 
 # What is a target settles in about ten.
@@ -166,11 +167,8 @@ def _judged(parameters: Floats, jacobian: Floats, residual: Floats, sizes: Float
 
 
 def _jacobian(window: Window, template: Template, parameters: Floats, sizes: Floats) -> Floats:
-    columns = []
-    for k, size in enumerate(sizes):
-        step = np.zeros(len(parameters))
-        step[k] = 1e-3 * size
-        ahead = template(parameters + step, window.x, window.y)
-        behind = template(parameters - step, window.x, window.y)
-        columns.append((ahead - behind) / 2e-3)
-    return np.column_stack(columns)
+    steps = 1e-3 * np.diag(sizes)
+    # All at once: a column of values for each parameter, against the row of pixels.
+    moved = np.concatenate([parameters + steps, parameters - steps]).T[:, :, None]
+    ahead, behind = np.split(template(moved, window.x, window.y), 2)
+    return np.asarray((ahead - behind).T / 2e-3)

@@ -20,6 +20,7 @@ from acquire.cli import app as acquire_app
 from drivers import nmea
 from drivers.frames import GNSS, Frame, StreamFramer, Wire
 from photocal.cli import app as photocal_app
+from tests.conftest import Once
 
 ImportLog = Callable[..., Path]
 EARTH_M = 6_371_000.0 * np.pi / 180
@@ -76,8 +77,12 @@ class Run:
 def ppk(log: Path, folder: Path, *options: str) -> Run:
     done = CliRunner().invoke(photocal_app, ["ppk", str(log), "-o", str(folder), "--json", *options])
     assert done.exit_code == 0, (done.output, done.exception)
+    return finished(log, folder, json.loads(done.output))
+
+
+def finished(log: Path, folder: Path, figures: dict[str, Any]) -> Run:
     with (folder / "trajectory.csv").open() as stream:
-        return Run(log, json.loads(done.output), list(csv.DictReader(stream)))
+        return Run(log, figures, list(csv.DictReader(stream)))
 
 
 def needs_engine() -> None:
@@ -85,24 +90,29 @@ def needs_engine() -> None:
         pytest.skip("RTKLIB (rnx2rtkp, convbin) is not installed")
 
 
-@pytest.fixture(scope="session")
-def static_run(m8p: Path, import_log: ImportLog, tmp_path_factory: pytest.TempPathFactory) -> Run:
+def recorded(once: Once, import_log: ImportLog, name: str, **links: Path) -> Run:
+    """PPK of a recorded rover and base, once for all workers."""
     needs_engine()
-    links: dict[str, Any] = {
-        "rover": m8p / "rover-20181004-1237.ubx.gz",
-        "base": m8p / "base-20181004-1236.ubx.gz",
-    }
-    return ppk(import_log("static", links), tmp_path_factory.mktemp("static-ppk"))
+
+    def fill(folder: Path) -> None:
+        run = ppk(import_log(name, dict(links)), folder / "ppk")
+        (folder / "run.json").write_text(json.dumps([str(run.log), run.figures]))
+
+    folder = once(f"ppk-{name}", fill)
+    log, figures = json.loads((folder / "run.json").read_text())
+    return finished(Path(log), folder / "ppk", figures)
 
 
 @pytest.fixture(scope="session")
-def moving_run(m8p: Path, import_log: ImportLog, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    needs_engine()
-    links: dict[str, Any] = {
-        "rover": m8p / "rover-20181009-1221.ubx.gz",
-        "base": m8p / "base-20181009-1220.ubx.gz",
-    }
-    return ppk(import_log("moving", links), tmp_path_factory.mktemp("moving-ppk"))
+def static_run(m8p: Path, once: Once, import_log: ImportLog) -> Run:
+    rover, base = m8p / "rover-20181004-1237.ubx.gz", m8p / "base-20181004-1236.ubx.gz"
+    return recorded(once, import_log, "static", rover=rover, base=base)
+
+
+@pytest.fixture(scope="session")
+def moving_run(m8p: Path, once: Once, import_log: ImportLog) -> Run:
+    rover, base = m8p / "rover-20181009-1221.ubx.gz", m8p / "base-20181009-1220.ubx.gz"
+    return recorded(once, import_log, "moving", rover=rover, base=base)
 
 
 @dataclass(frozen=True)
