@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from acquire.operating_system import replace
+from drivers.arrays import as_plain
 from drivers.errors import OutputError
 
 
@@ -73,6 +76,12 @@ def rows_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([columns, *rows])
     return text.getvalue()
+
+
+def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
+    """Write figures for programs; what is no finite number becomes null."""
+    text = json.dumps(as_plain(content), indent=indent, allow_nan=False)
+    path.write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
 @contextmanager

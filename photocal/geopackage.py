@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 import sqlite3
 import struct
@@ -72,6 +73,13 @@ class Layer:
     kind: Kind
     has_heights: bool
     columns: dict[str, str]
+
+
+def changed_utc(source: Path) -> str:
+    """Time of the input, a table or a block folder, not of the clock: the same input gives the same file."""
+    table = source / "points.csv" if source.is_dir() else source
+    changed = dt.datetime.fromtimestamp(table.stat().st_mtime, dt.UTC)
+    return f"{changed:%Y-%m-%dT%H:%M:%S}.000Z"
 
 
 def wgs84() -> ReferenceSystem:

@@ -10,8 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from acquire.channels.decoded import Decoded, Times, in_order
-from acquire.channels.layouts import PARAMETER
-from acquire.channels.source_messages import ELLIPSOIDAL, SourceMessages
+from acquire.channels.layouts import ELLIPSOIDAL, PARAMETER, SourceMessages
 from acquire.channels.vehicle_messages import FIX_NAMES
 from acquire.log import foxglove
 from drivers import mrk

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, Times, in_order
-from acquire.channels.layouts import STATION
+from acquire.channels.layouts import ELLIPSOIDAL, STATION, SourceMessages
 from acquire.channels.receiver_time import ReceiverClock
-from acquire.channels.source_messages import ELLIPSOIDAL, SourceMessages
 from drivers import nmea, rtcm3
 from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, Times
-from acquire.channels.layouts import PARAMETER
-from acquire.channels.source_messages import SourceMessages
+from acquire.channels.layouts import PARAMETER, SourceMessages
 from acquire.log import foxglove
 from drivers.arrays import Floats, Integers
 

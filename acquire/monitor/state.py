@@ -19,14 +19,6 @@ STEP_M = 0.5
 _METRES_PER_DEG = 111_195.0  # mean sphere: only a threshold hangs on it
 
 
-def _nowhere() -> Floats:
-    return np.empty((0, 2))
-
-
-def _never() -> Integers:
-    return np.empty(0, np.int64)
-
-
 @dataclass(frozen=True)
 class Track:
     """Points in order.
@@ -36,8 +28,8 @@ class Track:
     thinned: how many times every second point was left out; as long as it stays, points are only added.
     """
 
-    points: Floats = field(default_factory=_nowhere)
-    times_ns: Integers = field(default_factory=_never)
+    points: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    times_ns: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     thinned: int = 0
 
 
@@ -101,7 +93,9 @@ def vehicle_after(vehicle: Vehicle | None, part: Messages) -> Vehicle | None:
     for payload, time_ns in zip(reversed(part.payloads), part.log_ns[::-1].tolist(), strict=True):
         kind = int.from_bytes(payload[7:10], "little") if payload[0] == _V2 else payload[5]
         message = _decoded(payload) if kind in wanted else None
-        if message is None or (kind == _HEARTBEAT and not _of_autopilot(message)):
+        if message is None:
+            continue
+        if kind == _HEARTBEAT and (message.type == _GROUND_STATION or message.autopilot == _NO_AUTOPILOT):
             continue
         wanted.discard(kind)
         vehicle = vehicle or Vehicle()
@@ -118,10 +112,6 @@ def vehicle_after(vehicle: Vehicle | None, part: Messages) -> Vehicle | None:
         if not wanted:
             break
     return vehicle
-
-
-def _of_autopilot(message: Any) -> bool:
-    return bool(message.type != _GROUND_STATION and message.autopilot != _NO_AUTOPILOT)
 
 
 def _decoded(payload: bytes) -> Any:

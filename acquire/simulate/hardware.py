@@ -15,7 +15,7 @@ from typing import Protocol
 
 from acquire.operating_system import pseudo_terminal
 from acquire.simulate.playback import FlightClock, FlownAutopilot, FlownReceiver, PlayedFlight
-from acquire.simulate.world.tables import toml_text
+from acquire.simulate.world.block_folder import toml_text
 
 _TICK_S = 0.005
 # A reader that was quick enough before is waited for; one that has taken nothing for so long is gone.

@@ -6,8 +6,7 @@ import numpy as np
 
 from photocal.adjustment.adjust import adjust
 from photocal.planning.area import area_from_corners
-from photocal.planning.control_layout import suggest_layout
-from photocal.planning.flight import Wish, plan_flight
+from photocal.planning.flight import Wish, plan_flight, suggest_layout
 from photocal.planning.frame import Frame
 from photocal.planning.simulated_adjustment import Survey, planned_network
 

@@ -23,9 +23,8 @@ from photocal.accuracy.classes import (
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN
 from photocal.accuracy.findings import findings
 from photocal.accuracy.standard import scale_text, size_text
-from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_json, finding_text, plain
+from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, plain
 
 SCHEMA = "photocal.check/2"
 

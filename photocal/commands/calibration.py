@@ -117,7 +117,7 @@ def analyse(
     `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
     """
     from acquire.console import answer, progress
-    from photocal.findings.catalogue import catalogue
+    from photocal.findings.texts import catalogue
     from photocal.report.analysis_record import analyse_run, analysis_record
     from photocal.report.analysis_text import analysis_text
 

@@ -55,17 +55,9 @@ def _files(
         write_figures(found, figures)
     if geopackage is not None:
         from photocal.accuracy.maps import reference_system, write_geopackage
+        from photocal.geopackage import changed_utc
 
         write_geopackage(geopackage, (("check", found),), reference_system(crs), changed_utc(path))
-
-
-def changed_utc(source: Path) -> str:
-    """Time of the input, not of the clock: the same input gives the same file."""
-    from datetime import UTC, datetime
-
-    table = source / "points.csv" if source.is_dir() else source
-    changed = datetime.fromtimestamp(table.stat().st_mtime, UTC)
-    return f"{changed:%Y-%m-%dT%H:%M:%S}.000Z"
 
 
 def judge_block(
@@ -82,9 +74,8 @@ def judge_block(
     """Georeference a block three ways, judge it and answer."""
     from photocal.accuracy.maps import reference_system
     from photocal.exchange.formats import read_any_block
-    from photocal.findings.catalogue import catalogue
     from photocal.findings.finding import Finding
-    from photocal.findings.texts import finding_json, finding_text, plain
+    from photocal.findings.texts import catalogue, finding_json, finding_text, plain
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import to_json, to_text
@@ -112,6 +103,7 @@ def judge_block(
         content["findings"].append(finding_json(note, say))
         text += f"\n{finding_text(note, say, plain)}"
     if output is not None:
+        from photocal.geopackage import changed_utc
         from photocal.georeferencing.output import write_check
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
@@ -152,9 +144,7 @@ def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
 
 def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bool) -> None:
     """Repeat the adjustment with several numbers of control points, and answer."""
-    import json
-
-    from acquire.outputs import output_folder
+    from acquire.outputs import output_folder, write_json
     from photocal.exchange.formats import read_any_block
     from photocal.georeferencing.experiment import control_numbers, numbers_text
     from photocal.georeferencing.experiment_output import control_plot
@@ -169,9 +159,7 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
         outcome, figures = control_numbers(read_any_block(source), numbers, done=lambda: advance(1))
     if output is not None:
         with output_folder(output) as folder:
-            (folder / "control_numbers.json").write_text(
-                json.dumps(figures, indent=1) + "\n", encoding="utf-8"
-            )
+            write_json(folder / "control_numbers.json", figures)
             plot = control_plot(outcome)
             if plot is not None:
                 plot.savefig(folder / "control_numbers.pdf")

@@ -151,7 +151,6 @@ def exposures(
 
     Example: `photocal exposures FLIGHT.mcap --images DIR -o exposures`
     """
-    import json
     import os
     import tempfile
     from dataclasses import replace
@@ -159,7 +158,7 @@ def exposures(
     import numpy as np
 
     from acquire.operating_system import cache_folder
-    from acquire.outputs import output_folder
+    from acquire.outputs import output_folder, write_json
     from drivers.errors import ConfigurationError
     from photocal.measurement.match_images import MatchingPlan
     from photocal.navigation.engine import Rtklib
@@ -207,7 +206,7 @@ def exposures(
         run = run_exposures(choices, Rtklib(), Path(scratch))
     with output_folder(output) as folder:
         figures = write_run(folder, run, choices.rig, camera, crs)
-        (folder / "exposures.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        write_json(folder / "exposures.json", figures, 2)
     answer(as_json, lambda: figures, lambda: exposures_text(figures))
 
 
@@ -246,10 +245,9 @@ def survey(
 
     Example: `photocal survey control.toml -o control`
     """
-    import json
     import tempfile
 
-    from acquire.outputs import output_folder
+    from acquire.outputs import output_folder, write_json
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.survey import Survey, read_setup, run_survey
     from photocal.navigation.survey_report import survey_figures, survey_text, write_points
@@ -260,5 +258,5 @@ def survey(
     figures = survey_figures(solution, sessions)
     with output_folder(output) as folder:
         figures["points_csv"] = write_points(folder / "points.csv", solution, plan.crs)
-        (folder / "survey.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        write_json(folder / "survey.json", figures, 2)
     answer(as_json, lambda: figures, lambda: survey_text(figures))

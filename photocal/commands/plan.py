@@ -11,8 +11,7 @@ from acquire.console import AsJson, answer, argument, numbers_of, option, progre
 from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from photocal.planning.control_layout import Layout
-    from photocal.planning.flight import Flight
+    from photocal.planning.flight import Flight, Layout
     from photocal.planning.mission import Home
     from photocal.planning.simulated_adjustment import Survey
 
@@ -78,8 +77,7 @@ def plan(
     """
     from photocal.accuracy.standard import load_standard, parse_scale
     from photocal.planning.area import read_area
-    from photocal.planning.control_layout import suggest_layout
-    from photocal.planning.flight import Wish, plan_flight
+    from photocal.planning.flight import Wish, plan_flight, suggest_layout
     from photocal.planning.frame import Frame, flying_height, scale_denominator
     from photocal.planning.mission import write_plan
     from photocal.planning.summary import remarks, targets_of, to_json, to_text
@@ -193,7 +191,7 @@ def flown(
     from drivers.errors import InputMalformedError
     from photocal.accuracy.maps import reference_system
     from photocal.block.motion import strips, velocity_of_neighbours
-    from photocal.commands.check import changed_utc
+    from photocal.geopackage import changed_utc
     from photocal.measurement.image_facts import read_facts
     from photocal.measurement.image_file import list_images
     from photocal.planning.flown import figures_of, flown_block, ground_through

@@ -115,7 +115,7 @@ def debrief(
 
     from photocal.debrief.verdict import debrief as judged
     from photocal.debrief.verdict import debrief_json, debrief_text
-    from photocal.findings.catalogue import catalogue
+    from photocal.findings.texts import catalogue
     from photocal.project import read_project
 
     file = project / "project.toml" if project.is_dir() else project

@@ -202,8 +202,7 @@ def _repeat(
 
 
 def _printed(path: Path, as_json: bool) -> None:
-    from photocal.findings.catalogue import catalogue
-    from photocal.findings.texts import finding_text
+    from photocal.findings.texts import catalogue, finding_text
     from photocal.report.derived_figures import check_printed, verdict
 
     checked = check_printed(path)

@@ -145,7 +145,8 @@ def picture_findings(looks: Sequence[Look]) -> list[Finding]:
     findings = [_about(code, group, len(looks)) for code, group in groups.items() if group]
     own = readable
     for code, told in (("pictures-of-other-camera", _camera), ("lens-changed", _lens)):
-        usual = _usual([told(one) for one in own])
+        all_told = [told(one) for one in own]
+        usual = max(all_told, key=all_told.count, default="")
         others = [one for one in own if told(one) != usual]
         own = [one for one in own if told(one) == usual]
         if others:
@@ -179,10 +180,6 @@ def _camera(look: Look) -> str:
 
 def _lens(look: Look) -> str:
     return "" if look.facts is None else f"{look.facts.focal_mm:g} mm"
-
-
-def _usual(told: Sequence[str]) -> str:
-    return max(told, key=told.count, default="")
 
 
 # A principal distance of the quick orientation that differs by so many sigmas of both, and by this share.

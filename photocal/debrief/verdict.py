@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from acquire.operating_system import cache_folder
-from acquire.outputs import output_file
+from acquire.outputs import output_file, write_json
 from drivers.arrays import Flags, Floats, Integers, as_plain
 from drivers.errors import PhotocalError
 from photocal.block.motion import strips
@@ -24,9 +23,8 @@ from photocal.debrief.pictures import (
     quick_findings,
     with_positions,
 )
-from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding, Severity, untested
-from photocal.findings.texts import finding_json, finding_text, findings_of
+from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import oriented_images
 from photocal.measurement.image_file import list_images
@@ -194,9 +192,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
         findings.sort(key=lambda one: _ORDER.index(one.severity))
         made = Debrief(_verdict(findings), tuple(findings), tuple(looks), run, flown, quick)
         with output_file(project.output / FILE) as aside:
-            aside.write_text(
-                json.dumps(debrief_json(made), indent=1, allow_nan=False) + "\n", encoding="utf-8"
-            )
+            write_json(aside, debrief_json(made))
         return made
 
 

@@ -30,8 +30,7 @@ from photocal.exchange.dbat_camera import (
     to_column_row,
     to_dbat,
 )
-from photocal.exchange.foreign_project import in_pixels
-from photocal.exchange.reconstruction import Choices, Reconstruction, as_block
+from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, in_pixels
 from photocal.exchange.source import (
     beside,
     child,

@@ -12,7 +12,6 @@ coordinates; tie points of a glTF point cloud are not read. Source: OPF specific
 
 from __future__ import annotations
 
-import json
 import uuid
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from acquire.outputs import write_json
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
@@ -80,7 +80,8 @@ def _read(path: Path) -> Reconstruction:
     resources = _resources(path)
     inputs, calibrated = resources.load("input-cameras"), resources.load("calibrated-cameras")
     cameras = dict(_cameras(inputs, calibrated, resources.files["calibrated-cameras"]))
-    files = {int(row["id"]): _file_name(row["uri"]) for row in resources.load("camera-list")["cameras"]}
+    uris = {int(row["id"]): unquote(row["uri"]) for row in resources.load("camera-list")["cameras"]}
+    files = {key: uri.replace("\\", "/").rsplit("/", 1)[-1] for key, uri in uris.items()}
     shots = calibrated["cameras"]
     where = resources.files["calibrated-cameras"]
     lost = [int(shot["id"]) for shot in shots if int(shot["id"]) not in files]
@@ -144,10 +145,6 @@ def _require_version(content: dict[str, Any], path: Path) -> None:
         raise InputMalformedError(
             f"has version {content['version']}", where=path, remedy=f"export version {VERSION}"
         )
-
-
-def _file_name(uri: str) -> str:
-    return unquote(uri).replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def _cameras(inputs: dict[str, Any], calibrated: dict[str, Any], path: Path) -> Iterator[tuple[int, Camera]]:
@@ -260,8 +257,8 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
         },
     }
     for kind, content in contents.items():
-        _write(folder / _file(kind), {"format": format_name(kind), "version": VERSION, **content})
-    _write(folder / "project.opf", _project(given))
+        write_json(folder / _file(kind), {"format": format_name(kind), "version": VERSION, **content})
+    write_json(folder / "project.opf", _project(given))
     return tuple(conversion for _, conversion in made)
 
 
@@ -393,7 +390,3 @@ def _calibrated(given: Reconstruction, pinholes: list[Pinhole]) -> dict[str, Any
 
 def _file(kind: str) -> str:
     return kind.replace("-", "_") + ".json"
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")

@@ -18,10 +18,16 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Block, Observations, Role
-from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
 from photocal.exchange.parts import PointEntry, images, object_points
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
-from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
+from photocal.exchange.reconstruction import (
+    ASSUMED_M,
+    Choices,
+    ForeignProject,
+    Reconstruction,
+    file_name,
+    without_weak_points,
+)
 from photocal.exchange.source import Line, fingerprint, image_size, number, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion

@@ -10,9 +10,9 @@ import numpy as np
 from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import Block
 from photocal.exchange.colmap import FILES as COLMAP_FILES
-from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, bare_project
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.pix4d_project import CAMERAS, read_pix4d_project
+from photocal.exchange.reconstruction import ASSUMED_M, ForeignProject, bare_project
 from photocal.geometry.camera import Camera
 
 _PROGRAMS = {

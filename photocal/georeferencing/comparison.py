@@ -13,9 +13,8 @@ from photocal.accuracy.assessment import Assessment, assess
 from photocal.accuracy.standard import Question, Standard
 from photocal.block.model import Block, Role
 from photocal.block.network import block_frame
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_text
+from photocal.findings.texts import catalogue, finding_text
 from photocal.georeferencing.differences import (
     Differences,
     ExposureDifference,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from acquire.outputs import output_folder, rows_text
+from acquire.outputs import output_folder, rows_text, write_json
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.output import finite
 from photocal.georeferencing.differences import Differences
@@ -141,10 +140,7 @@ def to_text(outcome: Outcome) -> str:
 
 def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
     """Write the results of an experiment; raises OutputError when the folder cannot be written."""
-    texts = {
-        "experiment.json": json.dumps(to_json(outcome), indent=1, allow_nan=False) + "\n",
-        "runs.csv": _csv([_flat(run) for run in outcome.runs]),
-    }
+    texts = {"runs.csv": _csv([_flat(run) for run in outcome.runs])}
     if outcome.pairs:
         texts["pairs.csv"] = _csv([_pair(pair) for pair in outcome.pairs])
     if outcome.left_out:
@@ -152,11 +148,12 @@ def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
     drawn = {"rmse.pdf": rmse_plot(outcome), "rmse_by_control.pdf": control_plot(outcome)}
     figures = {name: figure for name, figure in drawn.items() if figure is not None}
     with output_folder(folder) as aside:
+        write_json(aside / "experiment.json", to_json(outcome))
         for name, text in texts.items():
             (aside / name).write_text(text, encoding="utf-8")
         for name, figure in figures.items():
             figure.savefig(aside / name, metadata={"CreationDate": None})
-    return (*texts, *figures)
+    return ("experiment.json", *texts, *figures)
 
 
 def _run(run: Run) -> dict[str, Any]:

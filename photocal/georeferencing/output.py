@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_folder, rows_text
+from acquire.outputs import output_folder, rows_text, write_json
 from drivers.arrays import Floats, as_plain
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
@@ -17,9 +16,8 @@ from photocal.accuracy.maps import histograms, residual_map, write_geopackage
 from photocal.accuracy.output import findings_text, finite
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
-from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import verdict
-from photocal.findings.texts import finding_json, finding_text
+from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 from photocal.geopackage import ReferenceSystem
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, JointTest
@@ -303,15 +301,15 @@ def write_check(
     raises OutputError: when the folder cannot be written; nothing is then left half-written.
     """
     texts = {
-        "check.json": json.dumps(content, indent=1, allow_nan=False) + "\n",
         "ground_points.csv": _ground_points(check),
         "images.csv": _images(check),
         "report.md": _report(check),
     }
     if check.systematic is not None:
         texts["systematic_errors.csv"] = _systematic_csv(check)
-    names = list(texts)
+    names = ["check.json", *texts]
     with output_folder(folder) as aside:
+        write_json(aside / "check.json", content)
         for name, text in texts.items():
             (aside / name).write_text(text, encoding="utf-8")
         for judged in check.judged:

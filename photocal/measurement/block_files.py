@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import write_rows
+from acquire.outputs import write_json, write_rows
 from photocal.adjustment.network import RELATIONS
 from photocal.block.folder import EXPOSURE, POINT_CROSS
 from photocal.block.model import ROLES, Block, Images
@@ -87,9 +87,7 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
             rows = zip(ends, *numbers, strict=True)
             cells = ([*pair, _cell(v, 8), _cell(s, 8)] for pair, v, s in rows)
             write_rows(folder / f"{kind}s.csv", ("from", "to", "value", "sigma"), cells)
-    (folder / "measurement.json").write_text(
-        json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n"
-    )
+    write_json(folder / "measurement.json", record, 2)
 
 
 def _more_columns(images: Images) -> dict[str, Sequence[str]]:

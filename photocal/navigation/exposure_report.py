@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_json
+from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.device_clocks import ComparedClocks, clock_sentences
 from photocal.navigation.events import Events

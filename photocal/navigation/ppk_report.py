@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from acquire.outputs import write_json
 from drivers.arrays import Floats
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_json
+from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.engine import Engine
 from photocal.navigation.engine_output import FIXED
@@ -43,7 +42,7 @@ def solved(sources: Sources, engine: Engine, folder: Path) -> tuple[PpkResult, d
 def write_ppk(folder: Path, result: PpkResult, figures: dict[str, Any]) -> None:
     """Write `trajectory.csv`, `ppk.json` and `ppk.png`."""
     write_trajectory(folder / "trajectory.csv", result.trajectory)
-    (folder / FIGURES).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / FIGURES, figures, 2)
     plot_ppk(result, folder / "ppk.png")
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_folder, write_rows
+from acquire.outputs import output_folder, write_json, write_rows
 from drivers.arrays import Floats
 from photocal.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
 from photocal.planning.flown import FEWEST_RAYS, FlownBlock, gaps
@@ -97,7 +96,7 @@ def write_flown(
         )
     ]
     with output_folder(folder) as aside:
-        (aside / "flown.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+        write_json(aside / "flown.json", figures)
         cells = (
             [name, strip, *("" if v != v else f"{v:.6g}" for v in values)] for name, strip, *values in rows
         )

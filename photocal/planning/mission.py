@@ -18,8 +18,7 @@ import numpy as np
 from acquire.outputs import output_folder
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.planning.control_layout import Layout
-from photocal.planning.flight import Flight
+from photocal.planning.flight import Flight, Layout
 
 
 class Command(IntEnum):

@@ -18,8 +18,7 @@ from photocal.adjustment.network import Exposures, Network, Points, Rays, point_
 from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.planning.control_layout import Layout
-from photocal.planning.flight import Flight
+from photocal.planning.flight import Flight, Layout
 from photocal.planning.frame import Frame
 
 # Tie points per side of a footprint: 25 in each photo.

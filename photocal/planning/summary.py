@@ -8,9 +8,8 @@ from typing import Any
 
 from drivers.errors import ConfigurationError
 from photocal.accuracy.standard import ScaleStandard, Standard
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_json, finding_text
+from photocal.findings.texts import catalogue, finding_json, finding_text
 from photocal.planning.flight import Flight, LevelGeometry
 from photocal.planning.frame import SMEAR_LIMIT_PX, smear_px
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_file
+from acquire.outputs import output_file, write_json
 from drivers.arrays import as_plain
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import CameraAnalysis, Outcome, analyse_network
@@ -20,9 +19,8 @@ from photocal.analysis.systematic_errors.search import Search
 from photocal.block.model import Block, digest
 from photocal.block.network import NetworkOfBlock, block_frame
 from photocal.exchange.formats import read_any_block
-from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_json, finding_text, need_words, plain
+from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, need_words, plain
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix
@@ -183,7 +181,7 @@ def analyse_run(
         "result_sha256": digest(folder / RESULT),
     }
     with output_file(folder / ANALYSIS) as aside:
-        aside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(aside, content)
     return outcome
 
 

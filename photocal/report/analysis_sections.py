@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, significant, symbol
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_text, need_words
+from photocal.findings.texts import Catalogue, finding_text, need_words
 from photocal.geometry.camera import Camera
 from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table, columns
 from photocal.report.stored_analysis import CameraRecord, JackknifeRecord, Run, StoredAnalysis

@@ -12,9 +12,8 @@ from photocal.analysis.components import Components
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import CameraAnalysis, Outcome
 from photocal.analysis.published import PublishedSet
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import Number
-from photocal.findings.texts import finding_text, need_words, plain
+from photocal.findings.texts import Catalogue, finding_text, need_words, plain
 from photocal.geometry.camera import PARAMETERS
 
 

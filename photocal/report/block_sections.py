@@ -9,8 +9,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.block.model import InputFile
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import decimals_of, fixed, probability, significant, symbol
+from photocal.findings.texts import Catalogue
 from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table, columns
 from photocal.report.figures import difference_histograms, difference_map
 from photocal.report.sensor import RADIAL

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from photocal.adjustment.readout import Readout
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report.document import (
     Column,

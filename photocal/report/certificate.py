@@ -6,10 +6,9 @@ import hashlib
 import math
 
 from drivers.errors import InputMalformedError
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed, measured, relation, significant
 from photocal.findings.finding import Finding, of_global_test, verdict
-from photocal.findings.texts import finding_text, identity
+from photocal.findings.texts import Catalogue, finding_text, identity
 from photocal.geometry.camera import Camera
 from photocal.report.analysis_sections import (
     analysis_verdict,

@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import FiniteFloat, PositiveInt
 
 from acquire.checked_toml import Table, read_toml
-from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
 from photocal.findings.finding import Finding
@@ -371,10 +370,7 @@ def network_shape(run: Run, camera_id: str) -> NetworkShape | None:
         np.einsum("ij,ij->i", axes[image], result.points.values[point] - result.images.station[image])
     )
     low, middle, high = np.percentile(depth, [5, 50, 95])
-    own = axes[np.unique(image)]
-    own = own[:: -(-len(own) // IMAGES)]
-    return NetworkShape(_largest_angle(own), float((high - low) / middle))
-
-
-def _largest_angle(axes: Floats) -> float:
-    return float(np.degrees(np.arccos(np.clip((axes @ axes.T).min(), -1.0, 1.0))))
+    axes = axes[np.unique(image)]
+    axes = axes[:: -(-len(axes) // IMAGES)]
+    angle = np.degrees(np.arccos(np.clip((axes @ axes.T).min(), -1.0, 1.0)))
+    return NetworkShape(float(angle), float((high - low) / middle))

@@ -11,7 +11,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any, Literal
 
 from drivers.errors import OutputError
-from photocal.findings.catalogue import Catalogue
+from photocal.findings.texts import Catalogue
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -13,8 +13,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.accuracy.maps import draw_histogram, draw_vectors
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import MINUS, fixed, significant, symbol
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report.sensor import RadialProfile, Vectors
 

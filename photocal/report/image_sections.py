@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import fixed
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report.document import Figure, Paragraph, Piece, Section, Table, columns
 from photocal.report.figures import radial_curve, residual_map

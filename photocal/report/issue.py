@@ -14,9 +14,8 @@ import numpy as np
 from acquire.outputs import output_folder
 from drivers.arrays import as_plain
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
-from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_json
+from photocal.findings.texts import Catalogue, catalogue, finding_json
 from photocal.report.certificate import certificate, certificate_number, overall
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import DerivedFigures, derived_figures, verdict

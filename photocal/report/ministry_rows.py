@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.errors import ConfigurationError, InputNotFoundError
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import (
     MINUS,
     as_given,
@@ -20,6 +19,7 @@ from photocal.findings.digits import (
     symbol,
     unit_power,
 )
+from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, verdict

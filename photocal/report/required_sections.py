@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-from photocal.findings.catalogue import Catalogue
 from photocal.findings.digits import as_given, decimals_of, fixed, measured, significant
 from photocal.findings.finding import Finding
-from photocal.findings.texts import finding_text
+from photocal.findings.texts import Catalogue, finding_text
 from photocal.report.camera_sections import critical_t
 from photocal.report.certificate_metadata import Metadata, Source
 from photocal.report.derived_figures import DerivedFigures, Limit, verdict

@@ -12,9 +12,8 @@ from typing import Any
 
 from photocal.block.model import InputFile, digest
 from photocal.exchange.formats import read_any_block
-from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.finding import Finding
-from photocal.findings.texts import findings_of
+from photocal.findings.texts import Catalogue, catalogue, findings_of
 from photocal.report.analysis_record import analyse_run
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, given_particulars

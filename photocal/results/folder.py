@@ -15,6 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 
+from acquire.outputs import write_json
 from drivers.arrays import Floats, Integers, as_plain
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import IMAGE_SIGMAS
@@ -166,9 +167,7 @@ def write_result(folder: Path, result: Result) -> None:
         else:
             write_csv(folder / f"{name}.csv", table)
     pyarrow.parquet.write_table(_covariances(result), folder / COVARIANCE)
-    (folder / RESULT).write_text(
-        json.dumps(result_json(result), indent=1, allow_nan=False) + "\n", encoding="utf-8"
-    )
+    write_json(folder / RESULT, result_json(result))
 
 
 def write_csv(path: Path, table: Any) -> None:

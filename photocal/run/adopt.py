@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +11,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import f
 
-from acquire.outputs import write_rows
+from acquire.outputs import write_json, write_rows
 from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.variance_components import estimate_components
 from photocal.block.folder import read_block
 from photocal.block.network import assemble, block_frame
 from photocal.block.setup import MountingKeys
-from photocal.exchange.foreign_project import ForeignProject, estimating_what_it_has, without_weak_points
 from photocal.exchange.project_detection import read_foreign_project
+from photocal.exchange.reconstruction import ForeignProject, estimating_what_it_has, without_weak_points
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import similarity
@@ -243,8 +242,7 @@ def adopt(
 
     raises PhotocalError: for a project that cannot be read or adjusted.
     """
-    from photocal.findings.catalogue import catalogue
-    from photocal.findings.texts import finding_text, plain
+    from photocal.findings.texts import catalogue, finding_text, plain
     from photocal.report.analysis_record import analyse_run
     from photocal.report.issue import issue
 
@@ -280,8 +278,7 @@ def adopt(
         "exterior": exterior_figures(foreign, result),
         "hidden": [finding_text(finding, catalogue("en"), plain) for finding in hidden],
     }
-    text = json.dumps(figures, indent=1, allow_nan=False) + "\n"
-    (output / FIGURES).write_text(text, encoding="utf-8")
+    write_json(output / FIGURES, figures)
     with progress("certificate", None):
         issue(run, output / "certificate", day=day, block=source)
     return figures

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConfigurationError, PhotocalError
-from photocal.findings.catalogue import catalogue
-from photocal.findings.texts import finding_text, plain
+from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from acquire.outputs import write_rows
+from acquire.outputs import write_json, write_rows
 from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.block.motion import strips
 from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS, RATE_COLUMNS
@@ -78,7 +78,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     write_geo_txt(folder / "geo.txt", run.exposures, rig)
     write_positions(folder / "positions.csv", run.antenna, project.crs)
     write_attitudes(folder / "attitudes.csv", run.antenna)
-    (folder / FIGURES).write_text(json.dumps(run.figures, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / FIGURES, run.figures, 2)
     plot_exposures(run, folder / "exposures.png")
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from acquire.outputs import write_json
 from photocal.project import Project
 from photocal.run.stage import Progress, Stage
 
@@ -39,6 +38,7 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.standard import SHIPPED, load_standard
     from photocal.block.folder import read_block
     from photocal.findings.texts import told
+    from photocal.geopackage import changed_utc
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import SCHEMA, to_json, write_check
@@ -49,17 +49,14 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     if block.datum != "control":
         # Nothing can be judged in a relative block; that is no failure.
         with_nothing = {"schema": SCHEMA, "block": block.name, "methods": {}, "refused": []}
-        (folder / FIGURES).write_text(json.dumps({**with_nothing, **told([NOT_PLACED])}, indent=1) + "\n")
+        write_json(folder / FIGURES, with_nothing | told([NOT_PLACED]))
         return
     with show("three georeferencings", len(METHODS) + 2) as done:
         result = check_block(
             block, standards, question_of(project), done=lambda _: done(1), calibration=own_calibration(block)
         )
     system = reference_system(None if block.frame == "local" else block.frame)
-    changed = datetime.fromtimestamp((source / "points.csv").stat().st_mtime, UTC)
-    content = to_json(result)
-    write_check(result, content, folder, system, f"{changed:%Y-%m-%dT%H:%M:%S}.000Z")
-    (folder / FIGURES).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_check(result, to_json(result), folder, system, changed_utc(source))
 
 
 def question_of(project: Project) -> Question:

@@ -54,7 +54,7 @@ def check_project(project: Project) -> None:
     _check_heights(project, control)
     if place is not None:
         _check_place(project, control, *place)
-    elif not _has_positions(project):
+    elif project.contents.flight is None and not any(own.has_position for own in facts_of_pictures(project)):
         _check_line(project, control)
 
 
@@ -96,10 +96,6 @@ def facts_of_pictures(project: Project, most: int | None = _PICTURES) -> list[Im
         except PhotocalError:
             continue
     return facts
-
-
-def _has_positions(project: Project) -> bool:
-    return project.contents.flight is not None or any(own.has_position for own in facts_of_pictures(project))
 
 
 def _check_system(project: Project, place: Place | None) -> None:

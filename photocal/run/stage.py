@@ -21,7 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from acquire.operating_system import lock as take
-from acquire.outputs import output_file, refusals
+from acquire.outputs import output_file, refusals, write_json
 from drivers.errors import InputNotFoundError, OutputError
 from photocal.block.model import digest
 
@@ -77,7 +77,7 @@ class Digests:
     def keep(self) -> None:
         """Write the memory."""
         with output_file(self._memory) as aside:
-            aside.write_text(json.dumps(self._known), encoding="utf-8")
+            write_json(aside, self._known, None)
 
 
 # What a stage was made from and what it wrote.
@@ -185,7 +185,7 @@ def _published(record: Path) -> dict[str, list[str]]:
 
 def _remember(record: Path, content: dict[str, list[str]]) -> None:
     with output_file(record) as aside:
-        aside.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        write_json(aside, content)
 
 
 @contextmanager
@@ -322,7 +322,7 @@ def written(progress: Progress, file: Path) -> Progress:
             left = (now - began) * (1 / share - 1) if share else None
             content = {"title": title, "share": share, "left_s": left, "elapsed_s": now - began}
             with output_file(file) as aside:
-                aside.write_text(json.dumps(content) + "\n", encoding="utf-8")
+                write_json(aside, content, None)
 
         with progress(title, total) as tell:
             advance(0.0)
@@ -374,8 +374,7 @@ def _made(
             "inputs": {name: digests.of_any(path) for name, path in stage.inputs.items()},
             "outputs": digests.of_folder(aside),
         }
-        text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-        (aside / RECORD).write_text(text, encoding="utf-8")
+        write_json(aside / RECORD, content)
     return False, seconds
 
 

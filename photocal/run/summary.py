@@ -11,10 +11,9 @@ from typing import Any
 
 from drivers.arrays import as_plain
 from photocal.block.model import InputFile
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.hypotheses import FAULTS, Fault, fault
-from photocal.findings.texts import finding_json, findings_of
+from photocal.findings.texts import catalogue, finding_json, findings_of
 from photocal.geometry.camera import PARAMETERS
 from photocal.report.stored_analysis import Run, read_run
 from photocal.results.folder import RESULT, read_result
@@ -173,6 +172,7 @@ _SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any], Path], Iterator[Findin
 
 SCHEMA = "photocal.run/1"
 _WORD = 14
+_PPK = ("epochs", "fixed", "float", "single", "fixed_percent")
 _LEVER = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
 _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 
@@ -196,7 +196,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
             {"stage": one.name, "kept": one.kept, "seconds": round(one.seconds, 2), "folder": str(one.folder)}
             for one in made
         ],
-        "ppk": None if ppk is None else _ppk(ppk),
+        "ppk": None if ppk is None else {key: ppk[key] for key in _PPK},
         "exposures": None if exposures is None else _exposures(exposures),
         "calibration": None if adjusted is None else _calibration(read_run(work / adjusted)),
         "check_points": None if check is None else _check_points(check),
@@ -205,10 +205,6 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         "verdict": None if final is None else finding_json(final, say),
         "certificate": str(work / "certificate") if "certificate" in done else None,
     }
-
-
-def _ppk(figures: dict[str, Any]) -> dict[str, Any]:
-    return {key: figures[key] for key in ("epochs", "fixed", "float", "single", "fixed_percent")}
 
 
 def _exposures(figures: dict[str, Any]) -> dict[str, Any]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from photocal.findings.catalogue import catalogue
 from photocal.findings.hypotheses import FAULTS, SYMPTOMS, Fault
+from photocal.findings.texts import catalogue
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
 HEAD = """# Faults that are looked for

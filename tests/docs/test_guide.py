@@ -21,8 +21,8 @@ import pytest
 
 from acquire.simulate.world.configuration import FLIGHTS
 from photocal.block.mounting import BODY_AXES
-from photocal.findings.catalogue import catalogue
 from photocal.findings.hypotheses import FAULTS
+from photocal.findings.texts import catalogue
 from photocal.project import Rig
 from tests.installed import surroundings
 

@@ -1,7 +1,13 @@
-"""A flight as a block folder in the local frame: every observation carries just the noise that it states."""
+"""A flight as a block folder in the local frame, its plain files, and what the surveyor notes down.
+
+Every observation of the folder carries just the noise that it states.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +16,6 @@ import numpy as np
 from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.observations import Observations, kept_images
-from acquire.simulate.world.survey import take_notes
-from acquire.simulate.world.tables import toml_text, write_table
 from acquire.simulate.world.world import World
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
@@ -159,3 +163,100 @@ def _setup(world: World) -> str:
             ),
         ]
     )
+
+
+# Format and values of each column, by its name.
+Columns = dict[str, tuple[str, Iterable[Any]]]
+
+
+def write_table(path: Path, columns: Columns) -> None:
+    """Write a CSV file; `columns`: format of each value and the values; NaN becomes an empty cell."""
+    cells = [
+        [
+            "" if isinstance(value, (float, np.floating)) and np.isnan(value) else format(value, form)
+            for value in values
+        ]
+        for form, values in columns.values()
+    ]
+    lines = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def toml_text(sections: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
+    """Write TOML sections: each a header such as ``[flight]`` (empty for none) and its keys."""
+    parts = []
+    for header, keys in sections:
+        lines = [header] if header else []
+        lines += [f"{key} = {_value(value)}" for key, value in keys.items()]
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts) + "\n"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{json.dumps(str(k))} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return "[" + ", ".join(_value(each) for each in value) + "]"
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value, ensure_ascii=False)
+
+
+_LEAST_SLIP_M = 0.5
+
+
+@dataclass(frozen=True)
+class FieldBook:
+    """What is written into the files of the site.
+
+    control: coordinates of each target as texts, in the system of the site.
+    base_m (3,): announced place of the base's mark in the local frame.
+    camera_to_antenna_m (3,).
+    mistyped: name of the target with swapped digits, empty for none.
+    """
+
+    control: tuple[tuple[str, str, str], ...]
+    base_m: Floats
+    base_antenna_height_m: float
+    camera_to_antenna_m: Floats
+    mistyped: str
+
+
+def take_notes(world: World, coordinates: Floats) -> FieldBook:
+    """Write down the site."""
+    given = world.configuration
+    texts = [tuple(f"{value:.4f}" for value in row) for row in coordinates.tolist()]
+    mistyped = ""
+    if world.has(Fault.CONTROL_DIGITS):
+        control = [k for k, role in enumerate(world.targets.roles) if role == "control"]
+        row = control[int(world.random("faults").integers(len(control)))]
+        added, wrong = given.fault_sizes.control_m, _swapped(texts[row])
+        if any(added):
+            wrong = tuple(f"{float(text) + more:.4f}" for text, more in zip(texts[row], added, strict=True))
+        texts[row] = wrong
+        mistyped = world.targets.names[row]
+    base = world.base_m + world.base_error_m
+    arm = np.array(given.rig.camera_to_antenna_m)
+    if world.has(Fault.LEVER_ARM_AXIS):
+        arm = arm[[2, 1, 0]]
+    return FieldBook(
+        tuple((x, y, z) for x, y, z in texts),
+        base,
+        given.gnss.base_antenna_height_m - world.antenna_height_error_m,
+        arm,
+        mistyped,
+    )
+
+
+def _swapped(texts: tuple[str, ...]) -> tuple[str, ...]:
+    """Swap two neighbouring digits of a coordinate, the last ones that make half a metre."""
+    for axis, text in enumerate(texts):
+        for place in range(len(text) - 2, -1, -1):
+            pair = text[place : place + 2]
+            changed = text[:place] + pair[::-1] + text[place + 2 :]
+            if pair.isdigit() and abs(float(changed) - float(text)) >= _LEAST_SLIP_M:
+                return (*texts[:axis], changed, *texts[axis + 1 :])
+    # All digits of all coordinates alike: a metre is missed instead.
+    return (f"{float(texts[0]) + 1:.4f}", *texts[1:])

@@ -8,12 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world.block_folder import camera_keys, write_block, write_observations
+from acquire.simulate.world.block_folder import (
+    FieldBook,
+    camera_keys,
+    take_notes,
+    toml_text,
+    write_block,
+    write_observations,
+    write_table,
+)
 from acquire.simulate.world.configuration import Air, Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
 from acquire.simulate.world.streams import Streams, make_streams, telemetry_log
-from acquire.simulate.world.survey import FieldBook, take_notes
-from acquire.simulate.world.tables import toml_text, write_table
 from acquire.simulate.world.truth import write_truth
 from acquire.simulate.world.world import World, make_world, picture_stamps
 

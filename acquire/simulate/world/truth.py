@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
+from acquire.outputs import write_json
+from acquire.simulate.world.block_folder import Columns, take_notes, toml_text, write_table
 from acquire.simulate.world.camera import OPENCV, Camera
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
 from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.place import Place
-from acquire.simulate.world.survey import take_notes
-from acquire.simulate.world.tables import Columns, toml_text, write_table
 from acquire.simulate.world.world import World
 from drivers.arrays import Floats
 
@@ -20,7 +19,7 @@ from drivers.arrays import Floats
 def write_truth(world: World, folder: Path, observed: Observations | None, projected: bool) -> None:
     """Write `truth.json`, `flight.toml`, `exposures.csv`, `points.csv` and `trajectory.csv`."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "truth.json").write_text(json.dumps(_figures(world), indent=2) + "\n", encoding="utf-8")
+    write_json(folder / "truth.json", _figures(world), 2)
     (folder / "flight.toml").write_text(_settings(world), encoding="utf-8")
     _write_exposures(world, folder / "exposures.csv", projected)
     _write_points(world, folder / "points.csv", observed, projected)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding, Size
-from photocal.findings.texts import finding_text, plain
+from photocal.findings.texts import catalogue, finding_text, plain
 
 ENGLISH = catalogue("en")
 

@@ -14,8 +14,7 @@ from drivers.errors import IllPosedError
 from photocal.analysis.components import Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import strong_correlations
 from photocal.analysis.estimates import Estimates, from_sigmas, without
-from photocal.findings.catalogue import catalogue
-from photocal.findings.texts import finding_text, plain
+from photocal.findings.texts import catalogue, finding_text, plain
 
 Rows = list[dict[str, str]]
 # The printed labels stand one column too early: the first column is foreign, B is missing.

@@ -10,8 +10,7 @@ import pytest
 from photocal.adjustment.network import Network
 from photocal.analysis.lens_models import better_lens, lens_fits, of_lenses
 from photocal.analysis.systematic_errors.refit import Checks, fit
-from photocal.findings.catalogue import catalogue
-from photocal.findings.texts import finding_text
+from photocal.findings.texts import catalogue, finding_text
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera
 from tests.photocal import networks
 

@@ -14,8 +14,7 @@ from photocal.adjustment.state import start_state
 from photocal.analysis.method import METHODS, Shape, check_method, shape
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
-from photocal.findings.catalogue import catalogue
-from photocal.findings.texts import need_words
+from photocal.findings.texts import catalogue, need_words
 from photocal.geometry.camera import camera
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import photocal
 from drivers.errors import ConfigurationError
-from photocal.findings.catalogue import LANGUAGES, catalogue
+from photocal.findings.texts import LANGUAGES, catalogue
 
 OF_FINDINGS = {"finding", "passed", "untested", "clause", "cause", "remedy", "term", "slip", "change"}
 OF_FINDINGS |= {"candidate", "lever"}

@@ -13,11 +13,18 @@ import pytest
 
 import photocal
 from drivers.errors import InputMalformedError
-from photocal.findings.catalogue import Catalogue, catalogue
 from photocal.findings.digits import Number
 from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import FAULTS
-from photocal.findings.texts import PHRASES, finding_json, finding_text, findings_of, identity
+from photocal.findings.texts import (
+    PHRASES,
+    Catalogue,
+    catalogue,
+    finding_json,
+    finding_text,
+    findings_of,
+    identity,
+)
 
 ENGLISH, PORTUGUESE = catalogue("en"), catalogue("pt-BR")
 ROOM = Path(photocal.__file__).parent

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding, Severity, of_global_test, verdict
-from photocal.findings.texts import finding_text
+from photocal.findings.texts import catalogue, finding_text
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,9 @@ import pytest
 
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import Fault
-from photocal.findings.texts import finding_text
+from photocal.findings.texts import catalogue, finding_text
 from photocal.georeferencing.findings import named, separation_findings
 from photocal.georeferencing.freed_groups import separation
 from photocal.georeferencing.local import with_attitude_angles

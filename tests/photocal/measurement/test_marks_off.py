@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from photocal.findings.catalogue import catalogue
-from photocal.findings.texts import finding_text, plain
+from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.measurement.project_block import findings_of_marks
 
 

@@ -13,8 +13,7 @@ from scipy import stats
 
 from photocal.adjustment.adjust import adjust
 from photocal.planning.area import area_from_corners
-from photocal.planning.control_layout import Layout, suggest_layout
-from photocal.planning.flight import Flight, Wish, plan_flight
+from photocal.planning.flight import Flight, Layout, Wish, plan_flight, suggest_layout
 from photocal.planning.frame import Frame
 from photocal.planning.simulated_adjustment import Survey, planned_network, simulate
 from tests.photocal.conftest import Answer

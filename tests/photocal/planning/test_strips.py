@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from photocal.planning.area import inside, polygon_area
-from photocal.planning.control_layout import suggest_layout
-from photocal.planning.flight import Strip, best_azimuth, plan_strips
+from photocal.planning.flight import Strip, best_azimuth, plan_strips, suggest_layout
 
 FloatArray = NDArray[np.float64]
 SQUARE = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 300.0], [0.0, 300.0]])

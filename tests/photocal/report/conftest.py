@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from photocal.findings.catalogue import catalogue
+from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.document import Document

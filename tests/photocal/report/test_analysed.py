@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from photocal.block.folder import read_block
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
+from photocal.findings.texts import catalogue
 from photocal.report.analysis_record import analyse_run, exterior_difference
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars

@@ -22,8 +22,8 @@ from typer.testing import CliRunner
 
 from drivers.errors import InputMalformedError
 from photocal.cli import app
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding
+from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.document import Document, Figure, KeyValues, Table, html, pdf

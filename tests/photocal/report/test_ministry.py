@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
-from photocal.findings.catalogue import catalogue
+from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import derived_figures

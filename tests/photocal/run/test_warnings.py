@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.findings.catalogue import catalogue
 from photocal.findings.finding import Finding, Severity
 from photocal.findings.hypotheses import FAULTS
-from photocal.findings.texts import finding_text
+from photocal.findings.texts import catalogue, finding_text
 from photocal.run.summary import gather, kind
 
 PPK = {"fixed_percent": 100.0, "findings": []}

@@ -220,8 +220,7 @@ def test_a_zoom_changes_the_camera_of_later_passes() -> None:
 
 def test_faults_have_sizes() -> None:
     """Each figure is found again in what the surveyor noted, or in the truth."""
-    from acquire.simulate.world.block_folder import telemetry_gap
-    from acquire.simulate.world.survey import take_notes
+    from acquire.simulate.world.block_folder import take_notes, telemetry_gap
     from acquire.simulate.world.world import make_world
 
     sizes = {
