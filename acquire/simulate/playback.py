@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.autopilot import Autopilot
-from acquire.simulate.receiver import Receiver
+from acquire.simulate.devices import Autopilot, Receiver
 from drivers.arrays import Floats
 from drivers.checksums import x25
 from drivers.errors import InputMalformedError, InputNotFoundError
@@ -177,7 +176,7 @@ class FlownReceiver:
     def __init__(self, name: str, line: Line, clock: FlightClock) -> None:
         self._name, self._line, self._clock = name, line, clock
         self._tape = _Tape(line)
-        self.answers = Receiver(9)
+        self._answers = Receiver()
 
     def due(self, _time_s: float) -> bytes:
         """Return what is sent of its own accord."""
@@ -185,7 +184,7 @@ class FlownReceiver:
 
     def receive(self, data: bytes, time_s: float) -> bytes:
         """Take bytes of the host; return the answers."""
-        answer = self.answers.receive(data, time_s)
+        answer = self._answers.receive(data, time_s)
         self._clock.heard(self._name)
         return answer
 
@@ -208,7 +207,7 @@ class FlownAutopilot(Autopilot):
         drift: float = 0.0,
         parameters: Mapping[str, float] | None = None,
     ) -> None:
-        super().__init__(0, parameters=parameters)
+        super().__init__(parameters)
         self._name, self._line, self._clock = name, line, clock
         self._boot_s, self._drift = boot_s, drift
         self._tape = _Tape(line)
@@ -224,10 +223,7 @@ class FlownAutopilot(Autopilot):
         flight_s = self._clock.flight_s()
         if flight_s < 0:
             # Standing by: heartbeats alone, whatever was asked for.
-            asked, self.interval_s = self.interval_s, {}
-            beat = super().due(time_s)
-            self.interval_s = asked
-            return beat
+            return super().due(time_s)
         return b"".join(self._numbered(k) for k in self._tape.until(flight_s) if self._wanted(k))
 
     def receive(self, data: bytes, time_s: float) -> bytes:

@@ -15,11 +15,11 @@ from acquire.channels.mounting import NAMES, mounting_of
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.cli import app
 from acquire.recording import vehicle_dialogue
-from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.hardware import on_udp
 from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.ulog import UlogFormats, UlogFramer
+from tests.acquire.devices import Autopilot
 from tests.acquire.live import free_port
 from tests.acquire.scripted import configured, messages, run, said
 

@@ -13,10 +13,10 @@ from typing import Any
 
 from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import record
-from acquire.simulate.receiver import Receiver
 from drivers import rtcm3
 from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
+from tests.acquire.devices import Receiver
 from tests.telemetry import state
 
 TICK_S = 0.1

@@ -8,9 +8,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.hardware import on_pty, on_udp
-from acquire.simulate.receiver import Receiver
+from tests.acquire.devices import Autopilot, Receiver
 from tests.acquire.live import free_port
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]

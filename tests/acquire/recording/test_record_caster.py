@@ -14,10 +14,10 @@ from pynmeagps import NMEAReader
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import sources_of
-from acquire.simulate.receiver import Receiver
 from drivers import nmea, rtcm3
 from drivers.frames import GNSS, Batch, StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
+from tests.acquire.devices import Receiver
 from tests.acquire.live import PATIENCE_S
 from tests.acquire.scripted import Script, configured, messages, run
 

@@ -15,13 +15,12 @@ from pymavlink.dialects.v20 import ardupilotmega as tables
 from acquire.recording.configuration import Link
 from acquire.recording.recorder import source_of_link
 from acquire.recording.vehicle_dialogue import VehicleDialogue
-from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.hardware import on_pty, on_udp
-from acquire.simulate.receiver import Receiver
 from acquire.transports.sources import Source
 from drivers import rtcm3, ubx
 from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
+from tests.acquire.devices import Autopilot, Receiver
 from tests.acquire.live import free_port
 from tests.acquire.scripted import Script, configured, messages, run, said
 

@@ -12,9 +12,8 @@ import serial
 from pymavlink.dialects.v20 import ardupilotmega as tables
 from pyubx2 import POLL, SET, UBXMessage, UBXReader
 
-from acquire.simulate.autopilot import Autopilot
 from acquire.simulate.hardware import on_pty, on_udp
-from acquire.simulate.receiver import Receiver
+from tests.acquire.devices import Autopilot, Receiver
 from tests.acquire.live import PATIENCE_S
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from acquire.recording.vehicle_dialogue import VehicleDialogue
-from acquire.simulate.autopilot import Autopilot
 from drivers.frames import StreamFramer, Wire
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
@@ -23,6 +22,7 @@ from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.time import HostTime, UtcTime
 from photocal.navigation.time_sync import time_sync
 from photocal.navigation.vehicle import autopilot_time, read_vehicle
+from tests.acquire.devices import Autopilot
 
 Integers = NDArray[np.int64]
 SECOND = 1_000_000_000
