@@ -16,16 +16,6 @@ from drivers.frames import Batch, Wire
 LISTED_RUNS = 200
 
 
-def raw_channel(link: str, wire: Wire) -> Channel:
-    """Return the channel of the raw frames of one protocol on a link."""
-    return Channel(f"/{link}/raw", wire.encoding)
-
-
-def damage_channel(link: str) -> Channel:
-    """Return the channel of the bytes of a link that belong to no frame."""
-    return Channel(f"/{link}/damage", DAMAGE_ENCODING)
-
-
 def arrived_channel(link: str, protocol: str) -> Channel:
     """Return the channel of what has come over a link and could not be framed in time, see `arrived_head`."""
     return Channel(f"/{link}/arrived", ARRIVED_ENCODING, None, {"protocol": protocol})
@@ -117,7 +107,7 @@ class LinkLog:
         for wire in np.flatnonzero(np.bincount(batch.wire)).tolist():
             rows = np.flatnonzero(batch.wire == wire)
             payloads = Pieces(batch.data, batch.start[rows], batch.length[rows])
-            channel = raw_channel(self._link, Wire(wire))
+            channel = Channel(f"/{self._link}/raw", Wire(wire).encoding)
             self._writer.messages(channel, payloads, log_ns[rows], publish[rows], numbers[rows])
         if len(damage) and len(log_ns):
             # Damage has the time of the frame before it, at the beginning of a batch of the one after it.
@@ -135,7 +125,8 @@ class LinkLog:
 
     def _damage(self, batch: Batch, times: Integers, numbers: Integers) -> None:
         payloads = [data for _, data in batch.damaged()]
-        self._writer.messages(damage_channel(self._link), payloads, times, times, numbers)
+        channel = Channel(f"/{self._link}/damage", DAMAGE_ENCODING)
+        self._writer.messages(channel, payloads, times, times, numbers)
 
     def _numbers(self, batch: Batch) -> tuple[Integers, Integers]:
         place = np.concatenate([batch.start + batch.base, batch.damage[:, 0]])

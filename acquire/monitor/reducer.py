@@ -49,7 +49,8 @@ def state_after(state: State, chunk: Sequence[Messages]) -> State:
     state = replace(
         state, first_ns=state.first_ns or int(min(times)), last_ns=max(state.last_ns, *map(int, times))
     )
-    for part in sorted(chunk, key=_rank):
+    # Pictures are put on the map where the vehicle is: positions come first.
+    for part in sorted(chunk, key=lambda part: part.channel.topic == "/camera/exposure"):
         handler = _HANDLERS.get(part.channel.schema.name) if part.channel.schema else _octets
         if handler is not None and len(part.payloads):
             state = _read(state, handler, part)
@@ -66,11 +67,6 @@ def _read(state: State, handler: Callable[[State, Messages], State], part: Messa
         if any(alarm.text == text for alarm in state.alarms):
             return state
         return raised(state, "warn", "", text, state.last_ns)
-
-
-def _rank(part: Messages) -> bool:
-    # Pictures are put on the map where the vehicle is: positions come first.
-    return part.channel.topic == "/camera/exposure"
 
 
 def _octets(state: State, part: Messages) -> State:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import re
 import shutil
@@ -205,12 +206,6 @@ def look(tail: Tail) -> Look:
     size, free = 0, None
     if path is not None:
         size = path.stat().st_size if path.exists() else 0
-        free = _free(path.parent)
+        with contextlib.suppress(OSError):
+            free = shutil.disk_usage(path.parent).free
     return Look(time.time_ns(), path.name if path else "", size, tail.ended, free, tail.trouble)
-
-
-def _free(folder: Path) -> int | None:
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return None

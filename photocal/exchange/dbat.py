@@ -8,6 +8,7 @@ project's unit, taken as m. A control coordinate without sigma is held. Exterior
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, SubElement
 
@@ -159,10 +160,7 @@ def _used_cameras(root: Element, given: Element, path: Path) -> Iterator[DbatCam
     switches = _estimated_interior(root, path)
     for element in given.iterfind("cameras/camera"):
         camera = _camera(element, path, loaded)
-        estimate = tuple(name for name in camera.estimate if name in switches)
-        yield DbatCamera(
-            camera.name, camera.lens_model, camera.size_px, camera.pixel_mm, camera.values, estimate
-        )
+        yield replace(camera, estimate=tuple(name for name in camera.estimate if name in switches))
 
 
 def _initial_interior(root: Element) -> str:

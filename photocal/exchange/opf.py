@@ -247,7 +247,13 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
         "camera-list": {"cameras": [{"id": k, "uri": quote(name)} for k, name in _images(given)]},
         "input-cameras": {"sensors": _sensors(given, pinholes), "captures": _captures(given)},
         "input-control-points": _input_points(given),
-        "projected-control-points": {"projected_gcps": _projected(given)},
+        "projected-control-points": {
+            "projected_gcps": [
+                {"id": name, **_place(given, j)}
+                for j, name in enumerate(given.point_names)
+                if given.roles[j] != "tie"
+            ]
+        },
         "calibrated-cameras": _calibrated(given, pinholes),
         "calibrated-control-points": {
             "points": [
@@ -362,11 +368,6 @@ def _input_points(given: Reconstruction) -> dict[str, Any]:
         else:
             surveyed.append({**point, "geolocation": {"crs": {"definition": LOCAL_CRS}, **_place(given, j)}})
     return {"gcps": surveyed, "mtps": others}
-
-
-def _projected(given: Reconstruction) -> list[dict[str, Any]]:
-    surveyed = [j for j, role in enumerate(given.roles) if role != "tie"]
-    return [{"id": given.point_names[j], **_place(given, j)} for j in surveyed]
 
 
 def _place(given: Reconstruction, j: int) -> dict[str, list[float]]:

@@ -103,23 +103,16 @@ def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Net
     xyz = np.column_stack([plane, height])
     own = _camera(frame, calibrated=not survey.self_calibration)
     image, point, seen = _rays(poses, xyz, frame)
-    rays = np.bincount(point, minlength=len(xyz))
-    used = np.flatnonzero(rays >= 2)
-    place = np.full(len(xyz), -1)
-    place[used] = np.arange(len(used))
-    keep = place[point] >= 0
+    keep = np.bincount(point)[point] >= 2
     # Photos at the ends of strips may see no ground of the area; four points orient a photo.
     strong = np.bincount(image[keep], minlength=len(poses)) >= 4
     keep &= strong[image]
     image, point, seen = image[keep], point[keep], seen[keep]
-    rays = np.bincount(point, minlength=len(xyz))
-    used = np.flatnonzero(rays >= 2)
-    place = np.full(len(xyz), -1)
-    place[used] = np.arange(len(used))
-    keep = place[point] >= 0
+    keep = np.bincount(point)[point] >= 2
     image, point, seen = image[keep], point[keep], seen[keep]
+    used, place = np.unique(point, return_inverse=True)
     number = np.cumsum(strong) - 1
-    order = np.argsort(place[point], kind="stable")
+    order = np.argsort(place, kind="stable")
     control = used < len(layout[0])
     sigma = np.full((len(used), 3), np.inf)
     sigma[control] = [survey.control_m[0]] * 2 + [survey.control_m[1]]
@@ -133,7 +126,7 @@ def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Net
         (own,),
         Exposures(np.zeros(images, dtype=np.int64), poses[strong], pose_sigma),
         Points(xyz[used], held, weight),
-        Rays(number[image][order], place[point][order], seen[order], precision),
+        Rays(number[image][order], place[order], seen[order], precision),
         tuple(f"photo {k + 1}" for k in np.flatnonzero(strong)),
         tuple(f"point {k + 1}" for k in used),
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Floats, Integers
 from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import radial_profile as beyond
 from photocal.report.stored_analysis import Run
@@ -135,10 +135,8 @@ def thinned(residuals: SensorResiduals, camera: Camera, at_most: int) -> Vectors
     flat = ij[:, 1] * columns + ij[:, 0]
     rays = np.bincount(flat, minlength=columns * rows)
     full = rays > 0
-    mean = [_cell_mean(flat, values, rays, full) for values in (*residuals.place.T, *residuals.residual_px.T)]
-    return Vectors(np.column_stack(mean[:2]), np.column_stack(mean[2:]), rays[full].astype(np.int64))
-
-
-def _cell_mean(cell: Integers, values: Floats, rays: Integers, full: Flags) -> Floats:
-    total = np.bincount(cell, weights=values, minlength=len(rays))
-    return np.asarray(total[full] / rays[full], dtype=np.float64)
+    total = [
+        np.bincount(flat, values, len(rays)) for values in (*residuals.place.T, *residuals.residual_px.T)
+    ]
+    mean = np.array(total)[:, full] / rays[full]
+    return Vectors(mean[:2].T, mean[2:].T, rays[full].astype(np.int64))
