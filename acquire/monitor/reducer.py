@@ -13,7 +13,6 @@ import numpy as np
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATION
 from acquire.log.reader import Messages
 from acquire.monitor.exposures import Exposures, Trigger, numbers, reported, settled, triggered
-from acquire.monitor.fixes import correction_age_s, fed, number, receiver_after
 from acquire.monitor.state import (
     Battery,
     Link,
@@ -25,7 +24,7 @@ from acquire.monitor.state import (
     raised,
     vehicle_after,
 )
-from acquire.monitor.traffic import OCTETS, link_after
+from acquire.monitor.traffic import OCTETS, correction_age_s, fed, link_after, number, receiver_after
 from acquire.recording.alarms import ALARM
 from drivers.frames import Wire
 

@@ -9,16 +9,17 @@ import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
 from acquire.monitor.exposures import Exposures, numbers
-from acquire.monitor.fixes import (
+from acquire.monitor.state import Alarm, Battery, Link, Receiver, State, Vehicle
+from acquire.monitor.traffic import (
     DEAD_CORRECTION_S,
     LEAST_WORTH,
     NAMES,
     OLD_CORRECTION_S,
+    RATE_OVER_S,
     WORTH,
+    bytes_per_s,
     correction_age_s,
 )
-from acquire.monitor.state import Alarm, Battery, Link, Receiver, State, Vehicle
-from acquire.monitor.traffic import RATE_OVER_S, bytes_per_s
 from drivers.arrays import Floats
 
 
