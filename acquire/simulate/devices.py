@@ -86,7 +86,9 @@ class Autopilot:
 class Receiver:
     """The receiver's side of a line: version, configuration, acknowledgements."""
 
-    version = "EXT CORE 1.00 (0fa0b0)", "00190000", ("FWVER=HPG 1.32", "PROTVER=27.31", "MOD=ZED-F9P")
+    version: tuple[str, str, tuple[str, ...]] = (
+        "EXT CORE 1.00 (0fa0b0)", "00190000", ("FWVER=HPG 1.32", "PROTVER=27.31", "MOD=ZED-F9P"),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._pending = b""
