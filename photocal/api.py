@@ -50,10 +50,7 @@ USUAL = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 def read_block(path: str | Path) -> Block:
     """Read a block folder, or the set-up file of another program (DBAT, COLMAP, Metashape, OPF ...).
 
-    Raises
-    ------
-    PhotocalError
-        For what cannot be read, with file and line.
+    raises PhotocalError: for what cannot be read, with file and line.
     """
     from photocal.exchange.formats import read_any_block
 
@@ -115,15 +112,10 @@ def with_relations(
 ) -> Block:
     """Add observations between points: scale bars, levelled height differences, azimuths, your own kinds.
 
-    Parameters
-    ----------
-    kind : str
-        "distance", "height_difference", "azimuth", or the name of a kind of your own.
-    rows : iterable of (str, str, float, float)
-        First and second point, value and standard deviation: m, radians for azimuths.
-    related : callable, optional
-        For a kind of your own: from the differences of the points (second less first), shape (n, 3), the
-        values, shape (n,), and their derivatives with respect to the second point, shape (n, 3).
+    kind: "distance", "height_difference", "azimuth", or the name of a kind of your own.
+    rows: first and second point, value and standard deviation: m, radians for azimuths.
+    related: for a kind of your own: from the differences (n, 3) of the points, second less first, the values
+        (n,) and their derivatives (n, 3) with respect to the second point.
     """
     old = block.relations
     if related is not None and kind not in old.names:
@@ -153,10 +145,8 @@ def with_relations(
 def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, components: bool = False) -> Result:
     """Adjust a block by least squares: cameras, orientations and points with their covariances.
 
-    Raises
-    ------
-    PhotocalError
-        For a block that does not determine its unknowns, or an adjustment that does not converge.
+    raises PhotocalError: for a block that does not determine its unknowns, or an adjustment that does not
+        converge.
     """
     from photocal.results.adjusted import adjust_network
 
@@ -187,12 +177,8 @@ def analyse(
 def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = None) -> BlockCheck:
     """Georeference a block three ways (direct, integrated, indirect) and judge it at its check points.
 
-    Parameters
-    ----------
-    standards : sequence of str
-        Such as "decree-89817", "pec-pcd", "asprs-2024", or paths of TOML files.
-    scale : float, optional
-        Denominator of the map scale to judge at.
+    standards: such as "decree-89817", "pec-pcd", "asprs-2024", or paths of TOML files.
+    scale: denominator of the map scale to judge at.
     """
     from photocal.accuracy.standard import Question, load_standard
     from photocal.georeferencing.comparison import check_block

@@ -110,16 +110,11 @@ class Flight(Table):
 class Images(Table):
     """`[images]`: a folder of pictures, or without pictures a table of their names and times.
 
-    Parameters
-    ----------
-    position_sigma_m : (float, float, float), "free" or None
-        Without a flight: east, north, up, of positions whose pictures do not state it; "free" takes them as
-        start values only, None assumes what a receiver without corrections reaches.
-    positions : Path or None
-        Without a flight: a `Timestamp.MRK`, geo.txt or reference table whose positions go before those of the
-        pictures.
-    pictures : Path or None
-        Table of pictures with the camera that took each and, of cameras on one frame, the exposure.
+    position_sigma_m: without a flight: east, north, up, of positions whose pictures do not state it; "free"
+        takes them as start values only, None assumes what a receiver without corrections reaches.
+    positions: without a flight: a `Timestamp.MRK`, geo.txt or reference table whose positions go before those
+        of the pictures.
+    pictures: table of pictures with the camera that took each and, of cameras on one frame, the exposure.
     """
 
     folder: Beside | None = None

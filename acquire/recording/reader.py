@@ -38,11 +38,6 @@ class Arrival:
 class Inbox:
     """What has arrived over a link and waits for being framed; it is kept to a rate and to a size.
 
-    Parameters
-    ----------
-    clock_ns : callable
-        The clock of the host, UTC nanoseconds since 1970.
-
     `slowed` tells whether more came than is taken: the sender of a stream had to wait, of datagrams `missed`
     counts those that the system could not hold. Where it does not count them they are read all the same and
     `dropped` counts their bytes.

@@ -42,15 +42,11 @@ _WHITE, _BLACK, _SHARE, _RANGE = 250, 5, 0.2, 40.0
 class Look:
     """What a picture shows.
 
-    Attributes
-    ----------
-    facts : ImageFacts or None
-        None of a file that cannot be read; `refusal` then says why.
-    softness : float
-        Width of what is seen, in the direction where it is largest, about px: it grows with blur, hardly with
-        what is pictured.
-    white, black, range : float
-        Share of pixels without detail, and grey values between the 2nd and the 98th percentile.
+    facts: None of a file that cannot be read; `refusal` then says why.
+    softness: width of what is seen, in the direction where it is largest, about px: it grows with blur,
+        hardly with what is pictured.
+    white, black: share of pixels without detail.
+    range: grey values between the 2nd and the 98th percentile.
     """
 
     path: Path
@@ -192,10 +188,7 @@ _MAY_STAY = 0.05
 class Quick:
     """What reduced pictures say together.
 
-    Attributes
-    ----------
-    cameras : list of dict
-        As `released.camera_figures`: c that the block gives by itself, with its sigma.
+    cameras: as `released.camera_figures`: c that the block gives by itself, with its sigma.
     """
 
     joined: int

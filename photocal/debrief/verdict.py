@@ -138,13 +138,7 @@ _ORDER = (*AGAIN, *LOOK, "note", "passed", "untested")
 
 @dataclass(frozen=True)
 class Debrief:
-    """What is known of a flight.
-
-    Attributes
-    ----------
-    verdict : Finding
-        Complete, to be looked at, or to be flown again.
-    """
+    """What is known of a flight, and whether it is complete, to be looked at, or to be flown again."""
 
     verdict: Finding
     findings: tuple[Finding, ...]
@@ -157,10 +151,7 @@ class Debrief:
 def debrief(project: Project, processes: Workers, progress: Progress, last: Sequence[Camera] = ()) -> Debrief:
     """Judge a flight by its logs and pictures, as far as they are there; what is done is not done again.
 
-    Parameters
-    ----------
-    last : sequence of Camera
-        Of the last certificate, to hold the first calibration against.
+    last: of the last certificate, to hold the first calibration against.
     """
     with alone(project.output):
         paths = list_images(project.picture_folder)

@@ -161,10 +161,8 @@ def analyse_run(
 
     block: block folder or set-up file; looked for where the run says, beside it and below the current folder
         when not given.
-    draws : int
-        Of the bootstrap over images.
-    done : callable
-        Gets the share of the work that was done since it was called last.
+    draws: of the bootstrap over images.
+    done: gets the share of the work that was done since it was called last.
 
     raises PhotocalError: as reading, adjusting and writing do.
     """

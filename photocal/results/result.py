@@ -278,16 +278,10 @@ class Figures:
 class Result(Figures):
     """The result of an adjustment.
 
-    Attributes
-    ----------
-    cameras : dict
-        Adjusted cameras by name, with sigmas and correlations.
-    images : OrientedImages
-        In the block's coordinates, with covariances; their cameras are those of `cameras`.
-    residuals : Residuals
-        One for each observation of the block, in its order.
-    files : tuple of InputFile
-        The files of the run folder that this was read from.
+    cameras: adjusted cameras by name, with sigmas and correlations.
+    images: in the block's coordinates, with covariances; their cameras are those of `cameras`.
+    residuals: one for each observation of the block, in its order.
+    files: the files of the run folder that this was read from.
     """
 
     cameras: dict[str, Camera]

@@ -203,10 +203,7 @@ ROW = np.dtype(
 class Observations:
     """Measurements of one receiver.
 
-    Parameters
-    ----------
-    rows : structured array (m,) of `ROW`
-        By epoch, satellite and signal. `phase_cycles` grows with the range, like `code_m`.
+    rows (m,) of `ROW`: by epoch, satellite and signal; `phase_cycles` grows with the range, like `code_m`.
     """
 
     clock: Clock
