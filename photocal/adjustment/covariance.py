@@ -85,28 +85,38 @@ def _control_group(problem: Problem, points: Floats, covariance: Floats) -> Grou
 
 def _equation_group(name: str, equations: Equations, structure: Structure, inverse: Floats) -> Group:
     """Observations of the reduced system's unknowns."""
-    variance = np.zeros(len(equations.weight))
-    equation_variance(equations.start, equations.column, equations.coefficient, structure, inverse, variance)
+    variance = equation_covariance(equations, structure, inverse, 1)[:, 0, 0]
     redundancy = len(variance) - float(np.sum(equations.weight * variance))
     return Group(name, len(variance), equations.chi_squared(), redundancy)
 
 
+def equation_covariance(equations: Equations, structure: Structure, inverse: Floats, together: int) -> Floats:
+    """Covariance of adjusted observations a x, of so many that follow each other, shape (n, t, t)."""
+    result = np.zeros((len(equations.weight) // together, together, together))
+    add_covariance(equations.start, equations.column, equations.coefficient, structure, inverse, result)
+    return result
+
+
 @compiled
-def equation_variance(
+def add_covariance(
     start: Integers,
     column: Integers,
     coefficient: Floats,
     structure: Structure,
     inverse: Floats,
-    variance: Floats,
+    result: Floats,
 ) -> None:
-    """Variance of each adjusted observation a x."""
-    for row in range(len(variance)):
-        for a in range(start[row], start[row + 1]):
-            for b in range(start[row], start[row + 1]):
-                high, low = max(column[a], column[b]), min(column[a], column[b])
-                q = inverse[element_address(structure, high, low)]
-                variance[row] += coefficient[a] * q * coefficient[b]
+    """Add a Q a' of the selected inverse for every two rows of each group."""
+    together = result.shape[1]
+    for group in range(len(result)):
+        for i in range(together):
+            for j in range(together):
+                one, other = together * group + i, together * group + j
+                for a in range(start[one], start[one + 1]):
+                    for b in range(start[other], start[other + 1]):
+                        high, low = max(column[a], column[b]), min(column[a], column[b])
+                        q = inverse[element_address(structure, high, low)]
+                        result[group, i, j] += coefficient[a] * q * coefficient[b]
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Each group of observations against its stated standard deviations: before any cause is named."""
+"""Each group of observations against its stated standard deviations, and single members: before any cause."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from drivers.arrays import Floats, Integers
+from photocal.adjustment.covariance import equation_covariance
+from photocal.adjustment.envelope import selected_inverse
+from photocal.adjustment.factored import Factored
 from photocal.adjustment.network import Network
+from photocal.adjustment.normal import other_equations
 from photocal.adjustment.solution import Group, Solution
 
 # With less redundancy a group says nothing about its own standard deviations.
@@ -15,6 +20,8 @@ FEWEST = 2.0
 PROBABILITY = 0.95
 CONTROL = ("control-X", "control-Y", "control-Z")
 RAYS = ("image-tie", "image-control")
+# Of a coordinate's variance, what no other observation checks is not tested.
+CHECKED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -98,3 +105,61 @@ def _control(network: Network, solution: Solution) -> list[Group]:
         )
         for a, name in enumerate(CONTROL)
     ]
+
+
+@dataclass(frozen=True)
+class Member:
+    """An observed position or control point: its coordinates together against all other observations.
+
+    kind, index: "position", and its image; or "control", and the point.
+    error, covariance (3,), (3, 3): observed less what all others say, and its covariance a priori, m; zero
+        and infinite where nothing is observed or nothing checks it.
+    statistic: error' covariance^-1 error, which is chi-squared of so many dimensions without a gross error
+        (Teunissen 1985).
+    """
+
+    kind: str
+    index: int
+    error: Floats
+    covariance: Floats
+    statistic: float
+    dimensions: int
+
+
+def member_tests(at: Factored, solution: Solution) -> tuple[Member, ...]:
+    """Test every observed position and every control point as one, whatever correlates its coordinates."""
+    network, found = at.problem.network, list[Member]()
+    positions = network.positions
+    if len(positions.image):
+        rows = other_equations(at.problem, at.state)["position"]
+        inverse = selected_inverse(at.problem.layout.envelope, at.normal.matrix)
+        taken = equation_covariance(rows, at.problem.structure, inverse, 3)
+        root = np.linalg.cholesky(positions.covariance)
+        for k, residual in enumerate(rows.residual.reshape(-1, 3)):
+            image = int(positions.image[k])
+            found.append(_member("position", image, residual, taken[k], root[k], np.arange(3)))
+    observed = np.diagonal(network.points.weight, axis1=1, axis2=2) > 0
+    for j in np.flatnonzero(observed.any(axis=1)).tolist():
+        own = np.flatnonzero(observed[j])
+        square = np.ix_(own, own)
+        root_of_point = np.linalg.cholesky(np.linalg.inv(network.points.weight[j][square]))
+        back = np.linalg.inv(root_of_point)
+        residual = back @ (solution.points[j] - network.points.values[j])[own]
+        taken_of_point = back @ solution.point_covariance[j][square] @ back.T
+        found.append(_member("control", j, residual, taken_of_point, root_of_point, own))
+    return tuple(found)
+
+
+def _member(kind: str, index: int, residual: Floats, taken: Floats, root: Floats, own: Integers) -> Member:
+    """Test whitened residuals, computed less observed, whose adjusted values have the covariance `taken`."""
+    left, axes = np.linalg.eigh(np.eye(len(own)) - (taken + taken.T) / 2.0)
+    checked = left > CHECKED
+    axes, left = axes[:, checked], left[checked]
+    whole = root @ axes
+    error, covariance = np.zeros(3), np.full((3, 3), np.inf)
+    error[own] = -whole @ (axes.T @ residual / left)
+    # What is not checked in one direction is not known in any that has part in it.
+    known = np.abs(root @ (np.eye(len(own)) - axes @ axes.T)).max(axis=1) < CHECKED * np.abs(root).max()
+    covariance[np.ix_(own[known], own[known])] = ((whole / left) @ whole.T)[np.ix_(known, known)]
+    statistic = float(np.sum((axes.T @ residual) ** 2 / left))
+    return Member(kind, index, error, covariance, statistic, len(left))

@@ -121,6 +121,8 @@ def with_moving_images(
 
 
 # What c and principal point may be wrong by where a lens is held that nobody has calibrated, as a share of c.
+# Of 12 simulated flights with c 0 to 3 % and the principal point 30 to 100 px off, each with a readout of 0
+# and of 30 ms, shares from 0.002 to 1 give the same outcomes.
 LENS_SHARE = 0.05
 _LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
 

@@ -259,6 +259,36 @@ def estimates_of(block: Block, freed: Block, solution: Solution, one: Fault) -> 
     )
 
 
+def stated_of_positions(block: Block) -> Floats:
+    """Medians of the standard deviations that are stated of a position, m."""
+    variance = np.diagonal(block.positions.covariance, axis1=1, axis2=2)
+    return np.asarray(np.median(np.sqrt(variance), axis=0) if len(variance) else np.full(3, np.nan))
+
+
+def positions_moved(block: Block, solution: Solution, one: Fault, stated: Floats) -> float:
+    """How far an error that was freed moves the positions, in stated sigmas; infinite where it does not.
+
+    What is not told surely counts for nothing. Of strips: each against the mean of the others.
+    """
+    own, given = block.positions, block.mounting.values
+    if "positions" not in one.where or not len(own.image):
+        return math.inf
+    strips = np.unique(own.strip).tolist() if one.each == "strip" else [0]
+    first = _first_strip(one) if one.each == "strip" else _columns(one)
+    columns = np.array([6 * strip + k for strip in strips for k in first])
+    moved = (solution.state.common - given)[columns]
+    covariance = solution.common_covariance[np.ix_(columns, columns)]
+    scale = np.tile(stated, len(strips))
+    if one.frees == ("time_offset",):
+        scale = stated[:2].min() / np.median(np.linalg.norm(own.velocity, axis=1), keepdims=True)
+    elif one.each == "strip":
+        n = len(strips)
+        against = np.kron(np.eye(n) - (1.0 - np.eye(n)) / (n - 1), np.eye(3))
+        moved, covariance = against @ moved, against @ covariance @ against.T
+    sure = np.abs(moved) > stats.norm.isf(SIGNIFICANCE / 2.0) * np.sqrt(np.diag(covariance))
+    return float(np.max(np.abs(moved) / scale, where=sure, initial=0.0))
+
+
 def places_of_change(block: Block) -> tuple[int, ...]:
     """List the images before which the camera may have changed: first ones of strips, else quarters."""
     count = len(block.images.names)

@@ -12,8 +12,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 from scipy import stats
 
+from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.groups import GroupTest
@@ -29,6 +31,8 @@ from photocal.georeferencing.freed_groups import (
     faults_of,
     left_free,
     of_camera,
+    positions_moved,
+    stated_of_positions,
     unknowns_of,
     with_agreeing,
     with_freed,
@@ -43,6 +47,9 @@ _SAME_GAIN = 0.95
 # A principal distance that differs by less is no other camera, zoom or focus: warmth and correlated tie
 # points do that too.
 _NOTEWORTHY = 1e-3
+# Errors of GNSS stay alike for minutes: a shift within the 95 % that are stated of each position is what was
+# stated, however sure it is, unless it moves c beyond the 95 % that are stated of it.
+_STATED = 2.0
 
 
 @dataclass(frozen=True)
@@ -50,8 +57,9 @@ class Hypothesis:
     """One fault of the table, its values freed.
 
     gain: by which v'Pv falls.
-    factor: variance factor that is left.
-    f, critical: gain / unknowns over the variance factor that is left, and its limit.
+    factor: variance factor that is left, by which gains are judged where it is above 1.
+    f, critical: gain / unknowns over that, and its limit.
+    moved, on_c: what it moves positions and principal distances by, in their standard deviations.
     """
 
     name: str
@@ -62,18 +70,30 @@ class Hypothesis:
     critical: float
     significant: bool
     estimates: tuple[Estimate, ...]
+    moved: float
+    on_c: float
 
 
 @dataclass(frozen=True)
 class Fit:
     """What the tests need of an adjustment; its covariances would fill the memory.
 
+    c, sigma_c (cameras,): principal distances, with a sigma of 0 where they are held.
     estimates: of each fault that was freed.
+    moved: how far each moves the positions, in their stated standard deviations.
     """
 
     chi_squared: float
     degrees_of_freedom: int
+    c: Floats
+    sigma_c: Floats
     estimates: dict[str, tuple[Estimate, ...]]
+    moved: dict[str, float]
+
+
+def _fit(solution: Solution, estimates: dict[str, tuple[Estimate, ...]], moved: dict[str, float]) -> Fit:
+    c, sigma = solution.cameras[:, 0], np.sqrt(solution.camera_covariance[:, 0, 0])
+    return Fit(solution.chi_squared, solution.degrees_of_freedom, c, sigma, estimates, moved)
 
 
 def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hypothesis:
@@ -81,10 +101,26 @@ def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hy
     gain = max(before.chi_squared - after.chi_squared, 0.0)
     # As many weak observations as unknowns came in: the degrees of freedom are those of the data.
     freedom = max(before.degrees_of_freedom - unknowns, 1)
-    factor = max(after.chi_squared / freedom, 1e-300)
-    f = gain / unknowns / factor
+    factor = after.chi_squared / freedom
+    # Rays that are better than stated make positions and what was measured of the mounting no better.
+    f = gain / unknowns / max(factor, 1.0)
     critical = float(stats.f(unknowns, freedom).ppf(1.0 - SIGNIFICANCE / tests))
-    return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, after.estimates[name])
+    on_c = _moved_surely(before, after)
+    estimates, moved = after.estimates[name], after.moved[name]
+    return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, estimates, moved, on_c)
+
+
+def _moved_surely(before: Fit, after: Fit) -> float:
+    """The largest change of a principal distance that is sure, in its standard deviations before.
+
+    What was freed costs precision, and may move c by as much (Hausman 1978).
+    """
+    # A second camera has a second c: what it does is judged by itself.
+    count = len(before.c)
+    change = np.abs(after.c[:count] - before.c)
+    spread = np.sqrt(np.maximum(after.sigma_c[:count] ** 2 - before.sigma_c**2, 0.0))
+    told = (before.sigma_c > 0.0) & (change > stats.norm.isf(SIGNIFICANCE / 2.0) * spread)
+    return float(np.max(np.divide(change, before.sigma_c, out=0.0 * change, where=told)))
 
 
 def most_probable(
@@ -108,10 +144,10 @@ def causes_first(tries: tuple[Hypothesis, ...], table: tuple[Fault, ...] = FAULT
 
 
 def _noteworthy(one: Hypothesis) -> bool:
-    """Whether two principal distances differ by more than those of one camera may."""
+    """Whether an error is larger than what was stated of positions, or of one camera, allows."""
     known = fault(one.name)
     if known is None or known.each != "part":
-        return True
+        return max(one.moved, one.on_c) > _STATED
     before, after = one.estimates[0].value, one.estimates[1].value
     return abs(after - before) / before > _NOTEWORTHY
 
@@ -173,11 +209,11 @@ def systematic_errors(
     block: Block, done: Callable[[], None] = lambda: None, table: tuple[Fault, ...] = FAULTS
 ) -> SystematicErrors:
     """Look for systematic errors of the georeference, the faults of a table."""
-    sigmas: list[GroupTest] = []
+    sigmas, stated = list[GroupTest](), stated_of_positions(block)
     while True:
         first = adjust(assemble(block).network)
         done()
-        search = _Search(block, first, done, table)
+        search = _Search(block, first, np.maximum(stated, stated_of_positions(block)), done, table)
         alone = search.beside(())
         # An error competes by what it gains, less the logarithm of the observations for each unknown.
         unknown = math.log(first.observations)
@@ -218,10 +254,15 @@ class _Search:
     """Adjustments of one block with groups freed, each set of groups once."""
 
     def __init__(
-        self, block: Block, first: Solution, done: Callable[[], None], table: tuple[Fault, ...]
+        self,
+        block: Block,
+        first: Solution,
+        stated: Floats,
+        done: Callable[[], None],
+        table: tuple[Fault, ...],
     ) -> None:
-        self._block, self._done = block, done
-        self._fits = {frozenset[str](): Fit(first.chi_squared, first.degrees_of_freedom, {})}
+        self._block, self._stated, self._done = block, stated, done
+        self._fits = {frozenset[str](): _fit(first, {}, {})}
         self._change = best_change(block, first.cameras[0], table)
         # A second camera is made of the first one, so it stands before what is freed in both.
         self._faults = {one.code: one for one in faults_of(block, self._change, table)}
@@ -288,7 +329,8 @@ class _Search:
                 freed = with_freed(freed, one, self._change)
             solution = adjust(assemble(freed).network)
             estimates = {one.code: estimates_of(self._block, freed, solution, one) for one in chosen}
-            self._fits[groups] = Fit(solution.chi_squared, solution.degrees_of_freedom, estimates)
+            moved = {one.code: positions_moved(self._block, solution, one, self._stated) for one in chosen}
+            self._fits[groups] = _fit(solution, estimates, moved)
             self._done()
         return self._fits[groups]
 

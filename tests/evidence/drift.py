@@ -3,14 +3,14 @@
 Writes `docs/evidence/drift.md`. Drifts of 0.2 % of c from the first exposure to the last, as a camera that
 warms.
 
-Run: `make evidence`, or `python -m tests.evidence.drift`.
+Run: `make evidence`, or `python -m tests.evidence.drift`, in portions as `tests.evidence.portions` says.
 """
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from photocal.analysis.systematic_errors.candidates import within_flight
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import fit, with_measurements
 from photocal.analysis.systematic_errors.search import search
+from tests.evidence.portions import outcomes
 from tests.photocal.analysis.aerial import LENS, Flight, fly
 
 IMAGES, RAYS, DRIFT = 24, 3000, 0.002
@@ -35,7 +36,7 @@ FLIGHTS = {
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "drift.md"
 
 
-def flown(shape: str, carried: str, seed: int) -> tuple[tuple[str, ...], float, float, float]:
+def flown(shape: str, carried: str, seed: int) -> tuple[list[str], float, float, float]:
     """Codes of the findings, deviation of the drift in sigmas, its sigma as a share, p of c by thirds."""
     gnss, control = CARRIED[carried]
     network = fly(Flight(IMAGES, RAYS, sigma_px=0.7, gnss=gnss, control=control), 9_000 + seed).network
@@ -48,30 +49,36 @@ def flown(shape: str, carried: str, seed: int) -> tuple[tuple[str, ...], float, 
     c = within_flight(first, 0)[0]
     amount, sigma, _ = c.drifts["order"]
     true = LENS["c"] * DRIFT * (shape == "drift")
-    return tuple(one.code for one in found), (amount - true) / sigma, sigma / LENS["c"], c.p_value
+    return [one.code for one in found], (amount - true) / sigma, sigma / LENS["c"], c.p_value
 
 
-def row(shape: str, carried: str, flights: int) -> str:
+def row(shape: str, carried: str, seen: list[Any]) -> str:
     """One line of the table."""
-    codes, seen, first = Counter[str](), [], 0
-    for seed in range(flights):
-        seen.append(flown(shape, carried, seed))
-        codes.update(set(seen[-1][0]))
-        first += seen[-1][0][:1] == ("c-drift",)
-        sys.stderr.write(f"\r{shape}, {carried}: {seed + 1} of {flights}, {dict(codes)}   ")
+    codes = Counter(code for one in seen for code in set(one[0]))
+    first = sum(one[0][:1] == ["c-drift"] for one in seen)
     inside = "-" if shape == "step" else f"{100 * np.mean([abs(one[1]) < 1.96 for one in seen]):.0f} %"
     listed = ", ".join(f"{code} {count}" for code, count in codes.most_common()) or "none"
     thirds = sum(one[3] < 0.05 for one in seen)
     return (
-        f"| {shape} | {carried} | {flights} | {codes['c-drift']} | {first} | {codes['c-step']} |"
+        f"| {shape} | {carried} | {len(seen)} | {codes['c-drift']} | {first} | {codes['c-step']} |"
         f" {100 * np.mean([one[2] for one in seen]):.3f} % | {inside} | {thirds} | {listed} |"
     )
 
 
 def main() -> None:
     """Fly, analyse, count, and write the page."""
-    OUTPUT.write_text(page([row(*which, flights) for which, flights in FLIGHTS.items()]), encoding="utf-8")
-    sys.stderr.write(f"\nwritten to {OUTPUT}\n")
+    cases = [
+        (*which, seed)
+        for seed in range(max(FLIGHTS.values()))
+        for which, flights in FLIGHTS.items()
+        if seed < flights
+    ]
+    found = outcomes(iter(cases), len(cases), flown)
+    rows = []
+    for which in FLIGHTS:
+        seen = [outcome for case, outcome in found.items() if case[:2] == which]
+        rows += [row(*which, seen)] if seen else []
+    OUTPUT.write_text(page(rows), encoding="utf-8")
 
 
 def page(rows: list[str]) -> str:

@@ -3,7 +3,7 @@
 Writes `docs/evidence/faults.md`. Flights of the demonstration with streams (raw GNSS, telemetry, time marks)
 and image observations instead of pictures, imported, and processed to the certificate.
 
-Run: `make evidence`, or `python -m tests.evidence.faults [SEED ...]`.
+Run: `make evidence`, or `python -m tests.evidence.faults`, in portions as `tests.evidence.portions` says.
 """
 
 from __future__ import annotations
@@ -13,13 +13,9 @@ import datetime as dt
 import html
 import io
 import json
-import os
-import sys
 import tempfile
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +23,7 @@ from acquire.simulate.world.configuration import Fault
 from drivers.errors import PhotocalError
 from photocal.run.campaign import run_one
 from photocal.run.summary import summary_text
+from tests.evidence.portions import outcomes
 from tests.simulated import fly
 
 # 11 and 12 were flown only after all rules stood.
@@ -88,12 +85,13 @@ class Processed:
     certificate: tuple[str, str] | None
 
 
-Task = tuple[Fault | None, int, dict[str, Any]]
+def processed(fault: str, seed: int, size: str) -> dict[str, Any]:
+    """Fly with a fault or without one, of a size of the table or its own, and process to the certificate."""
+    sizes = next((sizes for own, name, sizes in SIZES if (own, name) == (fault, size)), {})
+    return asdict(_processed(Fault(fault) if fault else None, seed, sizes))
 
 
-def processed(task: Task) -> Processed:
-    """Fly with a fault or without one, and process to the certificate."""
-    fault, seed, sizes = task
+def _processed(fault: Fault | None, seed: int, sizes: dict[str, Any]) -> Processed:
     with tempfile.TemporaryDirectory() as scratch:
         project = fly(
             Path(scratch) / "flight",
@@ -200,26 +198,30 @@ def page(rows: list[str], sized: list[str]) -> list[str]:
     ]
 
 
-def main(*seeds: int) -> None:
+def _read(told: dict[str, Any]) -> Processed:
+    """What was processed, as it stood in a tally."""
+    certificate = told["certificate"] and tuple(told["certificate"])
+    return Processed(told["shown"], tuple(told["warnings"]), tuple(told["consequences"]), certificate)
+
+
+def main() -> None:
     """Switch on each fault alone and write the table."""
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    chosen = seeds or SEEDS
-    faults = (None, *NAMES)
-    tasks: list[Task] = [(fault, seed, {}) for fault in faults for seed in chosen]
-    tasks += [(fault, SIZE_SEED, sizes) for fault, _, sizes in SIZES]
-    with ProcessPoolExecutor(2) as pool:
-        told = pool.map(processed, tasks)
-        rows = []
-        for fault in faults:
-            rows.append(row(fault, list(islice(told, len(chosen)))))
-            sys.stderr.write(rows[-1] + "\n")
-        sized = []
-        for fault, size, _ in SIZES:
-            sized.append(size_row(fault, size, next(told)))
-            sys.stderr.write(sized[-1] + "\n")
+    names = {"" if fault is None else fault.value: fault for fault in (None, *NAMES)}
+    cases = [(name, seed, "") for seed in SEEDS for name in names]
+    cases += [(fault.value, SIZE_SEED, size) for fault, size, _ in SIZES]
+    found = {case: _read(one) for case, one in outcomes(iter(cases), len(cases), processed).items()}
+    rows = []
+    for name, fault in names.items():
+        flights = [one for case, one in found.items() if (case[0], case[2]) == (name, "")]
+        rows += [row(fault, flights)] if flights else []
+    sized = [
+        size_row(fault, size, found[case])
+        for fault, size, _ in SIZES
+        if (case := (fault.value, SIZE_SEED, size)) in found
+    ]
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
     OUTPUT.write_text("\n".join(page(rows, sized)) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main()

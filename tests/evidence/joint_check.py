@@ -4,12 +4,13 @@ Writes `docs/evidence/joint_check.md`. Small flights with GNSS positions and con
 check points with errors of their survey. The joint test uses the covariance of all of them together; the
 classical one takes them as independent.
 
-Run: `make evidence`, or `python -m tests.evidence.joint_check [FLIGHTS]`.
+Run: `make evidence`, or `python -m tests.evidence.joint_check`, in portions as
+`tests.evidence.portions` says.
 """
 
 from __future__ import annotations
 
-import sys
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ from scipy import stats
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
-from photocal.georeferencing.differences import JointTest, joint_test
+from photocal.georeferencing.differences import joint_test
+from tests.evidence.portions import outcomes
 from tests.photocal.analysis.aerial import Flight, fly
 
 FLIGHTS, CHECKS, SURVEY_M = 1000, 10, 0.01
@@ -26,8 +28,8 @@ OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "joint_check.md"
 SMALL = Flight(10, 500, estimate=("c", "x0", "y0", "K1"), sigma_px=0.7)
 
 
-def judged(seed: int) -> tuple[JointTest, bool, bool]:
-    """Joint test of one flight; whether the classical ones reject: bias of an axis, sum of point by point."""
+def rejected(seed: int) -> list[bool]:
+    """Which tests reject a flight: jointly, the mean, the sum of point by point, the mean of an axis."""
     flown = fly(SMALL, 20_000 + seed)
     network, solution = flown.network, adjust(flown.network)
     free = np.flatnonzero(np.diagonal(network.points.weight, axis1=1, axis2=2)[:, 0] == 0)
@@ -44,16 +46,14 @@ def judged(seed: int) -> tuple[JointTest, bool, bool]:
     own = np.array([whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(CHECKS)])
     alone = float(np.einsum("na,nab,nb->", d, np.linalg.inv(own), d))
     low, high = (float(stats.chi2.ppf(p, 3 * CHECKS)) for p in (0.025, 0.975))
-    return joint_test(d, whole), biased, not low < alone < high
+    joint = joint_test(d, whole)
+    return [joint.p_value < 0.05, joint.mean_p_value < 0.05, not low < alone < high, biased]
 
 
-def main(flights: int = FLIGHTS) -> None:
+def main() -> None:
     """Fly, check, count, and write the page."""
-    counts = np.zeros(4, dtype=int)
-    for seed in range(flights):
-        joint, biased, outside = judged(seed)
-        counts += [joint.p_value < 0.05, joint.mean_p_value < 0.05, outside, biased]
-        sys.stderr.write(f"\rflight {seed + 1} of {flights}: {counts.tolist()} rejected   ")
+    found = outcomes(((seed,) for seed in count()), FLIGHTS, rejected)
+    share = np.mean(list(found.values()), axis=0)
     names = (
         "jointly: d' C^-1 d",
         "jointly: the mean",
@@ -63,17 +63,17 @@ def main(flights: int = FLIGHTS) -> None:
     lines = [
         "# Check points judged jointly",
         "",
-        f"{flights} flights of 10 images with GNSS and control, {CHECKS} check points surveyed to 1 cm.",
+        f"{len(found)} flights of 10 images with GNSS and control, {CHECKS} check points surveyed to 1 cm.",
         "Rejected at 5 % although every error is as stated; asked are 3.5 to 6.5 % of the joint tests. The",
         "classical ones take the points as independent.",
         "",
         "| test | rejected |",
         "|---|---|",
-        *(f"| {name} | {100 * n / flights:.1f} % |" for name, n in zip(names, counts, strict=True)),
+        *(f"| {name} | {100 * part:.1f} % |" for name, part in zip(names, share, strict=True)),
     ]
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
     OUTPUT.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main()

@@ -138,8 +138,23 @@ def of_strips(search: Search) -> list[Finding]:
             {"images": float(one.positions), "numbers": _by_axis(one.shift, one.sigma)},
         )
         for one in search.strips
-        if one.p_value < LEVEL
+        if one.p_value < LEVEL and one.beyond_stated
     ]
+
+
+def of_members(search: Search) -> list[Finding]:
+    """Name positions and control points that contradict all others."""
+    network, listed = search.first.network, []
+    for one in search.members:
+        of_image = one.kind == "position"
+        names = network.image_names if of_image else network.point_names
+        sigma = np.sqrt(np.diag(one.covariance))
+        figures: dict[str, Figure] = {"numbers": _by_axis(one.error, sigma)}
+        worst = int(np.argmax(np.abs(one.error)))
+        size = Size(float(one.error[worst]), "m", float(sigma[worst]))
+        code = "position-contradicts" if of_image else "control-contradicts"
+        listed.append(Finding(code, "doubtful", names[one.index], figures, size=size))
+    return listed
 
 
 def _by_axis(shift: Floats, sigma: Floats) -> tuple[str, ...]:
@@ -209,7 +224,7 @@ def of_bias(search: Search) -> list[Finding]:
     It is grave where it moves the object points of this block, too: else control or positions hold them, and
     only who carries c to another flight is misled.
     """
-    if not search.rounds and search.shift is None:
+    if search.last is search.first:
         return []
     listed = []
     for k, camera in enumerate(search.first.network.cameras):

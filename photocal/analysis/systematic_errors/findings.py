@@ -13,6 +13,7 @@ from photocal.adjustment.observations import mounting_equations
 from photocal.analysis.systematic_errors.camera_findings import (
     of_bias,
     of_jackknife,
+    of_members,
     of_round,
     of_shift,
     of_sigma,
@@ -231,6 +232,7 @@ def of_heads(fitted: Fit) -> list[Finding]:
 def findings(search: Search) -> tuple[Finding, ...]:
     """Turn a search into a list."""
     listed = [of_round(one) for one in search.rounds]
+    listed += of_members(search)
     listed += of_shift(search)
     listed += of_strips(search)
     listed += of_sigma(search)

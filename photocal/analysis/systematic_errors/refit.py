@@ -14,6 +14,7 @@ from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import Factored, factorised
+from photocal.adjustment.groups import Member
 from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.near import with_held
 from photocal.adjustment.network import Network
@@ -138,6 +139,17 @@ def without_images(network: Network, state: State, left_out: Flags) -> tuple[Net
         points=state.points[points],
         deviations=state.deviations[~left_out],
     )
+
+
+def without_member(network: Network, one: Member) -> Network:
+    """Take an observed position out of a network, or what is observed of a control point."""
+    if one.kind == "control":
+        weight = network.points.weight.copy()
+        weight[one.index] = 0.0
+        return replace(network, points=replace(network.points, weight=weight))
+    kept = network.positions.image != one.index
+    columns = {name: column[kept] for name, column in _columns(network.positions).items()}
+    return replace(network, positions=replace(network.positions, **columns))
 
 
 def _columns(table: object) -> dict[str, NDArray[Any]]:

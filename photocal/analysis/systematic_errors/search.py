@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.groups import CONTROL, GroupTest, group_tests
+from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
 from photocal.adjustment.variance_components import VarianceComponents, estimate_components
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.robust import Jackknife, jackknife
@@ -22,7 +22,13 @@ from photocal.analysis.systematic_errors.candidates import (
     judged,
     steps_of_c,
 )
-from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas
+from photocal.analysis.systematic_errors.refit import (
+    Fit,
+    fit,
+    with_measurements,
+    with_sigmas,
+    without_member,
+)
 from photocal.analysis.systematic_errors.scatter import (
     AssumedSigma,
     ResidualMap,
@@ -35,6 +41,7 @@ from photocal.analysis.systematic_errors.shifts import (
     ImageShift,
     PositionShift,
     StripShift,
+    gross_error,
     image_shifts,
     position_shift,
     strip_shifts,
@@ -78,6 +85,7 @@ class Search:
 
     rounds: errors in the order in which they were found, the worst first.
     first, last: the network as it was adjusted, and with all corrections.
+    members: positions and control points with gross errors, the worst first; `last` is without them.
     positions: what a common shift of all observed positions would be and do; None where it is free.
     shift: the same where it is significant; it is then free in `last`.
     sigma: of the image coordinates, at the end.
@@ -92,6 +100,7 @@ class Search:
     rounds: tuple[Round, ...]
     first: Fit
     last: Fit
+    members: tuple[Member, ...]
     positions: PositionShift | None
     shift: PositionShift | None
     sigma: AssumedSigma
@@ -109,9 +118,10 @@ class Search:
 def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     """Look for systematic errors in an adjusted network."""
     rounds = list[Round]()
-    positions = position_shift(first)
+    members, last = _without_gross_errors(first)
+    positions = position_shift(last)
     shift = positions if positions is not None and positions.p_value < LEVEL else None
-    last = first if shift is None else fit(with_free_shift(first.network), first.state)
+    last = last if shift is None else fit(with_free_shift(last.network), last.state)
     while len(rounds) < ROUNDS:
         suspected = _suspected(last, tuple(one.parameter.candidate for one in rounds), done)
         step = next((one for worst in suspected if (one := _corrected(last, worst)) is not None), None)
@@ -120,7 +130,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         rounds.append(step)
         last = step.after
     before = jackknife(first, done)
-    after = jackknife(last, done) if rounds or shift is not None else before
+    after = jackknife(last, done) if last is not first else before
     solution, rays = last.solution, last.network.rays
     squares = (solution.residuals / rays.sigma) ** 2
     redundancy = solution.redundancy
@@ -134,6 +144,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         tuple(rounds),
         first,
         last,
+        members,
         positions,
         shift,
         sigma,
@@ -147,6 +158,21 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         before,
         after,
     )
+
+
+def _without_gross_errors(first: Fit) -> tuple[tuple[Member, ...], Fit]:
+    """Take out positions and control points that contradict all others, one after the other."""
+    members, last = list[Member](), first
+    while len(members) < ROUNDS:
+        found = gross_error(last, LEVEL)
+        if found is None:
+            break
+        try:
+            last = fit(without_member(last.network, found), last.state)
+        except (IllPosedError, NotConvergedError):
+            break
+        members.append(found)
+    return tuple(members), last
 
 
 def camera_estimates(fitted: Fit, camera: int) -> Estimates:

@@ -9,8 +9,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.adjustment.envelope import solve
-from photocal.adjustment.groups import FEWEST, tested
-from photocal.adjustment.mounting import SHIFT, STRIPS
+from photocal.adjustment.groups import FEWEST, Member, member_tests, tested
+from photocal.adjustment.mounting import SHIFT, STRIPS, Positions
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by, score
@@ -24,6 +24,8 @@ LEFT = 1e-4
 LEAST_OF_STRIP, MOST_STRIPS = 3, 60
 # From here on standard deviations are wrong.
 SIGNIFICANCE = 0.001
+# Standard deviations, of 95 %.
+_STATED = 2.0
 
 
 @dataclass(frozen=True)
@@ -62,11 +64,10 @@ def position_shift(fit: Fit) -> PositionShift | None:
             for parameters, columns in layout.camera_columns
         ]
     )
-    stated = np.median(np.sqrt(np.diagonal(positions.covariance, axis1=1, axis2=2)), axis=0)
     group = next(one for one in fit.solution.groups if one.name == "position")
     rest = group.redundancy - 3.0
     if np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] < LEFT or rest < FEWEST:
-        return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, stated)
+        return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, stated(positions))
     covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
     shift = -covariance @ slope
     fall = float(-slope @ shift)
@@ -77,19 +78,31 @@ def position_shift(fit: Fit) -> PositionShift | None:
     wrong = factor.factor > 1.0 and factor.p_value < SIGNIFICANCE
     if wrong and factor.gain > fall - 2.0 * np.log(fit.solution.observations):
         p_value = 1.0
-    return PositionShift(shift, np.sqrt(np.diag(covariance)), fall, p_value, c_by_shift, stated)
+    return PositionShift(shift, np.sqrt(np.diag(covariance)), fall, p_value, c_by_shift, stated(positions))
 
 
 @dataclass(frozen=True)
 class StripShift:
-    """The positions of one strip against the rest, `PositionShift` of that strip alone; p for all strips."""
+    """The positions of one strip against the rest, `PositionShift` of that strip alone; p for all strips.
+
+    on_c: the largest change of a principal distance that it makes, in its standard deviations.
+    stated (3,): medians of the stated standard deviations of a position, m.
+    """
 
     first: str
     last: str
     positions: int
     shift: Floats
     sigma: Floats
+    fall: float
     p_value: float
+    on_c: float
+    stated: Floats
+
+    @property
+    def beyond_stated(self) -> bool:
+        """Whether it is more than is stated of each position (95 %), or of c: errors of GNSS stay alike."""
+        return bool(np.max(np.abs(self.shift) / self.stated) > _STATED or self.on_c > _STATED)
 
 
 def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
@@ -115,11 +128,27 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
         shift = -covariance @ slope
         left = group.chi_squared + float(slope @ shift)
         scale = max(1.0, left / (group.redundancy - 3.0))
-        p_value = len(chosen) * _smaller_p(shift, scale * covariance, group.redundancy - 3.0)
+        p_value = min(1.0, len(chosen) * _smaller_p(shift, scale * covariance, group.redundancy - 3.0))
         names = [network.image_names[i] for i in positions.image[own]]
-        sigma = np.sqrt(np.diag(covariance))
-        found.append(StripShift(names[0], names[-1], len(names), shift, sigma, min(1.0, p_value)))
+        sigma, fall = np.sqrt(np.diag(covariance)), -float(slope @ shift)
+        on_c = _on_c(fit, shift @ normal.steps[mine])
+        found.append(
+            StripShift(names[0], names[-1], len(names), shift, sigma, fall, p_value, on_c, stated(positions))
+        )
     return tuple(found)
+
+
+def stated(positions: Positions) -> Floats:
+    """Medians of the stated standard deviations of a position, (3,), m."""
+    return np.asarray(np.median(np.sqrt(np.diagonal(positions.covariance, axis1=1, axis2=2)), axis=0))
+
+
+def _on_c(fit: Fit, step: Floats) -> float:
+    """The largest change of a principal distance with a step, in its standard deviations."""
+    sigma = np.sqrt(fit.solution.camera_covariance[:, 0, 0])
+    columns = fit.factored.problem.layout.camera_columns
+    change = np.array([np.abs(step[own[active == 0]]).sum() for active, own in columns])
+    return float(np.max(np.divide(change, sigma, out=np.zeros_like(change), where=sigma > 0.0)))
 
 
 @dataclass(frozen=True)
@@ -148,6 +177,45 @@ def _further(fit: Fit, fields: Floats) -> _Further:
     steps = solve(at.problem.layout.envelope, at.normal.matrix, right)
     information = fields.T @ fields - right.T @ steps
     return _Further((information + information.T) / 2, fields.T @ (rows.weight * rows.residual), steps.T)
+
+
+def gross_error(fit: Fit, level: float) -> Member | None:
+    """Find the worst of the positions and control points, where it contradicts all others at a level.
+
+    It is judged by the scatter of the others of its kind by axis, and for all of them having been looked at.
+    None where what positions have in common, all or those of a strip, explains more.
+    """
+    tested = [one for one in member_tests(fit.factored, fit.solution) if one.dimensions]
+    redundancy = {one.name: one.redundancy for one in fit.solution.groups}
+    rated = list[tuple[float, Member]]()
+    for kind in ("position", "control"):
+        own = [one for one in tested if one.kind == kind]
+        variance = np.array([np.diag(one.covariance) for one in own]).reshape(-1, 3)
+        shares = np.array([one.error for one in own]).reshape(-1, 3) ** 2 / variance
+        for one, share in zip(own, shares, strict=True):
+            if (rest := redundancy[kind] - one.dimensions) >= FEWEST:
+                others = (shares.sum(axis=0) - share) / (len(own) - 1)
+                rated.append((_p_of_member(one, np.maximum(others, 1.0), rest), one))
+    p_value, worst = min(rated, key=lambda pair: (pair[0], -pair[1].statistic), default=(1.0, None))
+    if worst is None or len(tested) * p_value >= level:
+        return None
+    if worst.kind == "position":
+        common = position_shift(fit)
+        falls = [one.fall for one in strip_shifts(fit)] + ([] if common is None else [common.fall])
+        if max(falls, default=0.0) >= worst.statistic:
+            return None
+    return worst
+
+
+def _p_of_member(one: Member, scatter: Floats, rest: float) -> float:
+    """Probability of so large an error, where the variances of the axes are so many times those stated."""
+    from scipy import stats
+
+    known = np.isfinite(np.diag(one.covariance))
+    error, covariance = (one.error / np.sqrt(scatter))[known], one.covariance[np.ix_(known, known)]
+    dimensions = int(known.sum())
+    f = float(error @ np.linalg.solve(covariance, error)) / max(dimensions, 1)
+    return float(stats.f.sf(f, dimensions, rest)) if dimensions else 1.0
 
 
 def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.readout import Readout, with_moving_images
+from photocal.adjustment.readout import (
+    Readout,
+    rolls_whatever_the_lens,
+    with_moving_images,
+    with_readouts,
+)
 from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal import flights
@@ -100,3 +105,29 @@ def test_steady_images_do_not_shake() -> None:
         _, network = flights.case("attitudes", seed, readout_s=0.03, **SMALL)
         network, _, _ = with_moving_images(network, adjust(network))
         assert not network.cameras[0].shake
+
+
+@pytest.mark.parametrize(("readout_s", "rolls"), [(0.0, False), (0.03, True)])
+def test_a_wrong_lens_that_is_held_feigns_no_readout(readout_s: float, rolls: bool) -> None:
+    """c 3 % and the principal point 60 px off, held: much like a readout of 6 ms, but for who frees both."""
+    _, network = flights.case("attitudes", 6, readout_s=readout_s, **SMALL)
+    own = network.cameras[0]
+    guess = own.changed(c=1.03 * flights.C, x0=72.0, y0=51.0)
+    held = replace(guess, estimated=own.estimated & ~np.isin(PARAMETERS, ("c", "x0", "y0")))
+    network = replace(network, cameras=(held,))
+    solution = adjust(network)
+    (readout,) = with_readouts(network, solution)[2]
+    assert readout.p_value < 1e-3
+    assert rolls_whatever_the_lens(network, solution) == rolls
+
+
+def test_a_readout_that_the_network_does_not_bear_leaves_it_as_it_was() -> None:
+    """Images that hover: whatever the readout is, no ray tells."""
+    _, network = flights.case("attitudes", 7, readout_s=0.0, **SMALL)
+    still = np.zeros_like(network.exposures.motion)
+    network = replace(network, exposures=replace(network.exposures, motion=still, motion_sigma=still))
+    solution = adjust(network)
+    after, found, readouts = with_readouts(network, solution)
+    assert after is network
+    assert found is solution
+    assert readouts == ()

@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.groups import group_tests
+from photocal.adjustment.groups import group_tests, member_tests
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.refit import fit
+from photocal.analysis.systematic_errors.refit import fit, without_member
 from photocal.analysis.systematic_errors.search import search
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal.analysis.aerial import Flight, fly
@@ -90,3 +90,75 @@ def test_an_error_of_the_camera_is_found_beside_positions_that_are_worse_than_st
     listed = findings(search(fit(replace(network, cameras=known, positions=stated))))
     assert listed[0].code == "radial"
     assert any((one.code, one.subject) == ("sigmas-too-small", "position") for one in listed)
+
+
+def test_a_member_is_what_an_adjustment_without_it_says() -> None:
+    """Fall of v'Pv, and observed less adjusted without it; with a lever arm to estimate, and correlated."""
+    network = fly(SMALL, 3).network
+    own, count = network.positions, len(network.positions.image)
+    correlated = own.covariance + 1e-4 * np.array([[0, 0.6, 0.3], [0.6, 0, -0.5], [0.3, -0.5, 0]])
+    sigma = network.mounting.sigma.copy()
+    sigma[:3] = 0.5
+    network = replace(
+        network,
+        positions=replace(own, covariance=correlated),
+        mounting=replace(network.mounting, sigma=sigma),
+    )
+    whole = fit(network)
+    members = member_tests(whole.factored, whole.solution)
+    assert [one.kind for one in members] == ["position"] * count + ["control"] * 16
+    for one in (members[0], members[7], members[count], members[count + 5]):
+        alone = adjust(without_member(network, one))
+        assert one.dimensions == 3
+        assert one.statistic == pytest.approx(whole.solution.chi_squared - alone.chi_squared, abs=0.02)
+        if one.kind == "control":
+            error = network.points.values[one.index] - alone.points[one.index]
+            spread = np.linalg.inv(network.points.weight[one.index]) + alone.point_covariance[one.index]
+            np.testing.assert_allclose(one.error, error, atol=0.02 * np.sqrt(spread.max()))
+            np.testing.assert_allclose(one.covariance, spread, atol=0.01 * spread.max())
+
+
+def test_members_of_clean_flights_are_rejected_as_often_as_the_level_says() -> None:
+    """Positions and control of 40 flights: even probabilities, and 5 % of them below 5 %."""
+    own = replace(SMALL, images=16, rays=1200, control_points=9)
+    p_values = []
+    for seed in range(40):
+        whole = fit(fly(own, 300 + seed).network)
+        members = member_tests(whole.factored, whole.solution)
+        p_values += [stats.chi2.sf(one.statistic, one.dimensions) for one in members]
+    # Binomial of a thousand members: 1.4 % and 3 % are two standard errors.
+    assert np.mean(np.array(p_values) < 0.05) == pytest.approx(0.05, abs=0.014)
+    assert np.mean(np.array(p_values) < 0.5) == pytest.approx(0.5, abs=0.032)
+
+
+@pytest.mark.parametrize(("kind", "index"), [("position", 11), ("control", 4)])
+def test_one_gross_error_is_named_with_its_size_and_nothing_else(kind: str, index: int) -> None:
+    """A position 6 sigma off in plane and height, a control point 15 cm off."""
+    network = fly(SMALL, 4).network
+    if kind == "position":
+        error = np.array([0.12, 0.0, -0.24])
+        values = network.positions.values.copy()
+        values[index] += error
+        wrong = replace(network, positions=replace(network.positions, values=values))
+        name = network.image_names[network.positions.image[index]]
+    else:
+        error = np.array([0.0, 0.15, 0.0])
+        values = network.points.values.copy()
+        values[index] += error
+        wrong = replace(network, points=replace(network.points, values=values))
+        name = network.point_names[index]
+    found = search(fit(wrong))
+    (one,) = findings(found)
+    assert (one.code, one.subject) == (f"{kind}-contradicts", name)
+    (member,) = found.members
+    assert np.all(np.abs(member.error - error) < 4.0 * np.sqrt(np.diag(member.covariance)))
+    assert name in said(one)
+
+
+def test_a_shifted_strip_is_not_blamed_on_its_positions() -> None:
+    network = fly(SMALL, 5).network
+    own = network.positions
+    moved = own.values + (own.strip == 1)[:, None] * np.array([0.15, 0.0, 0.0])
+    found = search(fit(replace(network, positions=replace(own, values=moved))))
+    assert found.members == ()
+    assert "strip-position" in {one.code for one in findings(found)}

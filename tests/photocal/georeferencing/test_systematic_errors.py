@@ -111,6 +111,29 @@ def test_an_error_is_not_taken_for_wrong_sigmas(flown: Flown) -> None:
     assert "datum-shift" in {found.errors[0].found.name, *found.errors[0].same}
 
 
+@pytest.mark.parametrize(
+    ("white", "jump", "named"),
+    [
+        # As stated, and one strip 90 mm beside the others.
+        (0.03, 0.09, ["strip-shifts"]),
+        # Errors that stay alike for minutes: the rays tell 9 mm of positions that are stated to 30 mm.
+        (0.0015, 0.009, []),
+    ],
+)
+def test_strips_that_jump_are_an_error_beyond_what_is_stated_of_each_position(
+    tmp_path: Path, white: float, jump: float, named: list[str]
+) -> None:
+    plan = replace(SMALL, tie=200, pixel_sigma=0.05, position_sigma_m=white)
+    block = with_attitude_angles(read_block(fly(tmp_path / "f", np.random.default_rng(41), plan=plan)))
+    own = block.positions
+    values = own.values + (own.strip == 1)[:, None] * np.array([0.0, jump, 0.0])
+    stated = replace(own, values=values, covariance=own.covariance * (0.03 / white) ** 2)
+    found = systematic_errors(replace(block, positions=stated))
+    (strips,) = [one for one in found.tested if one.name == "strip-shifts"]
+    assert strips.significant
+    assert [error.found.name for error in found.errors] == named
+
+
 def test_vertical_lever_arm_is_said_to_be_like_a_height_datum(flown: Flown) -> None:
     found = systematic_errors(flown(Errors(lever_arm_m=(0.0, 0.0, 0.3)), 27))
     error = found.errors[0]
