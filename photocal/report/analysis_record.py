@@ -200,11 +200,6 @@ def exterior_difference(block: Block, result: Result) -> ExteriorDifference | No
     d = (given - adjusted)[original.known]
     d[:, :3] = np.degrees((d[:, :3] + np.pi) % (2 * np.pi) - np.pi) * 3600.0
     mean, rmse = d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0))
-    x, y, z, *turn = mean[[3, 4, 5, 0, 1, 2]].tolist()
-    rx, ry, rz, *turns = rmse[[3, 4, 5, 0, 1, 2]].tolist()
-    return ExteriorDifference(len(d), (x, y, z), (rx, ry, rz), _triple(turn), _triple(turns))
-
-
-def _triple(values: list[float]) -> tuple[float, float, float]:
-    first, second, third = values
-    return first, second, third
+    place, turn = slice(3, 6), slice(3)
+    figures = [tuple(values[part].tolist()) for part in (place, turn) for values in (mean, rmse)]
+    return ExteriorDifference(len(d), *figures)

@@ -130,10 +130,10 @@ class ExteriorDifference:
     """
 
     images: int
-    mean_m: tuple[float, float, float]
-    rmse_m: tuple[float, float, float]
-    mean_arcsec: tuple[float, float, float]
-    rmse_arcsec: tuple[float, float, float]
+    mean_m: tuple[float, ...]
+    rmse_m: tuple[float, ...]
+    mean_arcsec: tuple[float, ...]
+    rmse_arcsec: tuple[float, ...]
 
 
 @dataclass(frozen=True)
