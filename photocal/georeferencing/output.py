@@ -84,9 +84,9 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
 
     returns: lengths in m; null where a figure does not exist.
     """
-    exposures, found = check.exposures, block_findings(check)
+    exposures, found, say = check.exposures, block_findings(check), say or catalogue("en")
     scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
-    return {
+    content: dict[str, Any] = {
         "schema": SCHEMA,
         "block": check.block.name,
         "sign": SIGN,
@@ -96,42 +96,34 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
         if exposures is None
         else {
             "images": exposures.images,
-            "mean": dict(zip(_POSE, (exposures.mean * scale).tolist(), strict=True)),
-            "rmse": dict(zip(_POSE, (exposures.rmse * scale).tolist(), strict=True)),
+            "mean": dict(zip(_POSE, exposures.mean * scale, strict=True)),
+            "rmse": dict(zip(_POSE, exposures.rmse * scale, strict=True)),
         },
         "systematic_errors": None if check.systematic is None else _systematic(check.systematic),
         "separation": None if check.separation is None else _separation(check.separation),
         "mistyped": [
-            {
-                "point": one.point,
-                "d_m": one.d.tolist(),
-                "sigma_m": one.sigma.tolist(),
-                "slips": list(one.slips),
-            }
+            {"point": one.point, "d_m": one.d, "sigma_m": one.sigma, "slips": one.slips}
             for one in check.mistyped
         ],
-        "verdict": finding_json(verdict(found), say or catalogue("en")),
-        "findings": [finding_json(one, say or catalogue("en")) for one in found],
+        "verdict": finding_json(verdict(found), say),
+        "findings": [finding_json(one, say) for one in found],
     }
+    return {key: as_plain(part) for key, part in content.items()}
 
 
 def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
-    found = judged.found
+    found, seen = judged.found, judged.found.images
     return {
         "label": found.label,
         "chi_squared": found.chi_squared,
         "degrees_of_freedom": found.degrees_of_freedom,
-        "global_test": as_plain(found.test),
+        "global_test": found.test,
         "control": _differences(judged.control),
         "check": _differences(judged.check),
         "images": [
             {"image": name, "rays": n, "rms_x_px": x, "rms_y_px": y, "largest_w": w}
             for name, n, (x, y), w in zip(
-                check.block.images.names,
-                found.images.rays.tolist(),
-                found.images.rms.tolist(),
-                found.images.largest.tolist(),
-                strict=True,
+                check.block.images.names, seen.rays, seen.rms, seen.largest, strict=True
             )
         ],
         "assessment": None if judged.assessment is None else assessment_json(judged.assessment),
@@ -143,7 +135,7 @@ def _differences(found: Differences) -> dict[str, Any]:
         "n": len(found.names),
         "rmse_m": _by_axis(found.rmse),
         "predicted_m": _by_axis(found.predicted),
-        "errors_over_prediction": finite(found.ratio),
+        "errors_over_prediction": found.ratio,
         "critical_w": CRITICAL_W,
         "ellipse_probability": ELLIPSE_PROBABILITY,
         "joint": None if found.joint is None else _joint(found.joint),
@@ -151,8 +143,8 @@ def _differences(found: Differences) -> dict[str, Any]:
     }
 
 
-def _by_axis(values: Floats) -> dict[str, float | None]:
-    return {axis: finite(value) for axis, value in zip(_AXES, values.tolist(), strict=True)}
+def _by_axis(values: Floats) -> dict[str, float]:
+    return dict(zip(_AXES, values, strict=True))
 
 
 def _joint(one: JointTest) -> dict[str, Any]:
@@ -162,17 +154,15 @@ def _joint(one: JointTest) -> dict[str, Any]:
 def _point(found: Differences, k: int) -> dict[str, Any]:
     keyed: dict[str, Any] = {"point": found.names[k]}
     for a, axis in enumerate(_AXES):
-        keyed[f"d{axis}_m"] = float(found.d[k, a])
-        keyed[f"s{axis}_m"] = float(found.product_sigma[k, a])
-        keyed[f"w{axis}"] = finite(float(found.w[k, a]))
-    keyed["chi_squared"] = finite(float(found.distance[k]))
-    keyed["covariance_m2"] = found.covariance[k][np.tril_indices(3)].tolist()
-    keyed["ellipse"] = {
-        "semi_major_m": float(found.ellipses.semi_axes[k, 0]),
-        "semi_minor_m": float(found.ellipses.semi_axes[k, 1]),
-        "azimuth_deg": math.degrees(found.ellipses.azimuth[k]),
-    }
-    return keyed
+        keyed |= {
+            f"d{axis}_m": found.d[k, a],
+            f"s{axis}_m": found.product_sigma[k, a],
+            f"w{axis}": found.w[k, a],
+        }
+    major, minor = found.ellipses.semi_axes[k]
+    ellipse = {"semi_major_m": major, "semi_minor_m": minor}
+    keyed |= {"chi_squared": found.distance[k], "covariance_m2": found.covariance[k][np.tril_indices(3)]}
+    return {**keyed, "ellipse": ellipse | {"azimuth_deg": math.degrees(found.ellipses.azimuth[k])}}
 
 
 def _systematic(errors: SystematicErrors) -> dict[str, Any]:
@@ -182,10 +172,10 @@ def _systematic(errors: SystematicErrors) -> dict[str, Any]:
             {**_hypothesis(one.found), "not_separated_from": [_name(code) for code in one.same]}
             for one in errors.errors
         ],
-        "together": as_plain(errors.estimates),
-        "untested": list(errors.untested),
-        "stated_sigmas": as_plain(errors.sigmas),
-        "free_in_block": as_plain(errors.own),
+        "together": errors.estimates,
+        "untested": errors.untested,
+        "stated_sigmas": errors.sigmas,
+        "free_in_block": errors.own,
     }
 
 
@@ -199,12 +189,8 @@ def _hypothesis(one: Hypothesis) -> dict[str, Any]:
 
 
 def _separation(found: Separation) -> dict[str, Any]:
-    return {
-        "names": list(found.names),
-        "sigma": found.sigma.tolist(),
-        "correlation": found.correlation.tolist(),
-        "not_separated": [list(group) for group in found.groups],
-    }
+    figures = {key: getattr(found, key) for key in ("names", "sigma", "correlation")}
+    return {**figures, "not_separated": found.groups}
 
 
 def to_text(check: BlockCheck) -> str:
