@@ -6,18 +6,24 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
-from photocal.adjustment.network import Network
-from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare
+from photocal.adjustment.kernels.residuals import evaluate
+from photocal.adjustment.network import Network, Rays
+from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, chords, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
+from photocal.geometry.distortion import undistorted
 
 # Squared distance, in units of the standard deviations, at which the movements of images are freed.
 NEAR = 1.0
+# Sum of squared sines between the rays of an image that tell where it was.
+LEAST_ACROSS = 0.01
 
 
 def adjust(
@@ -56,7 +62,8 @@ def minimum_of(
     start = start_state(network)
     problem = with_datum(prepare(network), start)
     moving = network.exposures.motion_sigma is not None and start.deviations.size > 0
-    if state is None and moving:
+    better = None if state is not None else _where_rays_come_from(problem, start)
+    if state is None and better is None and moving:
         state = _near(replace(network, exposures=replace(network.exposures, motion_sigma=None)), report)
     if state is not None and state.deviations.shape != start.deviations.shape:
         state = replace(state, deviations=start.deviations)
@@ -64,7 +71,44 @@ def minimum_of(
         minimum = _by_chords(problem, state, report)
         if minimum is not None:
             return problem, minimum
-    return problem, minimise(problem, state or start, report)
+    return problem, minimise(problem, state or better or start, report)
+
+
+def _where_rays_come_from(problem: Problem, start: State) -> State | None:
+    """Start with the centres that given angles and points tell; None where observed ones fit the rays better.
+
+    What orients a block writes its angles and its points: positions that it found to be metres off stay as
+    they were observed, and rays from there would turn the whole block first.
+    """
+    network = problem.network
+    exposures, rays, points = network.exposures, network.rays, network.points
+    loose = (exposures.sigma[:, 3:] > 0.0).all(axis=1) & np.isfinite(exposures.sigma[:, 3:]).all(axis=1)
+    seen = loose[rays.image]
+    rays = Rays(*(column[seen] for column in vars(rays).values()))
+    slopes = np.empty(rays.plane.shape)
+    camera = exposures.camera[rays.image]
+    for k, own in enumerate(network.cameras):
+        slopes[camera == k] = undistorted(own, rays.plane[camera == k]) / own.value("c")
+    towards = np.column_stack([slopes, -np.ones(len(slopes))])
+    towards = np.einsum("nba,nb->na", start.rotation[rays.image], towards)
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    across = np.eye(3) - towards[:, :, None] * towards[:, None, :]
+    matrix, pull = np.zeros((len(loose), 3, 3)), np.zeros((len(loose), 3))
+    np.add.at(matrix, rays.image, across)
+    np.add.at(pull, rays.image, np.einsum("nab,nb->na", across, points.values[rays.point]))
+    known = np.linalg.eigvalsh(matrix)[:, 0] > LEAST_ACROSS
+    centre = start.centre.copy()
+    centre[known] = np.linalg.solve(matrix[known], pull[known][:, :, None])[:, :, 0]
+    moved = replace(start, centre=centre)
+    return moved if _misfit(problem, moved) < _misfit(problem, start) else None
+
+
+def _misfit(problem: Problem, state: State) -> float:
+    """Give v'Pv of the rays; infinite where a point lies behind a camera."""
+    residuals, depth = np.empty(problem.network.rays.plane.shape), np.empty(len(problem.network.rays.image))
+    evaluate(problem.design, values_of(problem, state), residuals, depth)
+    ahead = bool((depth > 0.0).all())
+    return float(np.sum((residuals / problem.network.rays.sigma) ** 2)) if ahead else np.inf
 
 
 def _near(network: Network, report: Callable[[Iteration], None] | None) -> State | None:

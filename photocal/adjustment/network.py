@@ -27,9 +27,9 @@ class Exposures:
     camera (n,): index of the camera of each image.
     values (n, 6): omega, phi, kappa in radians, X, Y, Z of the projection centre in m.
     sigma (n, 6): 0 holds the value, a positive sigma makes it an observation, infinity leaves it free.
-    motion, motion_sigma (n, 6): for a rolling shutter: velocity in m/s in the object frame, rate in rad/s
-        about the camera's axes (the turn that takes old camera axes to new ones), and by how much the image
-        departs from them; None at rest. Their product with the readout moves the image; a departure is an
+    motion (n, 6 or 21), motion_sigma (n, 6): for a rolling shutter: velocity in m/s in the object frame,
+        rate in rad/s about the axes of the camera (the turn that takes old axes to new ones), by how much the
+        image departs from them; None at rest. Their product with the readout moves it; a departure is an
         unknown of the image whose sigma is that of the motion times the camera's given readout.
     time, temperature (n,): of the exposures, s and degrees Celsius, NaN where not known; for the analysis.
     """

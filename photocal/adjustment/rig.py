@@ -106,14 +106,14 @@ def rig_equations(
     """Linearise the relations between images of one exposure.
 
     values (heads, 7); columns (heads, 7): of the unknowns of the heads, -1 for what is none.
-    motion (images, 6): velocity and rate as `Exposures` has them; None at rest.
+    motion (images, 6 or 21): velocity and rate as `Exposures` has them; None at rest.
     """
     a, b = rig.first, rig.second
     head = rig.head_of(image_camera)
     p, q = head[a], head[b]
     turn, own = values[:, TURN], head_rotation(rig, values)
     moving = np.zeros((len(a), 6)) if motion is None else motion[a]
-    velocity, rate = moving[:, :3], moving[:, 3:]
+    velocity, rate = moving[:, :3], moving[:, 3:6]
     later = (values[q, LATER] - values[p, LATER])[:, None]
     onward = turned(np.broadcast_to(np.eye(3), (len(a), 3, 3)), -rate * later)
     between = rotation[b] @ np.swapaxes(rotation[a], 1, 2)

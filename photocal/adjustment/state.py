@@ -53,14 +53,15 @@ def lenses(network: Network, state: State) -> Floats:
 
     returns (cameras or images, 26 or 41): at the end the movement during the readout, and what shakes it.
     """
-    shakes = any(camera.shake for camera in network.cameras)
-    exposures, still = network.exposures, len(MOTION + SHAKE if shakes else MOTION)
+    exposures = network.exposures
+    given = np.zeros((1, len(MOTION))) if exposures.motion is None else exposures.motion
+    shakes = given.shape[1] > len(MOTION) or any(camera.shake for camera in network.cameras)
+    still = len(MOTION + SHAKE if shakes else MOTION)
     if not lens_by_image(network):
         return np.pad(state.cameras, ((0, 0), (0, still)))
     values = np.pad(state.cameras[exposures.camera], ((0, 0), (0, still)))
-    if exposures.motion is not None:
-        at = len(PARAMETERS)
-        values[:, at : at + len(MOTION)] = values[:, at - 1 : at] * exposures.motion
+    at = len(PARAMETERS)
+    values[:, at : at + given.shape[1]] = values[:, at - 1 : at] * given
     own = own_parameters(network)
     image, place = np.nonzero(own >= 0)
     values[image, own[image, place]] += state.deviations[image, place]

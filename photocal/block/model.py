@@ -64,6 +64,7 @@ class Images:
         omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves it free.
     motion, motion_sigma : ndarray, shape (n, 6)
         Velocity (m/s) and rate (rad/s) as `adjustment.network.Exposures` has them; NaN where not known.
+        `motion` has 15 columns more where a gyroscope has recorded how images shake.
     time : ndarray, shape (n,)
         Of the exposure, s; NaN where it is not known.
     temperature : ndarray, shape (n,)

@@ -10,6 +10,7 @@ from photocal.adjustment.mounting import Positions, body_to_camera
 from photocal.adjustment.network import Network
 from photocal.block.model import Block
 from photocal.block.table import Table
+from photocal.geometry.camera import SHAKE
 
 VELOCITY, RATE = ("vX", "vY", "vZ"), ("wx", "wy", "wz")
 SIGMAS_OF_MOTION = (*(f"s{c}" for c in VELOCITY), *(f"s{c}" for c in RATE))
@@ -20,6 +21,7 @@ MOTION_COLUMNS = (
     *(f"s{c}" for c in RATE),
     "time_s",
     "temperature_c",
+    *SHAKE,
 )
 # Exposures further apart than this many usual intervals are no neighbours.
 APART = 2.5
@@ -44,7 +46,9 @@ def read_motion(table: Table) -> tuple[Floats, Floats, Floats, Floats]:
         return np.column_stack([table.numbers(c, empty=np.nan) if table.has(c) else none for c in names])
 
     value = np.hstack([columns(VELOCITY), -np.radians(columns(RATE))])
-    sigma = np.hstack([columns(MOTION_COLUMNS[3:6]), np.radians(columns(MOTION_COLUMNS[9:12]))])
+    sigma = np.hstack([columns(SIGMAS_OF_MOTION[:3]), np.radians(columns(SIGMAS_OF_MOTION[3:]))])
+    if any(map(table.has, SHAKE)):
+        value = np.hstack([value, -np.radians(columns(SHAKE))])
     return value, sigma, *columns(("time_s", "temperature_c")).T
 
 
@@ -75,9 +79,9 @@ def motion_of(
         # What a camera sees turns against it.
         rate[attitudes.image] = -attitudes.rate @ to_camera.T
         spread_of_rate[attitudes.image] = np.sqrt(attitudes.rate_sigma**2 @ (to_camera**2).T)
-        motion[:, 3:] = np.where(np.isnan(motion[:, 3:]), rate, motion[:, 3:])
+        motion[:, 3:6] = np.where(np.isnan(motion[:, 3:6]), rate, motion[:, 3:6])
         sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), spread_of_rate, sigma[:, 3:])
-    motion[:, 3:], sigma[:, 3:] = expected_rates(motion[:, 3:], sigma[:, 3:], gust[:, 1])
+    motion[:, 3:6], sigma[:, 3:] = expected_rates(motion[:, 3:6], sigma[:, 3:], gust[:, 1])
     sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), gust[:, 1:], sigma[:, 3:])
     return np.nan_to_num(motion), sigma, np.asarray(~unknown.any(axis=1))
 

@@ -24,7 +24,7 @@ from photocal.adjustment.rig import LATER
 from photocal.block.model import Block
 from photocal.block.motion import motion_of
 from photocal.block.rig import rig_of
-from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
+from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
 from photocal.geometry.resection import ray_residuals
@@ -304,6 +304,14 @@ def observed_plane(block: Block) -> tuple[Floats, Floats]:
     if observations.axes == "pixel":
         return pixel_to_plane(size, pitch, observations.values * scale / pitch), observations.sigma * scale
     return observations.values * scale, observations.sigma * scale
+
+
+def observed_pixels(block: Block) -> Floats:
+    """Columns and rows of the observations, px, shape (n, 2)."""
+    camera = block.images.camera[block.observations.image]
+    size = np.array([c.size_px for c in block.cameras], dtype=float)[camera]
+    pitch = np.array([c.pitch for c in block.cameras])[camera]
+    return plane_to_pixel(size, pitch, observed_plane(block)[0])
 
 
 def plane_per_unit(block: Block) -> Floats:

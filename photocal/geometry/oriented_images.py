@@ -8,10 +8,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import special
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Floats, Integers
-from photocal.geometry.camera import Camera, pixel_to_plane, plane_to_pixel
+from photocal.geometry.camera import SHAKE_DEGREES, Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
 from photocal.geometry.frames import Frame, nearest_rotation
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -32,9 +33,10 @@ class OrientedImages:
         omega, phi, kappa in radians, X, Y, Z of the projection centre in m; NaN where not known.
     covariance : ndarray, shape (n, 6, 6), or None
         Of `values`; NaN where nothing is said of an image.
-    movement : ndarray, shape (n, 6), or None
+    movement : ndarray, shape (n, 6 or 21), or None
         While a rolling shutter reads an image: of the projection centre (m, axes of X, Y, Z) and turn of the
-        camera (rad, its own axes). `values` hold in the middle of it.
+        camera (rad, its own axes), then the polynomials of what shakes it, see `shutter`. `values` hold
+        in the middle of it.
     """
 
     names: tuple[str, ...]
@@ -103,7 +105,7 @@ class OrientedImages:
         rows = np.array([number.get(name, -1) for name in names], dtype=np.int64)
         lost = rows < 0
         padded = np.vstack([self.values, np.full(6, np.nan)])
-        moved = None if self.movement is None else np.vstack([self.movement, np.zeros(6)])[rows]
+        moved = None if self.movement is None else np.pad(self.movement, ((0, 1), (0, 0)))[rows]
         camera = np.where(lost, -1, np.r_[self.camera, -1][rows])
         return OrientedImages(tuple(names), self.cameras, camera, padded[rows], movement=moved)
 
@@ -142,7 +144,11 @@ class OrientedImages:
         if self.movement is None:
             return self.rotation[image], self.station[image]
         late = self.late(image, pixels)[:, None]
-        turn = Rotation.from_rotvec(late * self.movement[image, 3:]).as_matrix()
+        turns = late * self.movement[image, 3:6]
+        shakes = self.movement[image, 6:].reshape(len(turns), -1, 3)
+        for degree, shake in zip(SHAKE_DEGREES, shakes.swapaxes(0, 1), strict=False):
+            turns = turns + special.eval_legendre(degree, 2.0 * late) * shake
+        turn = Rotation.from_rotvec(turns).as_matrix()
         return turn @ self.rotation[image], self.station[image] + late * self.movement[image, :3]
 
     def late(self, image: Integers, pixels: Floats) -> Floats:
@@ -151,6 +157,20 @@ class OrientedImages:
         pitch = np.array([own.pitch for own in self.cameras], dtype=float)[self.camera[image]]
         plane = pixel_to_plane(self.sizes()[image], pitch, np.nan_to_num(pixels))
         return np.asarray(np.clip((slope * plane).sum(axis=1), -1.0, 1.0))
+
+    def at_the_middle(self, image: Integers, pixels: Floats) -> Floats:
+        """Where images would show places, but for how they turn while they are read; shape (m, 2).
+
+        image (m,).
+        pixels (m, 2): where they do.
+        """
+        if self.movement is None:
+            return pixels
+        plane, c = self.ideal(image, pixels)
+        upright = replace(self, values=np.zeros((len(self), 6)))
+        turn, _ = upright.at_lines(image, pixels)
+        seen = np.column_stack([plane, -c])
+        return self._recorded(image, np.einsum("nba,nb->na", turn, seen))
 
     def _recorded(self, image: Integers, q: Floats) -> Floats:
         """Columns and rows where images record points of camera axes, shape (m, 2)."""

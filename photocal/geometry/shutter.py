@@ -23,15 +23,18 @@ SHAKEN, DEGREES = MOVE + 6, len(SHAKE_DEGREES)
 
 
 @inlined
-def shaken(lenses: Floats, k: int, s: float) -> tuple[float, float, float, float, float, float]:
-    """Turn of the camera in a line beside s W, about its axes, and how fast it changes with s."""
+def shaken(lenses: Floats, k: int, first: int, s: float) -> tuple[float, float, float, float, float, float]:
+    """Turn of the camera in a line beside s W, about its axes, and how fast it changes with s.
+
+    first: column of the first polynomial.
+    """
     z = 2.0 * s
     before, now, slope_before, slope = 1.0, z, 0.0, 1.0
     a0, a1, a2, b0, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for n in range(DEGREES):
         before, now = now, ((2 * n + 3) * z * now - (n + 1) * before) / (n + 2)
         slope_before, slope = slope, slope_before + (2 * n + 3) * before
-        at = SHAKEN + 3 * n
+        at = first + 3 * n
         c0, c1, c2 = lenses[k, at], lenses[k, at + 1], lenses[k, at + 2]
         a0, a1, a2 = a0 + now * c0, a1 + now * c1, a2 + now * c2
         b0, b1, b2 = b0 + 2.0 * slope * c0, b1 + 2.0 * slope * c1, b2 + 2.0 * slope * c2
@@ -66,7 +69,8 @@ def rolling_residual(
 
     lenses (lenses, 26 or 41): parameters of the camera, then V (m, object axes) and W (rad, camera axes),
         and where images shake the coefficients of the polynomials.
-    optics_of (lenses, 20): from `optics`, then the given velocity (m/s) and rate (rad/s).
+    optics_of (lenses, 20 or 35): from `optics`, then the given velocity (m/s) and rate (rad/s), and what a
+        gyroscope has recorded of the polynomials (rad/s).
     u, v, w: object point in camera axes at the middle of the readout, m.
     returns: residual in x and y; the point in camera axes before the turn of its line, to which a small turn
         of the image applies.
@@ -85,7 +89,7 @@ def rolling_residual(
         # q = exp([s W]x) (p - s V), by Rodrigues' formula with its series.
         r0, r1, r2 = s * t0, s * t1, s * t2
         if shakes:
-            a3, a4, a5, b0, b1, b2 = shaken(lenses, k, s)
+            a3, a4, a5, b0, b1, b2 = shaken(lenses, k, SHAKEN, s)
             r0, r1, r2 = r0 + a3, r1 + a4, r2 + a5
         square = r0 * r0 + r1 * r1 + r2 * r2
         first = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
@@ -154,7 +158,7 @@ def rolling_residual(
         if shakes:
             by_shake(by_camera, a, s, d0, d1, d2)
         along = 0.0
-        for n in range(6):
+        for n in range(optics_of.shape[1] - GIVEN):
             along += by_camera[a, MOVE + n] * optics_of[k, GIVEN + n]
         by_camera[a, READOUT] = along
     return vx, vy, pu, pv, pw

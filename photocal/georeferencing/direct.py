@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Flags, Floats
 from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
@@ -25,8 +25,8 @@ from photocal.adjustment.mounting import (
 from photocal.adjustment.normal import normal_equations, prepare
 from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
-from photocal.block.network import assemble, observed_plane
-from photocal.geometry.camera import PARAMETERS, plane_to_pixel
+from photocal.block.network import assemble, observed_pixels
+from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.oriented_images import oriented_images
 from photocal.geometry.rotation import left_jacobian, matrix_from_angles, skew, turn_per_angle
 
@@ -210,7 +210,7 @@ def moved_rays(block: Block, orientation: DirectOrientation) -> MovedRays:
     motion, sigma = (np.nan_to_num(part) for part in (block.images.motion, block.images.motion_sigma))
     views = oriented_images(block.cameras, camera, orientation.rotation, orientation.centre)
     views = replace(views, movement=motion * readout)
-    pixels = _pixels(block, image, camera)
+    pixels = observed_pixels(block)
     rotation, centre = views.at_lines(image, pixels)
     late, turn_first = views.late(image, pixels), np.r_[3:6, :3]
     return MovedRays(
@@ -220,9 +220,3 @@ def moved_rays(block: Block, orientation: DirectOrientation) -> MovedRays:
         late[:, None] * motion[image][:, turn_first],
         (sigma * np.abs(readout))[:, turn_first],
     )
-
-
-def _pixels(block: Block, image: Integers, camera: Integers) -> Floats:
-    size = np.array([own.size_px for own in block.cameras], dtype=float)[camera[image]]
-    pitch = np.array([own.pitch for own in block.cameras], dtype=float)[camera[image]]
-    return plane_to_pixel(size, pitch, observed_plane(block)[0])

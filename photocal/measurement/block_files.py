@@ -17,7 +17,7 @@ from photocal.block.folder import EXPOSURE, POINT_CROSS
 from photocal.block.model import ROLES, Block, Images
 from photocal.block.motion import RATE, SIGMAS_OF_MOTION, VELOCITY
 from photocal.block.rig import head_lines
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS, SHAKE, Camera
 
 IMAGE = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk")
 
@@ -94,10 +94,10 @@ def _more_columns(images: Images) -> dict[str, Sequence[str]]:
     """Columns of the images that only some blocks have: exposures of frames, velocity and rate, time."""
     columns: dict[str, Sequence[str]] = {EXPOSURE: images.exposure} if any(images.exposure) else {}
     # What inside is the turn of what a camera sees is the rate of the camera outside.
-    scale = np.array([1.0] * 3 + [-np.degrees(1.0)] * 3)
+    scale = np.array([1.0] * 3 + [-np.degrees(1.0)] * (images.motion.shape[1] - 3))
     known = {
-        **dict(zip((*VELOCITY, *RATE), (images.motion * scale).T, strict=True)),
-        **dict(zip(SIGMAS_OF_MOTION, (images.motion_sigma * np.abs(scale)).T, strict=True)),
+        **dict(zip((*VELOCITY, *RATE, *SHAKE), (images.motion * scale).T, strict=False)),
+        **dict(zip(SIGMAS_OF_MOTION, (images.motion_sigma * np.abs(scale[:6])).T, strict=True)),
         "time_s": images.time,
         "temperature_c": images.temperature,
     }

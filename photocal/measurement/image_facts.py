@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.measurement.image_file import opened, stored_size
+from photocal.measurement.recorded_turns import recorded_turns
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -69,6 +70,7 @@ class ImageFacts:
     f_number, focus_m: aperture, and distance focused at; NaN when not given.
     lens, firmware: as the camera calls them; empty when not given.
     velocity_m_s: east, north, up, by the maker's inertial unit; NaN when not given.
+    turns (n, 4): recorded by the maker's gyroscope, see `recorded_turns`; empty when not given.
     """
 
     name: str
@@ -99,6 +101,7 @@ class ImageFacts:
     lens: str = ""
     firmware: str = ""
     velocity_m_s: Triple = _NOT_GIVEN
+    turns: Floats = field(default_factory=lambda: np.zeros((0, 4)), compare=False)
 
     @property
     def has_position(self) -> bool:
@@ -146,6 +149,7 @@ def read_facts(path: Path) -> ImageFacts:
         lens=_text(exif.get(0xA434)),
         firmware=_text(main.get(0x0131)),
         velocity_m_s=_velocity(xmp),
+        turns=recorded_turns(text if _of_sequoia(xmp) else "", _number(xmp.get("IMUTimeOffset"))),
     )
 
 
@@ -186,10 +190,14 @@ def _accuracy(xmp: Mapping[str, str]) -> Triple:
 
 def _velocity(xmp: Mapping[str, str]) -> Triple:
     """Velocity of Parrot's Sequoia, which counts it east, north, up; no other maker's is known."""
-    if "Sequoia" not in xmp.get("RigName", ""):
+    if not _of_sequoia(xmp):
         return _NOT_GIVEN
     values = tuple(_number(one) for one in xmp.get("IMULinearVelocity", "").split(","))
     return values if len(values) == 3 and all(map(math.isfinite, values)) else _NOT_GIVEN
+
+
+def _of_sequoia(xmp: Mapping[str, str]) -> bool:
+    return "Sequoia" in xmp.get("RigName", "")
 
 
 def _pitch_mm(exif: Mapping[int, Any], width: int) -> float:

@@ -28,7 +28,7 @@ from photocal.geometry.similarity import (
     misses_of,
     robust_similarity,
 )
-from photocal.measurement.tie_block import with_ties
+from photocal.measurement.tie_block import views_of, with_ties
 from photocal.measurement.tracks import Tracks
 
 # The principal distance that was given is kept where the rays fit it so well, and meet in threes so often,
@@ -70,9 +70,11 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
 
     raises IllPosedError: when no two images are oriented to each other.
     """
-    whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
-    frame = block_frame(whole)
+    frame = block_frame(block)
     given = local_poses(frame, block.images.values)
+    views = views_of(block, frame)
+    tracks = replace(tracks, pixels=views.at_the_middle(tracks.image, tracks.pixels))
+    whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
     cameras = tuple(replace(own, estimated=own.estimated | LENS) for own in block.cameras)
     seen = bearings(cameras, block.images.camera, len(whole.points.names), _rays(whole))
     models = free_models(seen)

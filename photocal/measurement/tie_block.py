@@ -9,7 +9,7 @@ import numpy as np
 from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.intersection import intersect
 from photocal.block.model import ROLES, Block, ObjectPoints
-from photocal.block.network import block_frame, observed_plane
+from photocal.block.network import block_frame, observed_pixels, observed_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages, given_places, given_poses, local_poses
@@ -93,7 +93,7 @@ def fitting(block: Block) -> Flags:
     for k, own in enumerate(block.cameras):
         plane[camera == k] = undistorted(own, plane[camera == k])
     views = views_of(block, frame)
-    rotation, station = views.rotation[seen.image], views.station[seen.image]
+    rotation, station = views.at_lines(seen.image, observed_pixels(block))
     points = frame.to_local(block.points.values)[seen.point]
     miss = ray_residuals(rotation, station, points, plane / c[:, None]) * c
     tie = block.points.role[seen.point] == TIE
@@ -135,9 +135,15 @@ def spread(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
 
 
 def views_of(block: Block, frame: Frame) -> OrientedImages:
-    """Give a block's images at their present values in a local frame; NaN where they are not oriented."""
+    """Give a block's images at their present values in a local frame; NaN where they are not oriented.
+
+    They move during their readout as is known before an adjustment.
+    """
     images = block.images
-    return OrientedImages(images.names, block.cameras, images.camera, local_poses(frame, images.values))
+    readout = np.array([own.value("readout") for own in block.cameras])[images.camera]
+    movement = np.nan_to_num(images.motion) * readout[:, None]
+    views = OrientedImages(images.names, block.cameras, images.camera, images.values)
+    return replace(views, movement=movement if movement.any() else None).in_local(frame)
 
 
 # A ray is wrong when its residual exceeds so many of its standard deviations.

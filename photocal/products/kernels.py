@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from drivers.arrays import Floats, Integers
 from photocal.compiled import allocating, inlined
 from photocal.geometry.lens import LINE, Scratch, kernel_scratch, recorded
+from photocal.geometry.shutter import shaken
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
 # From a line to the pose and back: each time a hundredth of the change is left, or less.
@@ -43,6 +44,9 @@ def move(
         s = min(max(s, -1.0), 1.0)
         p, q, r = u - s * a, v - s * b, w - s * c
         x, y, z = s * movement[m, 3], s * movement[m, 4], s * movement[m, 5]
+        if movement.shape[1] > 6:
+            e, f, g, _, _, _ = shaken(movement, m, 6, s)
+            x, y, z = x + e, y + f, z + g
         # The turn by its series to the second power: it is of hundredths of a radian.
         e, f, g = y * r - z * q, z * p - x * r, x * q - y * p
         p, q, r = p + e + (y * g - z * f) / 2, q + f + (z * e - x * g) / 2, r + g + (x * f - y * e) / 2
@@ -69,7 +73,7 @@ def look_up(
 ) -> None:
     """For every ground point choose the image with the best nadir and find the place in it.
 
-    movement (images, 6): during the readout of a rolling shutter, see `OrientedImages`.
+    movement (images, 6 or 21): during the readout of a rolling shutter, see `OrientedImages`.
     """
     room = kernel_scratch(0)
     found = np.zeros(2)

@@ -37,7 +37,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block, FiducialFit
 from photocal.block.motion import require_motion
 from photocal.block.network import NetworkOfBlock, assemble, behind_cameras, plane_per_unit
-from photocal.geometry.camera import MOTION, PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import nearest_rotation
 from photocal.geometry.oriented_images import OrientedImages, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle
@@ -133,8 +133,7 @@ def movements(assembly: NetworkOfBlock, solution: Solution, values: Floats) -> F
     """How images moved while they were read, along the given axes; None where no shutter rolls."""
     if not any(camera.rolling for camera in assembly.network.cameras):
         return None
-    moved = slice(len(PARAMETERS), len(PARAMETERS + MOTION))
-    movement = lenses(assembly.network, solution.state)[:, moved].copy()
+    movement = lenses(assembly.network, solution.state)[:, len(PARAMETERS) :].copy()
     back = np.linalg.inv(assembly.frame.derivative(values[:, 3:]))
     movement[:, :3] = np.einsum("nab,nb->na", back, movement[:, :3])
     return movement

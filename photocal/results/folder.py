@@ -24,6 +24,7 @@ from photocal.block.table import read_table
 from photocal.geometry.camera import (
     MOTION,
     PARAMETERS,
+    SHAKE,
     Affinity,
     AffinityForm,
     Camera,
@@ -363,7 +364,7 @@ def _camera(name: str, own: _Camera, path: Path) -> Camera:
 
 def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:
     path = folder / "images.csv"
-    table = read_table(path, ("image", "camera", *PLACE, *ANGLES), (*IMAGE_SIGMAS, *MOTION))
+    table = read_table(path, ("image", "camera", *PLACE, *ANGLES), (*IMAGE_SIGMAS, *MOTION, *SHAKE))
     names = table.unique_names("image")
     which, found = table.names("camera")
     number = {name: k for k, name in enumerate(cameras)}
@@ -376,7 +377,9 @@ def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:
     covariance = image_covariances(folder, names, sigma)
     movement = None
     if all(table.has(column) for column in MOTION):
-        movement = np.column_stack([table.numbers(column) for column in MOTION]) / SHOWN[::-1]
+        columns = MOTION + SHAKE if table.has(SHAKE[0]) else MOTION
+        movement = np.column_stack([table.numbers(column) for column in columns])
+        movement /= np.r_[SHOWN[::-1], np.full(len(SHAKE), SHOWN[0])][: len(columns)]
     return OrientedImages(names, tuple(cameras.values()), camera_of, values, covariance, movement)
 
 

@@ -15,7 +15,7 @@ from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import GlobalTest, Group
 from photocal.block.model import InputFile, Repetition
-from photocal.geometry.camera import MOTION, Camera
+from photocal.geometry.camera import MOTION, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
 
 ANGLES, PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
@@ -374,7 +374,8 @@ class Result(Figures):
             for k, name in enumerate(ANGLES):
                 of_images[prefix + name[0] if prefix else name] = kind[:, k]
         if images.movement is not None:
-            of_images |= dict(zip(MOTION, (images.movement * SHOWN[::-1]).T, strict=True))
+            shown = np.r_[SHOWN[::-1], np.full(len(SHAKE), SHOWN[0])][: images.movement.shape[1]]
+            of_images |= dict(zip(MOTION + SHAKE, (images.movement * shown).T, strict=False))
         of_points: dict[str, Any] = {
             "point": pa.array(points.names, pa.string()),
             "role": pa.array(points.role, pa.string()),

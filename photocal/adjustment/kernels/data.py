@@ -34,7 +34,7 @@ class Design(NamedTuple):
     pose_free (images, 6): 1 where a pose unknown is free, else 0.
     own, own_count (lenses, n): positions of the parameters of an image's own, the first `own_count` of each
         row.
-    optics (lenses, 20): from `lens.optics`, and velocity and rate of the image.
+    optics (lenses, 20 or 35): from `lens.optics`, and the given motion of the image.
     active (lenses, 20): positions of the estimated parameters, the first `active_count` of each row.
     active_count, active_column (lenses,): number of estimated parameters and the first of their columns
         within the border.
