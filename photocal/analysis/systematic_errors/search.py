@@ -186,11 +186,7 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
 
 
 def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> Iterator[ExtraParameter]:
-    """Test every candidate that was not yet found; give the significant ones, the worst first.
-
-    Positions that are three times worse than stated pull at the rays, and look like an error of the camera:
-    what is claimed is significant with the sigmas that the residuals agree with, too.
-    """
+    """Test every candidate that was not yet found; give the significant ones, the worst first."""
     tested = []
     for candidate in candidates(last.network, last.state, last.computed):
         if any(_same(candidate, one) for one in found):
@@ -202,9 +198,6 @@ def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]
         done()
     level = LEVEL / max(len(tested), 1)
     significant = [one for one in tested if max(one.p_value, one.by_images) < level]
-    if significant and (weighed := _as_residuals_agree(last)) is not None:
-        again = [(one, estimated_amount(weighed, one.candidate)) for one in significant]
-        significant = [one for one, other in again if other is not None and other.p_value < level]
     for one in sorted(significant, key=lambda one: -one.statistic):
         worst = _step_or_drift(last, one)
         alike = tuple(
@@ -236,7 +229,9 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
     """Correct an error step by step, as large ones are not linear; None when it then is not significant.
 
     It is neither when the images do not agree about it.
-    A step that does not lower v'Pv is halved. What is claimed is what the last adjustment shows.
+    A step that does not lower v'Pv is halved. What is claimed is what the last adjustment shows. Positions
+    three times worse than stated pull at the rays, and look like an error of the camera: where they are so
+    with the correction, too, it must be significant with the sigmas that residuals agree with.
     """
     amount, step, after = 0.0, worst.amount, before
     for _ in range(_STEPS):
@@ -255,6 +250,11 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
     level = LEVEL / worst.tested
     if outcome.p_value >= level or agreed(after, worst.candidate, amount) >= level:
         return None
+    weighed = None if _as_residuals_agree(after) is None else _as_residuals_agree(before)
+    if weighed is not None:
+        other = estimated_amount(weighed, worst.candidate)
+        if other is None or other.p_value >= level:
+            return None
     return Round(replace(outcome, alike=worst.alike, tested=worst.tested), before, after)
 
 
