@@ -91,6 +91,7 @@ def _settled(
     """Adjust until the sigmas of gusts belong to the readouts; `solution` is of a network before a change."""
     found = minimum_of(network, report, solution.state) if changed else None
     estimated = [k for k, camera in enumerate(network.cameras) if camera.estimated[READOUT]]
+    before = dict[int, tuple[float, float]]()
     for _ in range(ROUNDS):
         state = solution.state if found is None else found[1].state
         # A prior observes the value that is given: that one stays.
@@ -101,9 +102,23 @@ def _settled(
         }
         if all(abs(v - network.cameras[k].values[READOUT]) <= SETTLED * abs(v) for k, v in values.items()):
             break
-        network = _with(network, {k: network.cameras[k].changed(readout=v) for k, v in values.items()})
-        found = minimum_of(network, report, state)
+        pairs = {k: (float(network.cameras[k].values[READOUT]), v) for k, v in values.items()}
+        settling = {k: _where_they_meet(before.get(k), pair) for k, pair in pairs.items()}
+        network = _with(network, {k: network.cameras[k].changed(readout=v) for k, v in settling.items()})
+        before, found = pairs, minimum_of(network, report, state)
     return network, solution if found is None else with_statistics(*found)
+
+
+def _where_they_meet(before: tuple[float, float] | None, now: tuple[float, float]) -> float:
+    """Readout to give next, from those that were given and found: where both are the same, by the secant.
+
+    A larger one gives gusts more room, and may be found smaller by more than it was larger.
+    """
+    given, found = now
+    if before is None or given == before[0]:
+        return found
+    slope = min((found - before[1]) / (given - before[0]), 0.5)
+    return given + (found - given) / (1.0 - slope)
 
 
 def with_moving_images(
