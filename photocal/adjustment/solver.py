@@ -387,7 +387,7 @@ def chords(
         # Steps shrink at a steady rate: the next one tells how far the minimum still is.
         left = length * min(1.0, length / before)
         # Steps this short that do not become shorter are rounding.
-        if left < near or (length < FAST * ROUNDING and length > before / 2):
+        if left < near or (length < ROUNDING**2 and length > before / 2):
             return Near(state, chi_squared - length, max(left, 0.0))
         before = length
         steps.append((step, moved))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -19,7 +19,9 @@ from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.groups import GroupTest
+from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
+from photocal.adjustment.state import State, start_state
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault, fault, imitators
@@ -261,7 +263,7 @@ class _Search:
         done: Callable[[], None],
         table: tuple[Fault, ...],
     ) -> None:
-        self._block, self._stated, self._done = block, stated, done
+        self._block, self._first, self._stated, self._done = block, first, stated, done
         self._fits = {frozenset[str](): _fit(first, {}, {})}
         self._change = best_change(block, first.cameras[0], table)
         # A second camera is made of the first one, so it stands before what is freed in both.
@@ -327,12 +329,35 @@ class _Search:
             chosen = [one for name, one in self._faults.items() if name in groups]
             for one in chosen:
                 freed = with_freed(freed, one, self._change)
-            solution = adjust(assemble(freed).network)
+            network = assemble(freed).network
+            solution = adjust(network, state=_beside(network, self._first))
             estimates = {one.code: estimates_of(self._block, freed, solution, one) for one in chosen}
             moved = {one.code: positions_moved(self._block, solution, one, self._stated) for one in chosen}
             self._fits[groups] = _fit(solution, estimates, moved)
             self._done()
         return self._fits[groups]
+
+
+def _beside(network: Network, first: Solution) -> State:
+    """Where to start from the minimum of the same images and points with other unknowns."""
+    start, known = start_state(network), first.state
+    if known.points.shape != start.points.shape or known.centre.shape != start.centre.shape:
+        return start
+    loose = np.array([camera.estimated for camera in network.cameras])
+    cameras, common, free = start.cameras, start.common, network.mounting.sigma > 0
+    if known.cameras.shape == cameras.shape:
+        cameras = np.where(loose, known.cameras, cameras)
+    if known.common.shape == common.shape == free.shape:
+        common = np.where(free, known.common, common)
+    return replace(
+        start,
+        cameras=cameras,
+        common=common,
+        rotation=known.rotation,
+        centre=known.centre,
+        points=known.points,
+        deviations=known.deviations,
+    )
 
 
 def _less(names: tuple[str, ...], one: str) -> tuple[str, ...]:

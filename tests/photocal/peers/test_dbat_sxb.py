@@ -39,7 +39,7 @@ def same_as_printed(
     assert solution.unknowns == report.unknowns
     sigma0 = math.sqrt(solution.variance_factor)
     # DBAT stops when a step is shorter than its tolerance times the length of the residuals: in the flattest
-    # direction that is up to this many standard deviations short of the minimum. Two of its runs show it.
+    # direction that is up to this many standard deviations short of the minimum. Four of its runs show it.
     short = report.tolerance * report.last_error / sigma0 if stopped_short else 0.0
     assert abs(sigma0 - report.sigma0.value) <= 2 * report.sigma0.unit
     assert set(report.photos) == set(block.images.names)
@@ -126,4 +126,4 @@ def test_fixed_and_weighted_control(
     # These runs were made in PhotoModeler's own frame: control moved by the mean difference.
     shift = np.mean([table[name][0] - xyz for name, xyz in export.control.items()], axis=0)
     report = dbat_report(folder / "dbatreports" / f"{stem}-with-orient-dbatreport.txt")
-    same_as_printed(block, report, adjusted, origin=shift, stopped_short=stem == "f-op0")
+    same_as_printed(block, report, adjusted, origin=shift, stopped_short=stem != "wsmart")
