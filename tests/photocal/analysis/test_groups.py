@@ -14,6 +14,7 @@ from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import fit, without_member
 from photocal.analysis.systematic_errors.search import search
 from photocal.geometry.camera import PARAMETERS
+from tests.evidence.drift import flown
 from tests.photocal.analysis.aerial import Flight, fly
 from tests.photocal.analysis.findings import said
 
@@ -162,3 +163,11 @@ def test_a_shifted_strip_is_not_blamed_on_its_positions() -> None:
     found = search(fit(replace(network, positions=replace(own, values=moved))))
     assert found.members == ()
     assert "strip-position" in {one.code for one in findings(found)}
+
+
+@pytest.mark.parametrize(("shape", "code"), [("drift", "c-drift"), ("step", "c-step")])
+def test_a_c_that_changes_is_not_taken_for_positions_worse_than_stated(shape: str, code: str) -> None:
+    """Heights that follow 0.2 % of c look like positions with wrong sigmas, until c is corrected."""
+    codes, *_ = flown(shape, "GNSS", 5)
+    assert codes[0] == code
+    assert "sigmas-too-small" not in codes
