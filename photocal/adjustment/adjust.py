@@ -82,7 +82,8 @@ def _where_rays_come_from(problem: Problem, start: State) -> State | None:
     """
     network = problem.network
     exposures, rays, points = network.exposures, network.rays, network.points
-    loose = (exposures.sigma[:, 3:] > 0.0).all(axis=1) & np.isfinite(exposures.sigma[:, 3:]).all(axis=1)
+    sigma = exposures.sigma[:, 3:]
+    loose = np.asarray(((sigma > 0.0) & np.isfinite(sigma)).all(axis=1))
     seen = loose[rays.image]
     rays = Rays(*(column[seen] for column in vars(rays).values()))
     slopes = np.empty(rays.plane.shape)
