@@ -84,6 +84,8 @@ def _where_rays_come_from(problem: Problem, start: State) -> State | None:
     exposures, rays, points = network.exposures, network.rays, network.points
     sigma = exposures.sigma[:, 3:]
     loose = np.asarray(((sigma > 0.0) & np.isfinite(sigma)).all(axis=1))
+    if not loose.any():
+        return None
     seen = loose[rays.image]
     rays = Rays(*(column[seen] for column in vars(rays).values()))
     slopes = np.empty(rays.plane.shape)

@@ -131,6 +131,11 @@ def said(arguments: Sequence[str]) -> str:
     return lines[-1] if lines else ""
 
 
+def _named(last: str, folder: Path) -> str:
+    """The last line without the place where the study stood."""
+    return last.replace(str(folder.parent) + "/", "")
+
+
 def outcome(own: Recorded, folder: Path) -> Outcome:
     """Take a set through `new` and `run`."""
     copied(own, folder)
@@ -164,7 +169,7 @@ def outcome_of(own: Recorded, folder: Path, seconds: float, last: str) -> Outcom
         bool(certificate),
         seconds,
         verdict,
-        last,
+        _named(last, folder),
     )
 
 
