@@ -61,6 +61,7 @@ WHOLE = 0.99
 VALLEY, PARTS, LOOK = 0.01, (1.0, 1 / 4, 1 / 16, 1 / 64), 0.1
 # Below this share of a diagonal element that remains after elimination, rounding decides.
 SINGULAR_PIVOT = 1e-13
+FIRST_DAMPING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def minimise(
     raises NotConvergedError: when the iteration does not end.
     """
     damping, decrement, steps = 0.0, np.inf, list[Iteration]()
-    tried, bends, start = np.inf, False, state
+    tried, bends, worked, start = np.inf, False, FIRST_DAMPING, state
     normal = normal_equations(problem, state)
     while len(steps) < ITERATIONS:
         step = reduced_step(problem, normal, damping)
@@ -137,7 +138,8 @@ def minimise(
             lower = trial.chi_squared < normal.chi_squared
             # So near, v'Pv tells less of the way than that the steps become shorter.
             settling = whole and step_decrement < min(NEARLY**2, decrement)
-            if lower or settling or step_decrement < ROUNDING:
+            if lower or settling or (whole and step_decrement < ROUNDING):
+                worked = damping or worked
                 state, normal, decrement, damping = moved, trial, step_decrement, calmer
                 _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, decrement, damping)])
                 if last or (whole and not lower and not settling):
@@ -146,7 +148,8 @@ def minimise(
         if along_a_valley and not bends:
             bends = True
         else:
-            damping = 10 * damping if damping else 1e-3
+            # What worked last is where to begin anew.
+            damping = 10 * damping if damping else worked
         if damping > 1e8:
             return _released(problem, _ended(problem, state, steps, SINGULAR), start)
         normal = normal_equations(problem, state, damping, normal.kept)
@@ -177,9 +180,10 @@ def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Float
     lowest = normal.chi_squared
     for part in PARTS:
         before = lowest
+        bent = part**2 / 2
+        around = moved_along(problem, state, part * step + bent * bend, part * points + bent * bend_points)
         # Far from where it was looked at, the bend may be another: straight on, too.
-        for bent in (part**2 / 2, 0.0):
-            moved = moved_along(problem, state, part * step + bent * bend, part * points + bent * bend_points)
+        for moved in (around, moved_by(problem, state, normal, part * step)[0]):
             try:
                 chi_squared = gradient(problem, moved, _others(problem, moved))[0]
             except NotConvergedError:  # behind a camera
