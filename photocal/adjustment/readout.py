@@ -29,6 +29,8 @@ SETTLED = 0.02
 ROUNDS = 5
 # A global shutter is called rolling in one of a thousand flights.
 SIGNIFICANCE = 0.001
+# Standard deviations that its estimate must be away from zero, on the side that the test found.
+BORNE = 2.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,11 @@ class Readout:
     estimated: bool
     effect: float
     way: float
+
+    @property
+    def borne_by(self) -> float:
+        """Its value in standard deviations."""
+        return self.value / self.sigma
 
 
 def with_readouts(
@@ -75,6 +82,9 @@ def with_readouts(
                 if test.p_value < SIGNIFICANCE
             }
         network, solution = _settled(_with(network, known), solution, report, changed=bool(known))
+        # Free to move as much as such a readout lets them, the images must still bear it.
+        if any(readout_of(network, solution, k).borne_by < BORNE for k in known):
+            return given[0], given[1], tuple(tests[k] for k in sorted(tests))
     except (IllPosedError, NotConvergedError):
         # A readout that nobody has stated and the network does not bear leaves it as it was.
         if doubtful:

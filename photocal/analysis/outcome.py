@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import takewhile
 
 import numpy as np
 
 from drivers.arrays import Flags, Floats
+from drivers.errors import NotConvergedError
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.analysis.components import Proposal, propose_removal
@@ -82,7 +84,9 @@ def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixe
     if _has_ray(bare, pixels).all():
         alone = _sizes(view(bare, pixels).ideal - full.ideal)
     if _has_ray(adjusted, pixels).all():
-        left = _sizes(_difference(full, view(adjusted, pixels)))
+        # Without parameters that a weak flight mistakes for each other nothing brings the bundles together.
+        with suppress(NotConvergedError):
+            left = _sizes(_difference(full, view(adjusted, pixels)))
     return Effect(removed, *alone, *left)
 
 
