@@ -47,8 +47,13 @@ def compile_usual() -> None:
     """Compile what networks of Brown's lenses without a rolling shutter need."""
     network = _network()
     distorted(network.cameras[0], undistorted(network.cameras[0], network.rays.plane))
+    solution = adjust(network)
     snoop(network)
-    _with_factor(network)
+    # What an analysis does with the factor.
+    at = factored(network, solution.state)
+    ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
+    followed_by(at, ones.steps[0], ones.moved[0])
+    gradient(at.problem, at.state, [])
     # A free network with a scale bar passes through what the datum and kept points need.
     points = network.points.values
     length = np.linalg.norm(points[15:] - points[:1], axis=1)
@@ -71,13 +76,4 @@ def compile_unusual() -> None:
     rolls = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0, "readout": 0.01})
     moving = replace(network.exposures, motion=np.ones((2, 6)), motion_sigma=np.ones((2, 6)))
     for lens in (rolls, replace(rolls, shake=(1e-4,) * (1 + len(SHAKE_DEGREES)))):
-        _with_factor(replace(network, cameras=(lens,), exposures=moving))
-
-
-def _with_factor(network: Network) -> None:
-    """Adjust, and do what an analysis does with the factor."""
-    solution = adjust(network)
-    at = factored(network, solution.state)
-    ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
-    followed_by(at, ones.steps[0], ones.moved[0])
-    gradient(at.problem, at.state, [])
+        adjust(replace(network, cameras=(lens,), exposures=moving))

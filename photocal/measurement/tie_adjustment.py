@@ -12,7 +12,7 @@ from drivers.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.normal import prepare
-from photocal.adjustment.readout import rolls_whatever_the_lens, with_readouts
+from photocal.adjustment.readout import READOUT, rolls_whatever_the_lens, with_readouts
 from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
@@ -185,7 +185,9 @@ def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camer
     solution = adjust(assembly.network, state=_state(assembly, block, poses))
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
     asked = any(own.shutter == "unknown" and own.estimated.any() for own in cameras)
-    if asked and rolls_whatever_the_lens(assembly.network, solution):
+    # How far images may move follows their readout: round after round it would swing to and fro.
+    found = any(own.rolling and own.estimated[READOUT] for own in cameras)
+    if found or (asked and rolls_whatever_the_lens(assembly.network, solution)):
         network, solution, _ = with_readouts(assembly.network, solution)
         assembly = replace(assembly, network=network)
     better = tuple(map(_better, start.cameras, assembly.network.cameras, solution.cameras))

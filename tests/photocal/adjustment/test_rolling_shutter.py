@@ -133,3 +133,18 @@ def test_a_readout_that_the_network_does_not_bear_leaves_it_as_it_was() -> None:
     assert after is network
     assert found is solution
     assert readouts == ()
+
+
+def test_what_its_own_estimate_contradicts_is_no_readout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few images may be tested wrongly; freed, a global shutter says that it is one."""
+    truth, network = flights.case("positions", 11, readout_s=0.0, **SMALL)
+    solution = adjust(network)
+
+    def misled(*arguments: object) -> dict[int, Readout]:
+        return {0: Readout(truth.camera.id, 0.05, 0.001, 1e-9, False, 1.0, 0.4)}
+
+    monkeypatch.setattr("photocal.adjustment.readout._tested", misled)
+    kept, same, (readout,) = with_readouts(network, solution)
+    assert kept is network
+    assert same is solution
+    assert not readout.estimated
