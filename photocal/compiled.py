@@ -64,6 +64,7 @@ def compile_all() -> None:
     """Compile all kernels, in several processes side by side, so that nobody waits for them later."""
     parts = (
         "photocal.adjustment.compile as part; part.compile_unusual()",
+        "photocal.adjustment.compile as part; part.compile_shaking()",
         "photocal.adjustment.compile as part; part.compile_usual()",
         "photocal.measurement.compile as part; part.compile_kernels()",
         "drivers.scan as part; part.compile_search()",

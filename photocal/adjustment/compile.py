@@ -1,6 +1,6 @@
 """Compile the kernels once, at setup, so that the first adjustment does not wait for it.
 
-Two processes share the work: `compile_usual` and `compile_unusual`.
+Three processes share the work.
 """
 
 from __future__ import annotations
@@ -72,8 +72,17 @@ def compile_unusual() -> None:
     # With a few photo-variant parameters every image has columns for them.
     varied = replace(network.cameras[0], deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
     adjust(replace(network, cameras=(varied,)))
-    # Moving while it is read, every image has six more columns, and fifteen more where it shakes.
+    # Moving while it is read, every image has six more columns.
+    adjust(_moving(()))
+
+
+def compile_shaking() -> None:
+    """Compile what images need that shake: fifteen columns more."""
+    adjust(_moving((1e-4,) * (1 + len(SHAKE_DEGREES))))
+
+
+def _moving(shake: tuple[float, ...]) -> Network:
+    network = _network()
     rolls = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0, "readout": 0.01})
     moving = replace(network.exposures, motion=np.ones((2, 6)), motion_sigma=np.ones((2, 6)))
-    for lens in (rolls, replace(rolls, shake=(1e-4,) * (1 + len(SHAKE_DEGREES)))):
-        adjust(replace(network, cameras=(lens,), exposures=moving))
+    return replace(network, cameras=(replace(rolls, shake=shake),), exposures=moving)
