@@ -24,6 +24,8 @@ from photocal.geometry.distortion import undistorted
 NEAR = 1.0
 # Sum of squared sines between the rays of an image that tell where it was.
 LEAST_ACROSS = 0.01
+# Angles and points that belong together leave so much less of v'Pv: others are no better than positions.
+MUCH_LESS = 0.1
 
 
 def adjust(
@@ -75,7 +77,7 @@ def minimum_of(
 
 
 def _where_rays_come_from(problem: Problem, start: State) -> State | None:
-    """Start with the centres that given angles and points tell; None where observed ones fit the rays better.
+    """Start with the centres that given angles and points tell; None where these fit the rays hardly better.
 
     What orients a block writes its angles and its points: positions that it found to be metres off stay as
     they were observed, and rays from there would turn the whole block first.
@@ -103,7 +105,7 @@ def _where_rays_come_from(problem: Problem, start: State) -> State | None:
     centre = start.centre.copy()
     centre[known] = np.linalg.solve(matrix[known], pull[known][:, :, None])[:, :, 0]
     moved = replace(start, centre=centre)
-    return moved if _misfit(problem, moved) < _misfit(problem, start) else None
+    return moved if _misfit(problem, moved) < MUCH_LESS * _misfit(problem, start) else None
 
 
 def _misfit(problem: Problem, state: State) -> float:

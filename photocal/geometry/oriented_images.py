@@ -144,11 +144,7 @@ class OrientedImages:
         if self.movement is None:
             return self.rotation[image], self.station[image]
         late = self.late(image, pixels)[:, None]
-        turns = late * self.movement[image, 3:6]
-        shakes = self.movement[image, 6:].reshape(len(turns), -1, 3)
-        for degree, shake in zip(SHAKE_DEGREES, shakes.swapaxes(0, 1), strict=False):
-            turns = turns + special.eval_legendre(degree, 2.0 * late) * shake
-        turn = Rotation.from_rotvec(turns).as_matrix()
+        turn = Rotation.from_rotvec(turned(self.movement[image], late)).as_matrix()
         return turn @ self.rotation[image], self.station[image] + late * self.movement[image, :3]
 
     def late(self, image: Integers, pixels: Floats) -> Floats:
@@ -194,6 +190,19 @@ class OrientedImages:
                 plane[mine] = undistorted(own, pixel_to_plane(own.size_px, own.pitch, pixels[mine]))
                 c[mine] = own.value("c")
         return plane, c
+
+
+def turned(movement: Floats, late: Floats) -> Floats:
+    """Turns of cameras in lines beside those in the middle, rad, shape (m, 3).
+
+    movement (m, 6 or 21): see `OrientedImages`.
+    late (m, 1): in readouts from the middle.
+    """
+    turns = late * movement[:, 3:6]
+    shakes = movement[:, 6:].reshape(len(turns), -1, 3)
+    for degree, shake in zip(SHAKE_DEGREES, shakes.swapaxes(0, 1), strict=False):
+        turns = turns + special.eval_legendre(degree, 2.0 * late) * shake
+    return np.asarray(turns)
 
 
 def oriented_images(

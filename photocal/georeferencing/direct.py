@@ -27,7 +27,7 @@ from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
 from photocal.block.network import assemble, observed_pixels
 from photocal.geometry.camera import PARAMETERS
-from photocal.geometry.oriented_images import oriented_images
+from photocal.geometry.oriented_images import oriented_images, turned
 from photocal.geometry.rotation import left_jacobian, matrix_from_angles, skew, turn_per_angle
 
 
@@ -212,11 +212,11 @@ def moved_rays(block: Block, orientation: DirectOrientation) -> MovedRays:
     views = replace(views, movement=motion * readout)
     pixels = observed_pixels(block)
     rotation, centre = views.at_lines(image, pixels)
-    late, turn_first = views.late(image, pixels), np.r_[3:6, :3]
+    late = views.late(image, pixels)
     return MovedRays(
         rotation,
         centre,
         late,
-        late[:, None] * motion[image][:, turn_first],
-        (sigma * np.abs(readout))[:, turn_first],
+        np.hstack([turned(motion[image], late[:, None]), late[:, None] * motion[image][:, :3]]),
+        (sigma * np.abs(readout))[:, np.r_[3:6, :3]],
     )

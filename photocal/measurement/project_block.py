@@ -25,7 +25,7 @@ from photocal.block.table import read_table, refuse_unknown
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.texts import told
-from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE, Camera
+from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
@@ -48,7 +48,7 @@ from photocal.measurement.oriented_ties import FEWEST_CONTROL, Progress, figures
 from photocal.measurement.placing import position_sigmas
 from photocal.measurement.plain_targets import targets_of_project
 from photocal.measurement.position_files import Given, map_places, read_positions
-from photocal.measurement.recorded_turns import RATE_SIGMA, turns_while_read
+from photocal.measurement.recorded_turns import motion_while_read
 from photocal.measurement.start_block import (
     NO_OBSERVATIONS,
     NO_POINTS,
@@ -234,24 +234,13 @@ def _starts(
         values[rows >= 0], sigma[rows >= 0] = starts.values[rows[rows >= 0]], starts.sigma[rows[rows >= 0]]
     names = tuple(own.name for own in facts)
     exposures = tuple(exposure.get(name, "") for name in names)
-    motion, motion_sigma = _motion(project, facts, camera)
+    # The grid's axes are east and north but for its convergence.
+    velocity = np.array([picture.velocity_m_s for picture in facts]).reshape(-1, 3)
+    readout = np.array([given.value("readout") for given in project.cameras])[camera]
+    motion, motion_sigma = motion_while_read(velocity, [picture.turns for picture in facts], readout)
     return Images(
         names, camera, values, sigma, motion, motion_sigma, clock_seconds(facts), exposure=exposures
     )
-
-
-def _motion(project: Project, facts: Sequence[ImageFacts], camera: Integers) -> tuple[Floats, Floats]:
-    """How images moved while they were read, and its sigmas; NaN where pictures tell nothing."""
-    motion, sigma = np.full((len(facts), len(MOTION + SHAKE)), np.nan), np.full((len(facts), 6), np.nan)
-    # The grid's axes are east and north but for its convergence.
-    motion[:, :3] = [picture.velocity_m_s for picture in facts]
-    readout = np.array([given.value("readout") for given in project.cameras])[camera]
-    for k, picture in enumerate(facts):
-        if len(picture.turns) and readout[k] > 0:
-            motion[k, 3:] = turns_while_read(picture.turns, readout[k])
-            sigma[k, 3:] = RATE_SIGMA
-    shaken = np.isfinite(motion[:, len(MOTION) :]).any()
-    return motion if shaken else motion[:, : len(MOTION)], sigma
 
 
 def better_known(project: Project, names: Sequence[str]) -> Given:

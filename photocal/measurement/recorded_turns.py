@@ -6,20 +6,22 @@ import base64
 import binascii
 import html
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from drivers.arrays import Floats
-from photocal.geometry.camera import SHAKE_DEGREES
+from photocal.geometry.camera import MOTION, SHAKE, SHAKE_DEGREES
 
 # Records of Parrot's Sequoia: time, us; rates about its axes, rad/s; and what is not told.
 _RECORD = np.dtype([("time", "<u8"), ("rate", "<f4", 3), ("rest", "<u4")])
 _RECORDS = re.compile(r":IMUAngularVelocity=\"([^\"<>]{0,100000})\"")
 # Its axes point ahead, to the right and down; those of the camera to the right, ahead and up.
 _TO_CAMERA = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-# What is recorded was so much earlier: as filters delay it. Found by adjusting four exposures (rms 2.2 px
-# without a delay, 0.6 px with 40 to 45 ms, 1.4 px with 20 ms); a readout of 150 to 165 ms fits best with it.
+# What is recorded was so much earlier: as filters delay it. Found by adjusting four exposures of one head:
+# medians of the residuals of 2.2 px without a delay, 1.4 with 20 ms, 0.6 with 40 and 45, 0.8 with 50. With
+# other readouts another delay fits best: 0.66 px for 150 ms, 0.68 for 175.
 _DELAY_S = 0.042
 # The bias of such a gyroscope, and what an uncertain delay does, rad/s.
 RATE_SIGMA = 0.02
@@ -47,6 +49,24 @@ def recorded_turns(packet: str, offset_ns: float) -> Floats:
         return np.zeros((0, 4))
     elapsed = 1e-6 * np.r_[0.0, np.cumsum(step)] - 1e-9 * offset_ns - _DELAY_S
     return np.column_stack([elapsed, rate @ _TO_CAMERA.T])
+
+
+def motion_while_read(velocity: Floats, records: Sequence[Floats], readout: Floats) -> tuple[Floats, Floats]:
+    """Motion of images while they were read and its sigmas, as `block.model.Images` has them.
+
+    velocity (n, 3): m/s, NaN where not known.
+    records: of each image, see `recorded_turns`.
+    readout (n,): of its camera, s.
+    """
+    motion = np.full((len(velocity), len(MOTION + SHAKE)), np.nan)
+    sigma = np.full((len(velocity), len(MOTION)), np.nan)
+    motion[:, :3] = velocity
+    for k, record in enumerate(records):
+        if len(record) and readout[k] > 0:
+            motion[k, 3:] = turns_while_read(record, readout[k])
+            sigma[k, 3:] = RATE_SIGMA
+    shaken = np.isfinite(motion[:, len(MOTION) :]).any()
+    return motion if shaken else motion[:, : len(MOTION)], sigma
 
 
 def turns_while_read(record: Floats, readout: float) -> Floats:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from photocal.adjustment.adjust import adjust
 from photocal.geometry.camera import PARAMETERS
-from tests.photocal import networks
+from tests.photocal import flights, networks
 
 INF = np.inf
 
@@ -91,3 +93,22 @@ def test_far_start_values_are_damped() -> None:
     far = adjust(networks.observe(scene, np.random.default_rng(4), disturb=1.0))
     assert far.cameras == pytest.approx(near.cameras, rel=1e-4, abs=1e-6)
     assert far.chi_squared == pytest.approx(near.chi_squared, rel=1e-6)
+
+
+def test_positions_that_are_metres_off_do_not_turn_the_block_first() -> None:
+    """Given angles and points tell where the images were: from there the minimum is near."""
+    rng = np.random.default_rng(4)
+    network = flights.measured(flights.flight(flights.wide(distortion=0.0), rng, images=20, points=300), rng)
+    sigma = np.tile([INF, INF, INF, 5.0, 5.0, 5.0], (20, 1))
+    network = replace(network, exposures=replace(network.exposures, sigma=sigma))
+    first = adjust(network)
+    poses = first.exposures.copy()
+    poses[:, 3:] = network.exposures.values[:, 3:] + rng.normal(0.0, 5.0, (20, 3))
+    oriented = replace(
+        network,
+        cameras=(network.cameras[0].with_values(first.cameras[0]),),
+        exposures=replace(network.exposures, values=poses),
+        points=replace(network.points, values=first.points),
+    )
+    # From the observed positions the rays miss by hundreds of pixels.
+    assert adjust(oriented).iterations[0].decrement < 1e5

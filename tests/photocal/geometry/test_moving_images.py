@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers.arrays import Integers
+from photocal.block.folder import read_block
 from photocal.block.model import Block, ObjectPoints, Observations
 from photocal.exchange.parts import images as block_images
 from photocal.exchange.reconstruction import of_result
@@ -15,9 +17,11 @@ from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.space_intersection import intersect_points
+from photocal.measurement.block_files import write_block
 from photocal.products.kernels import look_up
 from photocal.products.oriented import lens_tables
 from photocal.results.adjusted import adjust_network
+from photocal.results.folder import read_result, write_result
 from tests.photocal import flights
 
 Floats = flights.Floats
@@ -128,3 +132,32 @@ def test_lines_are_moved_to_the_middle(truth: flights.Flight, views: OrientedIma
     assert np.abs(shown - still).max() > 5.0
     # The line of a projection is found to some 1e-4 px.
     assert turning.at_the_middle(image, shown) == pytest.approx(still, abs=1e-3)
+
+
+def test_recorded_turns_come_through_files(
+    truth: flights.Flight, views: OrientedImages, tmp_path: Path
+) -> None:
+    """Of a block as it is written and read, and of the result of its adjustment."""
+    block = block_of(truth)
+    shakes = np.random.default_rng(5).normal(0.0, 0.001, (len(truth.centre), 15))
+    motion = np.hstack([block.images.motion, shakes])
+    rays = block.observations
+    shaken = replace(views, movement=READOUT_S * motion)
+    pixels = shaken.project(rays.image, truth.points[rays.point])
+    written = replace(
+        block,
+        images=replace(block.images, motion=motion),
+        observations=replace(rays, values=pixels),
+    )
+    for name in ("block", "run"):
+        (tmp_path / name).mkdir()
+    write_block(tmp_path / "block", written, {})
+    # Six digits of m/s, and of deg/s.
+    assert read_block(tmp_path / "block").images.motion == pytest.approx(motion, abs=0.51e-6)
+    result = adjust_network(written)
+    write_result(tmp_path / "run", result)
+    read = read_result(tmp_path / "run").images.movement
+    moved = result.images.movement
+    assert moved is not None
+    assert moved == pytest.approx(READOUT_S * motion, abs=1e-6)
+    assert read == pytest.approx(moved, abs=1e-12)
