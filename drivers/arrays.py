@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, Self
+from types import NoneType, UnionType
+from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +30,50 @@ class Columns:
         return replace(self, **kept)  # type: ignore[type-var]
 
 
-def as_plain(value: Any) -> Any:
-    """Turn dataclasses into mappings and arrays into lists; what is no finite number becomes null."""
+def as_plain(value: Any, beside: Callable[[Any], dict[str, Any]] = lambda _: {}) -> Any:
+    """Turn dataclasses into mappings and arrays into lists; what is no finite number becomes null.
+
+    beside: what else stands in the mapping of a dataclass.
+    """
     if isinstance(value, np.ndarray | np.generic):
         return as_plain(value.tolist())
     if is_dataclass(value):
-        return {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
+        own = {field.name: as_plain(getattr(value, field.name), beside) for field in fields(value)}
+        return {**own, **beside(value)}
     if isinstance(value, Mapping):
-        return {key: as_plain(each) for key, each in value.items()}
+        return {key: as_plain(each, beside) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [as_plain(each) for each in value]
+        return [as_plain(each, beside) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def from_plain(kind: Any, value: Any, place: str = "") -> Any:
+    """Read back what `as_plain` gave, as its annotation says; null is NaN where a number must stand.
+
+    raises ValueError: names the place of what does not fit.
+    """
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is UnionType:
+        rest = next(part for part in parts if part is not NoneType)
+        return None if value is None else from_plain(rest, value, place)
+    try:
+        if origin is np.ndarray:
+            return np.array(value, dtype=get_args(parts[1])[0])
+        if isinstance(kind, type) and is_dataclass(kind):
+            hints = get_type_hints(kind)
+            known = [field.name for field in fields(kind) if field.name in value]
+            make: Callable[..., Any] = kind
+            return make(**{n: from_plain(hints[n], value[n], f"{place}.{n}") for n in known})
+        if origin is tuple:
+            each = [parts[0]] * len(value) if parts[-1] is ... else parts
+            rows = zip(each, value, strict=True)
+            return tuple(from_plain(one, row, f"{place}[{k}]") for k, (one, row) in enumerate(rows))
+        if origin in (dict, Mapping):
+            return {key: from_plain(parts[1], each, f"{place}.{key}") for key, each in value.items()}
+    except (TypeError, AttributeError) as failure:
+        raise ValueError(f"{place.lstrip('.')}: {failure}") from None
+    if kind is float and (value is None or type(value) is int):
+        return math.nan if value is None else float(value)
+    if kind is Any or (value in parts if origin is Literal else type(value) is kind):
+        return value
+    raise ValueError(f"{place.lstrip('.')}: {str(value)[:40]!r} stands where a {kind} is expected")

@@ -84,7 +84,7 @@ class Proposal:
     removed, kept: parameters that the rule leaves out and keeps.
     recommended: those of the removed that are worth leaving out: not needed, or of unknown significance.
     final: components of the kept parameters.
-    findings: the proposal, one for each round and those of the end.
+    remarks: the proposal, one for each round and those of the end.
     """
 
     steps: tuple[RemovalStep, ...]
@@ -92,7 +92,7 @@ class Proposal:
     kept: tuple[str, ...]
     recommended: tuple[str, ...]
     final: Components
-    findings: tuple[Finding, ...]
+    remarks: tuple[Finding, ...]
 
 
 def propose_removal(estimates: Estimates) -> Proposal:
@@ -146,20 +146,20 @@ def _leaving_order(estimates: Estimates, candidates: list[str]) -> list[str]:
 def _proposal(steps: list[RemovalStep], final: Components, negligible: int) -> Proposal:
     removed = tuple(name for step in steps for name in step.removed)
     recommended = tuple(name for step in steps if not _needed(step) for name in step.removed)
-    said = [_round(step) for step in steps]
+    remarks = [_round(step) for step in steps]
     last: dict[str, Figure] = {
         "names": final.names,
         "components": float(len(final.names)),
         "percent": float(final.percent[-1]),
     }
-    said.append(_remark("pca-kept" if removed else "pca-keep-all", last))
+    remarks.append(_remark("pca-kept" if removed else "pca-keep-all", last))
     if recommended:
-        said.append(_remark("pca-leave-out", {"names": recommended}))
+        remarks.append(_remark("pca-leave-out", {"names": recommended}))
     elif removed:
-        said.append(_remark("pca-needed", {}))
+        remarks.append(_remark("pca-needed", {}))
     if negligible:
-        said.append(_remark("pca-network", {}))
-    return Proposal(tuple(steps), removed, final.names, recommended, final, tuple(said))
+        remarks.append(_remark("pca-network", {}))
+    return Proposal(tuple(steps), removed, final.names, recommended, final, tuple(remarks))
 
 
 def _remark(code: str, figures: dict[str, Figure], clauses: tuple[str, ...] = ()) -> Finding:

@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats
 from drivers.errors import NotConvergedError
+from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.analysis.components import Proposal, propose_removal
@@ -23,16 +24,17 @@ from photocal.analysis.correlation import (
 from photocal.analysis.estimates import GROUPS, Estimates, FTest, scaled, significance, without
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
-from photocal.analysis.robust import MOST_REMOVALS, REMOVED_TOGETHER, Robust, bootstrap, sandwich
+from photocal.analysis.robust import MOST_REMOVALS, REMOVED_TOGETHER, apart, bootstrap, sandwich
 from photocal.analysis.stability.methods import Method, View, fitted_pose, rotation_misfit, sensor_grid, view
 from photocal.analysis.systematic_errors.camera_findings import of_datum
 from photocal.analysis.systematic_errors.candidates import Within, within_flight
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import Checks, Fit, LeftOut, fit, left_out
+from photocal.analysis.systematic_errors.scatter import AssumedSigma, ResidualMap, VarianceComponent
 from photocal.analysis.systematic_errors.search import Search, camera_estimates, search
-from photocal.analysis.systematic_errors.shifts import MOST_JOINT
+from photocal.analysis.systematic_errors.shifts import MOST_JOINT, ImageShift
 from photocal.findings.finding import Finding
-from photocal.geometry.camera import Camera, pixel_to_plane
+from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
@@ -110,26 +112,22 @@ def _sizes(moved: Floats) -> tuple[float, float]:
 class CameraAnalysis:
     """The parameters of one camera, judged.
 
-    estimates: values with their a priori covariance.
-    variance_factor: by which the covariance was scaled for the tests.
-    tests: single, group and cumulative tests.
+    variance_factor_of_tests: by which the covariance was scaled for them.
+    significance: single, group and cumulative tests.
     effects: over the format, px.
-    correlations: over the threshold.
-    exterior: with elements of the exterior orientation, over the threshold.
-    proposal: of the principal component analysis.
+    correlations, correlations_with_exterior: over the threshold.
     left_out: adjusted anew without each parameter.
-    within: c, x0 and y0 over the flight; empty for a few images.
+    within_flight: c, x0 and y0 over the flight; empty for a few images.
     """
 
-    estimates: Estimates
-    variance_factor: float
-    tests: tuple[FTest, ...]
+    variance_factor_of_tests: float
+    significance: tuple[FTest, ...]
     effects: tuple[Effect, ...]
     correlations: tuple[StrongCorrelation, ...]
-    exterior: tuple[ExteriorCorrelation, ...]
-    proposal: Proposal
+    correlations_with_exterior: tuple[ExteriorCorrelation, ...]
+    components: Proposal
     left_out: tuple[LeftOut, ...]
-    within: tuple[Within, ...] = ()
+    within_flight: tuple[Within, ...] = ()
 
 
 def analyse_camera(
@@ -149,7 +147,6 @@ def analyse_camera(
     judged = scaled(estimates, factor)
     own = fit.network.cameras[camera].with_values(fit.state.cameras[camera])
     return CameraAnalysis(
-        estimates,
         factor,
         significance(judged, fit.solution.degrees_of_freedom, alpha),
         effects(own, judged, _reach(fit, camera)),
@@ -175,28 +172,109 @@ _TERMS = ("radial", "decentring")
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What the analysis of a network gives.
+class Removal:
+    """Parameters of a camera with some images left out together."""
 
-    findings: hidden errors, worst first.
-    search: the figures behind them.
-    lenses: for each camera the models compared, its own first; empty where nothing is left to explain.
-    cameras: one for each camera; None for those without estimated parameters.
-    shape: geometry of the network.
-    methods: each method with its requirements.
-    robust: second opinions on the precision of the cameras.
-    alpha, threshold: level of the F tests, and correlation from which pairs are named.
+    images: tuple[str, ...]
+    parameters: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Opinions:
+    """Standard deviations of a camera by parameter; NaN where there were too few images.
+
+    standard_error, standard_error_corrected: with images left out, and the same after the corrections.
+    not_possible: images without which the rest is not determined.
     """
 
+    formal: dict[str, float]
+    standard_error: dict[str, float]
+    sandwich: dict[str, float]
+    bootstrap: dict[str, float] | None
+    standard_error_corrected: dict[str, float]
+    left_out: tuple[Removal, ...]
+    not_possible: tuple[str, ...]
+
+    def others(self, parameter: str, formal: float) -> tuple[float | None, float | None]:
+        """Sandwich and bootstrap where one of them differs from the formal one by more than a third."""
+        pair = _known(self.sandwich, parameter), _known(self.bootstrap, parameter)
+        return pair if any(apart(formal, one) for one in pair) else (None, None)
+
+    def largest(self, parameter: str, formal: float) -> tuple[float, str]:
+        """Largest opinion that is more than a third above the formal one, and whose it is; else "formal".
+
+        Leaving out images stands in for the sandwich where there are too few of them.
+        """
+        others = {name: _known(getattr(self, name), parameter) for name in ("sandwich", "bootstrap")}
+        if others["sandwich"] is None:
+            others = {"jackknife": _known(self.standard_error, parameter), **others}
+        sigma, whose = max((one or 0.0, name) for name, one in others.items())
+        return (sigma, whose) if sigma > formal and apart(formal, sigma) else (formal, "formal")
+
+
+def _known(sigmas: dict[str, float] | None, parameter: str) -> float | None:
+    sigma = (sigmas or {}).get(parameter, np.nan)
+    return None if np.isnan(sigma) else sigma
+
+
+@dataclass(frozen=True)
+class ExteriorDifference:
+    """Original less adjusted exterior orientation over the images that have both.
+
+    mean_m, rmse_m: X, Y, Z in the local frame of the block (east, north, up where it has a reference system).
+    mean_arcsec, rmse_arcsec: omega, phi, kappa.
+    """
+
+    images: int
+    mean_m: tuple[float, ...]
+    rmse_m: tuple[float, ...]
+    mean_arcsec: tuple[float, ...]
+    rmse_arcsec: tuple[float, ...]
+
+
+SCHEMA = "photocal.analysis/2"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """What the analysis of a network says: the content of `analysis.json`.
+
+    findings: hidden errors, worst first.
+    alpha, correlation_threshold: level of the F tests, and correlation from which pairs are named.
+    cameras: by name, as all that follows; None for one without estimated parameters.
+    lens_models: the models compared, its own first; empty where nothing is left to explain.
+    observation_sigma: of the image coordinates, assumed and found, in the unit of the image plane.
+    variance_components: of images, axes and cameras.
+    bootstrap_draws: how often images were drawn.
+    network: its geometry.
+    result_sha256: digest of the result.json that it belongs to.
+    """
+
+    schema: str = SCHEMA
     findings: tuple[Finding, ...]
-    search: Search
-    lenses: tuple[tuple[LensFit, ...], ...]
-    cameras: tuple[CameraAnalysis | None, ...]
-    shape: Shape
-    methods: tuple[MethodCheck, ...]
-    robust: Robust
+    variance_factor: float
     alpha: float
-    threshold: float
+    correlation_threshold: float
+    cameras: dict[str, CameraAnalysis | None]
+    lens_models: dict[str, tuple[LensFit, ...]]
+    observation_sigma: AssumedSigma
+    groups: tuple[GroupTest, ...]
+    variance_components: dict[str, tuple[VarianceComponent, ...]]
+    image_shifts: tuple[ImageShift, ...]
+    residual_maps: dict[str, ResidualMap | None]
+    jackknife: dict[str, Opinions]
+    bootstrap_draws: int
+    network: Shape
+    methods: tuple[MethodCheck, ...]
+    exterior_difference: ExteriorDifference | None = None
+    result_sha256: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome(Analysis):
+    """An analysis with the adjustments behind it."""
+
+    search: Search
 
 
 def analyse_network(
@@ -248,17 +326,48 @@ def analyse_network(
     # A lens that the model cannot hold is no missing term of it.
     other = {one.subject for one in of_lens}
     kept = [one for one in listed if one.code not in _TERMS or one.subject not in other]
+    names = [camera.id for camera in network.cameras]
+    judged = [analyse_camera(fitted, k, checks, alpha, threshold, step) for k in range(len(names))]
     return Outcome(
-        (*of_lens, *kept, *of_datum(searched)),
-        searched,
-        fits,
-        tuple(analyse_camera(fitted, k, checks, alpha, threshold, step) for k in range(len(network.cameras))),
-        geometry,
-        tuple(check_method(method, geometry) for method in METHODS),
-        Robust(sandwich(fitted), drawn, draws),
-        alpha,
-        threshold,
+        findings=(*of_lens, *kept, *of_datum(searched)),
+        variance_factor=fitted.solution.variance_factor,
+        alpha=alpha,
+        correlation_threshold=threshold,
+        cameras=dict(zip(names, judged, strict=True)),
+        lens_models=dict(zip(names, fits, strict=True)),
+        observation_sigma=searched.sigma,
+        groups=searched.groups,
+        variance_components={key: getattr(searched, key) for key in ("images", "axes", "cameras")},
+        image_shifts=searched.shifts,
+        residual_maps=dict(zip(names, searched.maps, strict=True)),
+        jackknife=_opinions(searched, sandwich(fitted), drawn),
+        bootstrap_draws=draws,
+        network=geometry,
+        methods=tuple(check_method(method, geometry) for method in METHODS),
+        search=searched,
     )
+
+
+def _opinions(search: Search, robust: Floats, drawn: Floats | None) -> dict[str, Opinions]:
+    before, after = search.jackknife_first, search.jackknife_last
+    opinions = {}
+    for k, camera in enumerate(search.first.network.cameras):
+        at = np.flatnonzero(camera.estimated).tolist()
+
+        def named(values: Floats, at: list[int] = at) -> dict[str, float]:
+            return {PARAMETERS[i]: float(values[i]) for i in at}
+
+        removals = zip(before.left_out, before.cameras, strict=True)
+        opinions[camera.id] = Opinions(
+            named(np.sqrt(np.diag(search.first.solution.camera_covariance[k]))),
+            named(before.standard_error[k]),
+            named(robust[k]),
+            None if drawn is None else named(drawn[k]),
+            named(after.standard_error[k]),
+            tuple(Removal(images, named(values[k])) for images, values in removals),
+            before.not_possible,
+        )
+    return opinions
 
 
 def _steps(network: Network) -> int:

@@ -104,21 +104,6 @@ FEWEST = 10
 APART = 4.0 / 3.0
 
 
-@dataclass(frozen=True)
-class Robust:
-    """Standard deviations of camera parameters that hold whatever the noise of the images is.
-
-    sandwich: (cameras, 14), from the residuals, those of an image together; zero for what is held, NaN for
-        too few images.
-    bootstrap: (cameras, 14), spread over blocks of images drawn with replacement; None when not asked for.
-    draws: how many blocks were drawn.
-    """
-
-    sandwich: Floats
-    bootstrap: Floats | None = None
-    draws: int = 0
-
-
 def apart(formal: float, robust: float | None) -> bool:
     """Whether two standard deviations differ by more than a third."""
     if robust is None or not (formal > 0.0 and robust > 0.0):

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
+from photocal.analysis.outcome import Analysis, CameraAnalysis, Opinions
 from photocal.findings.digits import fixed, significant, symbol
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words
 from photocal.geometry.camera import Camera
 from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table, columns
-from photocal.report.stored_analysis import CameraRecord, JackknifeRecord, Run, StoredAnalysis
+from photocal.report.stored_analysis import Run
 
 
-def analysis_verdict(analysis: StoredAnalysis, say: Catalogue) -> list[Statement]:
+def analysis_verdict(analysis: Analysis, say: Catalogue) -> list[Statement]:
     """Warn of hidden errors that are not small."""
     large = [one for one in analysis.findings if not one.small]
     if not large:
@@ -39,7 +42,7 @@ def hidden_errors(run: Run, say: Catalogue) -> Section:
     return Section(title, tuple(pieces))
 
 
-def _sigma(run: Run, analysis: StoredAnalysis, say: Catalogue) -> str:
+def _sigma(run: Run, analysis: Analysis, say: Catalogue) -> str:
     camera = next(iter(run.result.cameras.values()))
     scale, unit = (1e3, "µm") if camera.unit == "mm" else (1.0, "px")
     sigma = analysis.observation_sigma
@@ -50,7 +53,7 @@ def _sigma(run: Run, analysis: StoredAnalysis, say: Catalogue) -> str:
     return say("analysis.sigma", unit=unit, **figures)
 
 
-def parameters(title: str, camera_id: str, run: Run, analysis: StoredAnalysis, say: Catalogue) -> Section:
+def parameters(title: str, camera_id: str, run: Run, analysis: Analysis, say: Catalogue) -> Section:
     """Judge the parameters of one camera: tests, correlations, components, left out, jackknife."""
     record, camera = analysis.cameras[camera_id], run.result.cameras[camera_id]
     if record is None:
@@ -66,23 +69,23 @@ def parameters(title: str, camera_id: str, run: Run, analysis: StoredAnalysis, s
     return Section(title, tuple(pieces))
 
 
-def _tests(record: CameraRecord, alpha: float, say: Catalogue) -> Table:
+def _tests(record: CameraAnalysis, alpha: float, say: Catalogue) -> Table:
     heads = ("tested<", "kind<", "statistic", "critical", "significant=", "effect [px]", "remaining [px]")
     effects = {effect.parameters: effect for effect in record.effects}
     rows = []
     for test in record.significance:
         # What a group of one says was said by the single test.
         effect = None if test.kind == "cumulative" else effects.get(test.parameters)
-        px = (effect.largest_px, effect.remaining_largest_px) if effect else (None, None)
+        px = (effect.largest_px, effect.remaining_largest_px) if effect else (math.nan,) * 2
         blank = say("word.none") if effect else ""
         rows.append(
             (
                 " ".join(symbol(name) for name in test.parameters),
                 say(f"test.{test.kind}"),
-                "∞" if test.statistic is None else significant(test.statistic, 4, say.mark),
+                significant(test.statistic, 4, say.mark) if math.isfinite(test.statistic) else "∞",
                 fixed(test.critical, 2, say.mark),
                 say("word.yes" if test.significant else "word.no"),
-                *(blank if v is None else fixed(v, 2, say.mark) for v in px),
+                *(fixed(v, 2, say.mark) if math.isfinite(v) else blank for v in px),
             )
         )
     title = say("analysis.parameters_table", alpha=significant(alpha, 2, say.mark))
@@ -90,7 +93,7 @@ def _tests(record: CameraRecord, alpha: float, say: Catalogue) -> Table:
     return Table(title, columns(say, "analysis", *heads), tuple(rows), note, dense=True)
 
 
-def _correlations(record: CameraRecord, say: Catalogue) -> list[Table]:
+def _correlations(record: CameraAnalysis, say: Catalogue) -> list[Table]:
     rows = [
         (f"{symbol(p.first)}–{symbol(p.second)}", fixed(p.value, 2, say.mark), say(f"cause.{p.cause}"))
         for p in record.correlations
@@ -105,7 +108,7 @@ def _correlations(record: CameraRecord, say: Catalogue) -> list[Table]:
     return [Table(say("analysis.causes"), heads, tuple(rows), widths=(0.12, 0.1, 0.78))]
 
 
-def _components(record: CameraRecord, say: Catalogue) -> list[Piece]:
+def _components(record: CameraAnalysis, say: Catalogue) -> list[Piece]:
     final = record.components.final
     heads = columns(say, "analysis", "component<", "eigenvalue", "share [%]", "cumulative [%]")
     rows = tuple(
@@ -114,11 +117,11 @@ def _components(record: CameraRecord, say: Catalogue) -> list[Piece]:
             zip(final.eigenvalues, final.percent, final.cumulative_percent, strict=True), start=1
         )
     )
-    said = " ".join(finding_text(remark, say) for remark in record.components.remarks)
-    return [Table(say("analysis.components"), heads, rows), Paragraph(said)]
+    remarks = " ".join(finding_text(remark, say) for remark in record.components.remarks)
+    return [Table(say("analysis.components"), heads, rows), Paragraph(remarks)]
 
 
-def _left_out(record: CameraRecord, camera: Camera, say: Catalogue) -> Table:
+def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> Table:
     first, *others = columns(
         say, "analysis", "without<", f"change_of_c [{camera.unit}]", "variance_factor", "rmse [mm]"
     )
@@ -128,7 +131,7 @@ def _left_out(record: CameraRecord, camera: Camera, say: Catalogue) -> Table:
             symbol(left.parameter),
             significant(left.c, 7, say.mark),
             significant(left.change_of_c, 3, say.mark),
-            none if left.sigma0_squared is None else significant(left.sigma0_squared, 4, say.mark),
+            significant(left.sigma0_squared, 4, say.mark) if math.isfinite(left.sigma0_squared) else none,
             none
             if left.check_rmse_m is None
             else "; ".join(fixed(1e3 * v, 1, say.mark) for v in left.check_rmse_m),
@@ -138,22 +141,22 @@ def _left_out(record: CameraRecord, camera: Camera, say: Catalogue) -> Table:
     return Table(say("analysis.left_out"), (first, Column("c", camera.unit), *others), rows)
 
 
-def _jackknife(record: JackknifeRecord, camera: Camera, say: Catalogue) -> Table:
+def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> Table:
     heads = ["parameter<", "formal", "error", "corrected", "sandwich"]
     heads += [] if record.bootstrap is None else ["bootstrap"]
 
-    def small(value: float | None) -> str:
+    def small(value: float) -> str:
         # Coefficients have any power of ten: three digits and the exponent, as Python writes them.
-        return say("word.none") if value is None else f"{value:.3g}".replace(".", say.mark)
+        return f"{value:.3g}".replace(".", say.mark) if math.isfinite(value) else say("word.none")
 
     rows = tuple(
         (
             symbol(name),
             small(camera.sigma_of(name)),
             small(error),
-            small(record.standard_error_corrected.get(name)),
-            small(record.sandwich.get(name)),
-            *([] if record.bootstrap is None else [small(record.bootstrap.get(name))]),
+            small(record.standard_error_corrected[name]),
+            small(record.sandwich[name]),
+            *([] if record.bootstrap is None else [small(record.bootstrap[name])]),
         )
         for name, error in record.standard_error.items()
     )
@@ -161,7 +164,7 @@ def _jackknife(record: JackknifeRecord, camera: Camera, say: Catalogue) -> Table
     return Table(say("analysis.jackknife"), columns(say, "analysis", *heads), rows, note)
 
 
-def method_check(analysis: StoredAnalysis, say: Catalogue) -> Section:
+def method_check(analysis: Analysis, say: Catalogue) -> Section:
     """Say what each method of calibration asks for and what the network has."""
     heads = columns(say, "analysis", "method_name<", "requirement<", "found<", "needed<", "met<")
     rows, advice = [], list[str]()

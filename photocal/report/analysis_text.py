@@ -9,20 +9,23 @@ import numpy as np
 
 from drivers.arrays import as_plain
 from photocal.analysis.components import Components
+from photocal.analysis.lens_models import LensFit
 from photocal.analysis.method import MethodCheck
-from photocal.analysis.outcome import CameraAnalysis, Outcome
+from photocal.analysis.outcome import CameraAnalysis, Opinions, Outcome
 from photocal.analysis.published import PublishedSet
+from photocal.analysis.systematic_errors.refit import LeftOut
 from photocal.findings.digits import Number
 from photocal.findings.texts import Catalogue, finding_text, need_words, plain
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import Camera
 
 
 def analysis_text(outcome: Outcome, say: Catalogue) -> str:
     """Turn an analysis into text."""
     parts = [_findings(outcome, say)]
-    for k, one in enumerate(outcome.cameras):
-        if one is not None:
-            parts.append("\n".join(_camera(k, one, outcome, say)))
+    for camera in outcome.search.first.network.cameras:
+        judged = outcome.cameras[camera.id]
+        if judged is not None:
+            parts.append("\n".join(_camera(camera, judged, outcome, say)))
     parts.append("\n".join([say("console.methods"), *(_method(one, say) for one in outcome.methods)]))
     return "\n\n".join(parts)
 
@@ -34,46 +37,53 @@ def _findings(outcome: Outcome, say: Catalogue) -> str:
     return "\n".join([say("analysis.hidden_first"), *lines])
 
 
-def _camera(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> list[str]:
-    name = outcome.search.first.network.cameras[k].id
-    lines = [say("console.camera", camera=name, alpha=_number(outcome.alpha, say)), *_tests(one, say)]
-    if one.correlations or one.exterior:
-        lines.append(say("console.correlations", camera=name, threshold=_number(outcome.threshold, say)))
+def _camera(camera: Camera, judged: CameraAnalysis, outcome: Outcome, say: Catalogue) -> list[str]:
+    name = camera.id
+    lines = [say("console.camera", camera=name, alpha=_number(outcome.alpha, say)), *_tests(judged, say)]
+    if judged.correlations or judged.correlations_with_exterior:
+        threshold = _number(outcome.correlation_threshold, say)
+        lines.append(say("console.correlations", camera=name, threshold=threshold))
     lines += [
         f"  {p.first}-{p.second} {_number(p.value, say):+.3f}: {say(f'cause.{p.cause}')}"
-        for p in one.correlations
+        for p in judged.correlations
     ]
-    for p in one.exterior:
+    for p in judged.correlations_with_exterior:
         where = say("console.in_images", image=p.image, images=p.images)
         pair = f"{p.parameter}-{p.element} {_number(p.value, say):+.3f}"
         lines.append(f"  {pair} {where}: {say(f'cause.{p.cause}')}")
     lines.append(say("console.components", camera=name))
-    lines += [f"  {finding_text(remark, say, plain)}" for remark in one.proposal.findings]
+    lines += [f"  {finding_text(remark, say, plain)}" for remark in judged.components.remarks]
     return [
         *lines,
-        *_left_out(k, one, outcome, say),
-        *_lenses(k, outcome, say),
-        *_within(k, one, outcome, say),
-        *_jackknife(k, outcome, say),
+        *_left_out(camera, judged, say),
+        *_lenses(camera, outcome, say),
+        *_within(camera, judged, say),
+        *_jackknife(camera, outcome.jackknife[name], say),
     ]
 
 
-def _lenses(k: int, outcome: Outcome, say: Catalogue) -> list[str]:
-    fits, camera = outcome.lenses[k], outcome.search.first.network.cameras[k]
-    lines = [say("console.lenses", camera=camera.id)] if len(fits) > 1 else []
-    for one in fits if len(fits) > 1 else ():
+def _lenses(camera: Camera, outcome: Outcome, say: Catalogue) -> list[str]:
+    fits = outcome.lens_models[camera.id]
+    if len(fits) < 2:
+        return []
+    lines = [say("console.lenses", camera=camera.id)]
+    for fit in fits:
         text = say(
             "console.lens",
-            chi=_number(one.chi_squared, say),
-            left_out=_number(one.left_out, say),
-            change=_number(one.change_of_c, say),
+            chi=_number(fit.chi_squared, say),
+            left_out=_number(fit.left_out, say),
+            change=_number(fit.change_of_c, say),
             unit=camera.unit,
         )
-        if one.check_rmse_m is not None:
-            x, y, z = (_number(1000.0 * v, say) for v in one.check_rmse_m)
-            text += say("console.checks", x=x, y=y, z=z)
-        lines.append(f"  {one.model:<14} {' '.join(one.terms)}: {text}")
+        lines.append(f"  {fit.model:<14} {' '.join(fit.terms)}: {text}{_checks(fit, say)}")
     return lines
+
+
+def _checks(fit: LensFit | LeftOut, say: Catalogue) -> str:
+    if fit.check_rmse_m is None:
+        return ""
+    x, y, z = (_number(1000.0 * float(v), say) for v in fit.check_rmse_m)
+    return say("console.checks", x=x, y=y, z=z)
 
 
 def _number(value: float, say: Catalogue) -> Number:
@@ -83,7 +93,7 @@ def _number(value: float, say: Catalogue) -> Number:
 def _tests(one: CameraAnalysis, say: Catalogue) -> list[str]:
     lines = []
     effects = {effect.parameters: effect for effect in one.effects}
-    for test in one.tests:
+    for test in one.significance:
         effect = effects.get(test.parameters)
         in_px = ""
         if effect is not None and test.kind != "cumulative" and math.isfinite(effect.largest_px):
@@ -97,29 +107,24 @@ def _tests(one: CameraAnalysis, say: Catalogue) -> list[str]:
     return lines
 
 
-def _left_out(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> list[str]:
-    camera = outcome.search.first.network.cameras[k]
-    lines = [say("console.left_out", camera=camera.id)] if one.left_out else []
-    for left in one.left_out:
-        said = say(
+def _left_out(camera: Camera, judged: CameraAnalysis, say: Catalogue) -> list[str]:
+    lines = [say("console.left_out", camera=camera.id)] if judged.left_out else []
+    for left in judged.left_out:
+        text = say(
             "console.without",
             c=_number(left.c, say),
             unit=camera.unit,
             change=_number(left.change_of_c, say),
             factor=_number(left.sigma0_squared, say),
         )
-        if left.check_rmse_m is not None:
-            x, y, z = (_number(1000.0 * float(v), say) for v in left.check_rmse_m)
-            said += say("console.checks", x=x, y=y, z=z)
-        lines.append(f"  {left.parameter:<3} {said}")
+        lines.append(f"  {left.parameter:<3} {text}{_checks(left, say)}")
     return lines
 
 
-def _within(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> list[str]:
+def _within(camera: Camera, judged: CameraAnalysis, say: Catalogue) -> list[str]:
     """c, x0 and y0 in the thirds of the flight, against the first one."""
-    camera = outcome.search.first.network.cameras[k]
-    lines = [say("console.within", camera=camera.id, unit=camera.unit)] if one.within else []
-    for parameter in one.within:
+    lines = [say("console.within", camera=camera.id, unit=camera.unit)] if judged.within_flight else []
+    for parameter in judged.within_flight:
         thirds = "; ".join(
             f"{_number(amount, say):+.3g} ± {_number(sigma, say):.2g}"
             for amount, sigma in parameter.parts[1:]
@@ -133,18 +138,13 @@ def _within(k: int, one: CameraAnalysis, outcome: Outcome, say: Catalogue) -> li
     return lines
 
 
-def _jackknife(k: int, outcome: Outcome, say: Catalogue) -> list[str]:
+def _jackknife(camera: Camera, opinions: Opinions, say: Catalogue) -> list[str]:
     """Formal standard deviation of every parameter, and beside it what images tell of it."""
-    search, camera = outcome.search, outcome.search.first.network.cameras[k]
-    beside = [
-        np.sqrt(np.diag(search.first.solution.camera_covariance[k])),
-        search.jackknife_first.standard_error[k],
-        outcome.robust.sandwich[k],
-    ]
-    beside += [] if outcome.robust.bootstrap is None else [outcome.robust.bootstrap[k]]
+    beside = [opinions.formal, opinions.standard_error, opinions.sandwich]
+    beside += [] if opinions.bootstrap is None else [opinions.bootstrap]
     lines = [
-        f"  {PARAMETERS[i]:<3} " + " / ".join(f"{_number(float(one[i]), say):.3g}" for one in beside)
-        for i in np.flatnonzero(camera.estimated)
+        f"  {name:<3} " + " / ".join(f"{_number(sigmas[name], say):.3g}" for sigmas in beside)
+        for name in opinions.formal
     ]
     return [say("console.jackknife", camera=camera.id), *lines] if lines else []
 

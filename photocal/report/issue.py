@@ -22,7 +22,7 @@ from photocal.report.derived_figures import DerivedFigures, derived_figures, ver
 from photocal.report.document import Document, html, pdf
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
-from photocal.report.stored_analysis import Run, read_run
+from photocal.report.stored_analysis import Run, certified_analysis, read_run
 from photocal.results.folder import checked, result_json
 from photocal.results.origin import Source, block_of_run, carry
 from photocal.results.result import Figures, Result
@@ -57,7 +57,7 @@ def record(
         "exposures": _exposures(run),
         "cameras": {one.camera_id: _camera(run, one) for one in known},
         "technical_reports": {one.camera_id: _report(Context(run, particulars, one, say)) for one in known},
-        "analysis": as_plain(run.analysis),
+        "analysis": certified_analysis(run.analysis),
         "run_files": as_plain(run.files),
         "documents": {},
     }

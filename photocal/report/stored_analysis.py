@@ -1,165 +1,39 @@
-"""What a certificate says of an analysis, read back from `analysis.json`."""
+"""A run with the analysis that was stored beside it: what a certificate is made of."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from drivers.arrays import as_plain, from_plain
 from drivers.errors import InputMalformedError
-from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
-from photocal.analysis.method import MethodCheck
-from photocal.analysis.robust import apart
-from photocal.analysis.systematic_errors.scatter import AssumedSigma
+from photocal.analysis.outcome import SCHEMA, Analysis
 from photocal.block.model import InputFile, fingerprint
-from photocal.findings.finding import Finding
 from photocal.results.folder import RESULT, read_json, read_result
 from photocal.results.result import Result
 
 ANALYSIS = "analysis.json"
-SCHEMA = "photocal.analysis/1"
-
-
-@dataclass(frozen=True)
-class TestRecord:
-    """An F test; without a statistic it was infinite."""
-
-    kind: str
-    parameters: tuple[str, ...]
-    statistic: float | None
-    critical: float
-    significant: bool
-
-
-@dataclass(frozen=True)
-class EffectRecord:
-    """Effect of parameters over the format, px; none where the distortion folds without them."""
-
-    parameters: tuple[str, ...]
-    largest_px: float | None
-    remaining_largest_px: float | None
-
-
-@dataclass(frozen=True)
-class FinalComponents:
-    """Principal components of the parameters that the removal rule keeps."""
-
-    names: tuple[str, ...]
-    eigenvalues: tuple[float, ...]
-    percent: tuple[float, ...]
-    cumulative_percent: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class ComponentsRecord:
-    """Principal components and what is proposed."""
-
-    final: FinalComponents
-    remarks: tuple[Finding, ...]
-
-
-@dataclass(frozen=True)
-class LeftOutRecord:
-    """The adjustment without one parameter."""
-
-    parameter: str
-    c: float
-    change_of_c: float
-    sigma0_squared: float | None
-    check_rmse_m: tuple[float, float, float] | None
-
-
-@dataclass(frozen=True)
-class CameraRecord:
-    """Everything about the parameters of one camera."""
-
-    variance_factor_of_tests: float
-    significance: tuple[TestRecord, ...]
-    effects: tuple[EffectRecord, ...]
-    correlations: tuple[StrongCorrelation, ...]
-    correlations_with_exterior: tuple[ExteriorCorrelation, ...]
-    components: ComponentsRecord
-    left_out: tuple[LeftOutRecord, ...]
-
-
-@dataclass(frozen=True)
-class Removal:
-    """Images that were left out together."""
-
-    images: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class JackknifeRecord:
-    """Second opinions on standard deviations, by parameter; none where there were too few images.
-
-    standard_error, standard_error_corrected: with images left out, and the same after the corrections.
-    """
-
-    standard_error: dict[str, float | None]
-    standard_error_corrected: dict[str, float | None]
-    left_out: tuple[Removal, ...]
-    sandwich: dict[str, float | None] = field(default_factory=dict)
-    bootstrap: dict[str, float | None] | None = None
-
-    def others(self, parameter: str, formal: float) -> tuple[float | None, float | None]:
-        """Sandwich and bootstrap where one of them differs from the formal one by more than a third."""
-        pair = self.sandwich.get(parameter), (self.bootstrap or {}).get(parameter)
-        return pair if any(apart(formal, one) for one in pair) else (None, None)
-
-    def largest(self, parameter: str, formal: float) -> tuple[float, str]:
-        """Largest opinion that is more than a third above the formal one, and whose it is; else "formal".
-
-        Leaving out images stands in for the sandwich where there are too few of them.
-        """
-        others = {
-            "sandwich": self.sandwich.get(parameter),
-            "bootstrap": (self.bootstrap or {}).get(parameter),
-        }
-        if others["sandwich"] is None:
-            others = {"jackknife": self.standard_error.get(parameter), **others}
-        sigma, whose = max((one or 0.0, name) for name, one in others.items())
-        return (sigma, whose) if sigma > formal and apart(formal, sigma) else (formal, "formal")
-
-
-@dataclass(frozen=True)
-class ExteriorDifference:
-    """Original less adjusted exterior orientation over the images that have both.
-
-    mean_m, rmse_m: X, Y, Z in the local frame of the block (east, north, up where it has a reference system).
-    mean_arcsec, rmse_arcsec: omega, phi, kappa.
-    """
-
-    images: int
-    mean_m: tuple[float, ...]
-    rmse_m: tuple[float, ...]
-    mean_arcsec: tuple[float, ...]
-    rmse_arcsec: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class StoredAnalysis:
-    """The content of `analysis.json` as far as a certificate needs it.
-
-    result_sha256: digest of the result.json that it belongs to.
-    alpha, correlation_threshold: level of the F tests, and correlation from which pairs are named.
-    findings: hidden errors, worst first.
-    cameras: by name; None for one without estimated parameters.
-    observation_sigma: of the image coordinates, assumed and found, in the unit of the image plane.
-    exterior_difference: orientations of the positioning system less the adjusted ones.
-    bootstrap_draws: how often images were drawn.
-    """
-
-    schema: str
-    result_sha256: str
-    alpha: float
-    correlation_threshold: float
-    findings: tuple[Finding, ...]
-    cameras: dict[str, CameraRecord | None]
-    observation_sigma: AssumedSigma
-    jackknife: dict[str, JackknifeRecord]
-    methods: tuple[MethodCheck, ...]
-    exterior_difference: ExteriorDifference | None = None
-    bootstrap_draws: int = 0
+_AGAIN = "run `photocal analyse` again"
+# What a certificate repeats of an analysis, and of the parts of its parts; empty: all of it.
+_SCHEMA_CERTIFIED = "photocal.analysis/1"
+_COMPONENTS = dict.fromkeys(("names", "eigenvalues", "percent", "cumulative_percent"), ())
+_CAMERA: dict[str, Any] = {
+    "variance_factor_of_tests": (),
+    "significance": dict.fromkeys(("kind", "parameters", "statistic", "critical", "significant"), ()),
+    "effects": dict.fromkeys(("parameters", "largest_px", "remaining_largest_px"), ()),
+    "correlations": (),
+    "correlations_with_exterior": (),
+    "components": {"final": _COMPONENTS, "remarks": ()},
+    "left_out": dict.fromkeys(("parameter", "c", "change_of_c", "sigma0_squared", "check_rmse_m"), ()),
+}
+_OPINIONS: dict[str, Any] = {
+    "standard_error": (),
+    "standard_error_corrected": (),
+    "left_out": {"images": ()},
+    "sandwich": (),
+    "bootstrap": (),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,18 +46,18 @@ class Run:
 
     result: Result
     files: tuple[InputFile, ...]
-    analysis: StoredAnalysis | None = None
+    analysis: Analysis | None = None
 
     def stated(self, camera_id: str, parameter: str = "c") -> tuple[float, str]:
         """Standard deviation that a client is told: scaled where the global test is rejected, or larger.
 
-        returns: it, and whose it is: see `JackknifeRecord.largest`; "held" for what was not estimated.
+        returns: it, and whose it is: see `Opinions.largest`; "held" for what was not estimated.
         """
         if parameter not in self.result.cameras[camera_id].free:
             return 0.0, "held"
         formal = (self.result.scale or 1.0) * self.result.cameras[camera_id].sigma_of(parameter)
-        record = self.analysis.jackknife.get(camera_id) if self.analysis else None
-        return (formal, "formal") if record is None else record.largest(parameter, formal)
+        opinions = self.analysis.jackknife.get(camera_id) if self.analysis else None
+        return (formal, "formal") if opinions is None else opinions.largest(parameter, formal)
 
 
 def read_run(folder: Path) -> Run:
@@ -192,12 +66,34 @@ def read_run(folder: Path) -> Run:
     path = folder / ANALYSIS
     if not path.is_file():
         return Run(result, result.files)
-    stored = read_json(path, StoredAnalysis, SCHEMA, "run `photocal analyse` again")
+    _, content = read_json(path, SCHEMA, _AGAIN)
+    try:
+        stored: Analysis = from_plain(Analysis, content)
+    except ValueError as lacking:
+        raise InputMalformedError(str(lacking), where=path, remedy=_AGAIN) from None
     # That of an earlier run would say something else.
     if stored.result_sha256 != fingerprint(folder / RESULT).sha256:
         raise InputMalformedError(
-            "belongs to another run: result.json has changed since",
-            where=path,
-            remedy="run `photocal analyse` again",
+            "belongs to another run: result.json has changed since", where=path, remedy=_AGAIN
         )
     return Run(result, (*result.files, fingerprint(path)), stored)
+
+
+def certified_analysis(analysis: Analysis | None) -> dict[str, Any] | None:
+    """Give what a certificate repeats of an analysis."""
+    if analysis is None:
+        return None
+    parts: dict[str, Any] = {
+        **dict.fromkeys(("result_sha256", "alpha", "correlation_threshold", "findings"), ()),
+        "cameras": dict.fromkeys(analysis.cameras, _CAMERA),
+        "observation_sigma": (),
+        "jackknife": dict.fromkeys(analysis.jackknife, _OPINIONS),
+        **dict.fromkeys(("methods", "exterior_difference", "bootstrap_draws"), ()),
+    }
+    return {"schema": _SCHEMA_CERTIFIED, **_only(as_plain(analysis), parts)}
+
+
+def _only(value: Any, parts: Any) -> Any:
+    if isinstance(value, list):
+        return [_only(one, parts) for one in value]
+    return {key: _only(value[key], parts[key]) for key in parts} if parts and value else value

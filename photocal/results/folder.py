@@ -220,7 +220,8 @@ def read_result(folder: Path) -> Result:
     if not folder.is_dir():
         what = "is a file, a folder was expected" if folder.exists() else "no such folder"
         raise InputNotFoundError(what, where=folder, remedy="give the folder that `photocal adjust` wrote")
-    content = read_json(folder / RESULT, _File, SCHEMA, AGAIN)
+    text, _ = read_json(folder / RESULT, SCHEMA, "adjust with this version of photocal")
+    content = checked(text, _File, folder / RESULT, AGAIN)
     cameras = {name: _camera(name, own, folder / RESULT) for name, own in content.cameras.items()}
     images = _images(folder, cameras)
     points = _points(folder)
@@ -244,8 +245,8 @@ def read_result(folder: Path) -> Result:
     )
 
 
-def read_json(path: Path, kind: type[Kind], schema: str, remedy: str) -> Kind:
-    """Read a file of JSON as a dataclass of a schema; errors name the key."""
+def read_json(path: Path, schema: str, remedy: str) -> tuple[str, dict[str, Any]]:
+    """Read a file of JSON of a schema: its text and what that holds."""
     if not path.is_file():
         raise InputNotFoundError(
             "does not exist", where=path, remedy="give the folder that `photocal adjust` wrote"
@@ -269,12 +270,8 @@ def read_json(path: Path, kind: type[Kind], schema: str, remedy: str) -> Kind:
         raise InputMalformedError(str(broken), where=path, remedy=remedy) from None
     found = content.get("schema") if isinstance(content, dict) else None
     if found != schema:
-        raise InputMalformedError(
-            f"schema is {found!r}, {schema!r} was expected",
-            where=path,
-            remedy="adjust with this version of photocal",
-        )
-    return checked(text, kind, path, remedy)
+        raise InputMalformedError(f"schema is {found!r}, {schema!r} was expected", where=path, remedy=remedy)
+    return text, content
 
 
 def cameras_of_json(content: object, path: Path) -> dict[str, Camera]:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from drivers.arrays import as_plain
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.analysis.estimates import without
+from photocal.analysis.outcome import Analysis
 from photocal.analysis.systematic_errors.refit import Checks, fit, left_out
 from photocal.analysis.systematic_errors.search import camera_estimates
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.geometry.camera import PARAMETERS
+from photocal.report.analysis_record import analyse_run
 from photocal.report.stored_analysis import read_run
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
@@ -93,6 +96,30 @@ def test_an_analysis_of_another_run_is_refused(made: Path, tmp_path: Path) -> No
     assert [one.code for one in stored.findings][:3] == ["y-scale", "observation-sigma", "c-bias"]
     (run / "result.json").write_text((run / "result.json").read_text().replace('"timing_s"', '"timing_s" '))
     with pytest.raises(InputMalformedError, match="belongs to another run"):
+        read_run(run)
+
+
+def test_an_analysis_comes_back_as_it_was(made: Path, tmp_path: Path) -> None:
+    """What is read is what was computed, also where a figure does not exist; schema 1 is refused."""
+    run = tmp_path / "run"
+    shutil.copytree(made / "run", run)
+    outcome = analyse_run(run, made / "block")
+    stored = read_run(run).analysis
+    assert stored is not None
+    assert as_plain(stored) == as_plain(
+        Analysis(**{f.name: getattr(outcome, f.name) for f in fields(Analysis)})
+    )
+    judged, back = outcome.cameras["dcs460"], stored.cameras["dcs460"]
+    assert judged is not None
+    assert back is not None
+    np.testing.assert_array_equal(judged.components.final.loadings, back.components.final.loadings)
+    assert np.isnan(back.effects[1].largest_px) == np.isnan(judged.effects[1].largest_px)
+    text = (run / "analysis.json").read_text()
+    (run / "analysis.json").write_text(text.replace('"alpha": 0.1', '"alpha": "a tenth"'))
+    with pytest.raises(InputMalformedError, match="alpha: 'a tenth' stands where"):
+        read_run(run)
+    (run / "analysis.json").write_text(text.replace("photocal.analysis/2", "photocal.analysis/1"))
+    with pytest.raises(InputMalformedError, match=r"analysis/1.*run `photocal analyse` again"):
         read_run(run)
 
 

@@ -32,7 +32,7 @@ def numbers(rows: Rows) -> Floats:
 
 def sentences(proposal: Proposal) -> list[str]:
     say = catalogue("en")
-    return [finding_text(remark, say, plain) for remark in proposal.findings]
+    return [finding_text(remark, say, plain) for remark in proposal.remarks]
 
 
 def known_only_by_correlation(names: tuple[str, ...], r: Floats) -> Estimates:

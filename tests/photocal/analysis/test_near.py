@@ -68,7 +68,7 @@ def test_an_analysis_is_that_of_the_long_way(flown: Fit, monkeypatch: pytest.Mon
 
     short = analyse_network(flown.network, checks, 0.1, 0.8, start=flown.state)
     # Nothing is left that another lens could explain: none is adjusted.
-    assert short.lenses == ((),)
+    assert list(short.lens_models.values()) == [()]
     monkeypatch.setattr(Removals, "without", lambda *_: None)
     monkeypatch.setattr(refit, "with_held", refused)
     long = analyse_network(flown.network, checks, 0.1, 0.8)
@@ -83,11 +83,11 @@ def test_an_analysis_is_that_of_the_long_way(flown: Fit, monkeypatch: pytest.Mon
     ):
         assert (np.abs(one.cameras - other.cameras) <= 1e-3 * sigma).all()
         assert (np.abs(one.standard_error - other.standard_error) <= 1e-3 * sigma).all()
-    quick, slow = short.cameras[0], long.cameras[0]
+    (quick,), (slow,) = short.cameras.values(), long.cameras.values()
     assert quick is not None
     assert slow is not None
-    assert [test.statistic for test in quick.tests] == pytest.approx(
-        [test.statistic for test in slow.tests], rel=1e-6
+    assert [test.statistic for test in quick.significance] == pytest.approx(
+        [test.statistic for test in slow.significance], rel=1e-6
     )
     for near, anew in zip(quick.left_out, slow.left_out, strict=True):
         assert near.parameter == anew.parameter
