@@ -14,25 +14,15 @@ from typing import Any
 import numpy as np
 
 from acquire.simulate.devices import Autopilot, Receiver
-from drivers.arrays import Floats
+from acquire.simulate.world.configuration import read_configuration
+from acquire.simulate.world.exposures import CAMERA_FROM_IMU_M
+from acquire.simulate.world.streams import Wire, make_streams
+from acquire.simulate.world.world import make_world
 from drivers.checksums import x25
 from drivers.errors import InputMalformedError, InputNotFoundError
 from drivers.mavlink.dialect import V2, ardupilotmega
 
 _STAMP_BYTES = 8
-
-
-@dataclass(frozen=True)
-class Line:
-    """What goes over one line: frames and when each is complete, s since the start of the flight."""
-
-    time_s: Floats
-    frames: tuple[bytes, ...]
-
-    @property
-    def end_s(self) -> float:
-        """When the last frame is complete."""
-        return float(self.time_s[-1]) if len(self.time_s) else 0.0
 
 
 @dataclass(frozen=True)
@@ -45,7 +35,7 @@ class PlayedFlight:
     parameters: of the autopilot: where the antenna was measured to be from the inertial unit.
     """
 
-    lines: dict[str, Line]
+    lines: dict[str, Wire]
     base_protocol: str
     interval_s: dict[str, float]
     rates_hz: dict[str, float]
@@ -63,9 +53,6 @@ def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFli
     raises InputNotFoundError: when there is neither, or the folder holds no streams.
     raises InputMalformedError: when streams and their times do not fit.
     """
-    from acquire.simulate.world.configuration import read_configuration
-    from acquire.simulate.world.exposures import CAMERA_FROM_IMU_M
-
     folder = source.is_dir()
     given = read_configuration(source / "truth" / "flight.toml" if folder else source)
     gnss = given.gnss
@@ -81,15 +68,10 @@ def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFli
         given = given.model_copy(update={"place": given.place.model_copy(update={"start_utc": start_utc})})
     elif folder:
         return PlayedFlight(_read_lines(source), gnss.base_protocol, interval, rates, parameters)
-    from acquire.simulate.world.streams import make_streams
-    from acquire.simulate.world.world import make_world
-
-    wires = make_streams(make_world(given)).links()
-    lines = {name: Line(wire.arrival_s, wire.frames) for name, wire in wires.items()}
-    return PlayedFlight(lines, gnss.base_protocol, interval, rates, parameters)
+    return PlayedFlight(make_streams(make_world(given)), gnss.base_protocol, interval, rates, parameters)
 
 
-def _read_lines(folder: Path) -> dict[str, Line]:
+def _read_lines(folder: Path) -> dict[str, Wire]:
     lines = {}
     for name in ("vehicle", "rover", "base"):
         times = folder / "truth" / "wires" / f"{name}.csv"
@@ -104,7 +86,7 @@ def _read_lines(folder: Path) -> dict[str, Line]:
     return lines
 
 
-def _read_line(stream: Path, times: Path) -> Line:
+def _read_line(stream: Path, times: Path) -> Wire:
     data = stream.read_bytes()
     stamp = _STAMP_BYTES if stream.suffix == ".tlog" else 0
     with times.open(encoding="utf-8", newline="") as rows:
@@ -115,7 +97,7 @@ def _read_line(stream: Path, times: Path) -> Line:
             "does not fit the table of its frames", where=stream, remedy="simulate the flight again"
         )
     frames = tuple(data[end - size : end] for end, (_, size) in zip(ends.tolist(), table, strict=True))
-    return Line(np.array([moment for moment, _ in table]), frames)
+    return Wire(np.array([moment for moment, _ in table]), frames)
 
 
 _AUTOPILOT = bytes((1, 1))
@@ -148,23 +130,17 @@ class FlightClock:
         """Give seconds since the start of the flight; negative before."""
         return -1.0 if self._began is None else (self._clock() - self._began) * self._speed
 
-    @property
-    def awaited(self) -> tuple[str, ...]:
-        """Devices that nobody has spoken to yet."""
-        with self._lock:
-            return tuple(sorted(self._awaited))
-
 
 class _Tape:
     """Gives the frames of a line as they become due."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: Wire) -> None:
         self._line = line
         self._next = 0
 
     def until(self, time_s: float) -> list[int]:
         """Give the numbers of the frames that have become due."""
-        after = int(np.searchsorted(self._line.time_s, time_s, side="right"))
+        after = int(np.searchsorted(self._line.arrival_s, time_s, side="right"))
         numbers = list(range(self._next, after))
         self._next = max(self._next, after)
         return numbers
@@ -173,7 +149,7 @@ class _Tape:
 class FlownReceiver:
     """A receiver that sends what it recorded in flight, and answers to settings as a receiver does."""
 
-    def __init__(self, name: str, line: Line, clock: FlightClock) -> None:
+    def __init__(self, name: str, line: Wire, clock: FlightClock) -> None:
         self._name, self._line, self._clock = name, line, clock
         self._tape = _Tape(line)
         self._answers = Receiver()
@@ -193,23 +169,18 @@ class FlownAutopilot(Autopilot):
     """An autopilot that sends what it sent in flight; rates that are asked for thin that out.
 
     Its own messages and its answers share one row of numbers, so the frames of the flight are numbered anew.
-
-    boot_s, drift: its clock at the start of the flight and how fast it runs.
     """
 
     def __init__(
         self,
         name: str,
-        line: Line,
+        line: Wire,
         clock: FlightClock,
         *,
-        boot_s: float = 0.0,
-        drift: float = 0.0,
         parameters: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__(parameters)
         self._name, self._line, self._clock = name, line, clock
-        self._boot_s, self._drift = boot_s, drift
         self._tape = _Tape(line)
         self._seeds = ardupilotmega().seeds
         self._kinds = [_kind(frame) for frame in line.frames]
@@ -236,8 +207,7 @@ class FlownAutopilot(Autopilot):
         return self._period_s.keys()
 
     def _boot_ns(self, time_s: float) -> int:  # noqa: ARG002 - the flight has its own time
-        flight_s = max(self._clock.flight_s(), 0.0)
-        return round((self._boot_s + flight_s * (1 + self._drift)) * 1e9) + 1
+        return round(max(self._clock.flight_s(), 0.0) * 1e9) + 1
 
     def _wanted(self, number: int) -> bool:
         """Tell whether a frame is sent: of a message that is asked for less often, every n-th."""
@@ -277,11 +247,11 @@ def _kind(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little") if len(frame) >= 12 and frame[0] == V2 else -1
 
 
-def _periods(line: Line, kinds: list[int]) -> dict[int, float]:
+def _periods(line: Wire, kinds: list[int]) -> dict[int, float]:
     """Give how often each message comes."""
     table = np.array(kinds)
     found = {}
     for kind in np.unique(table[table >= 0]).tolist():
-        times = line.time_s[table == kind]
+        times = line.arrival_s[table == kind]
         found[kind] = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     return found

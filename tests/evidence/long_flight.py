@@ -24,7 +24,8 @@ import numpy as np
 
 from acquire.log.replay import raw_frames
 from acquire.simulate.hardware import awaited, on_ports, record_settings
-from acquire.simulate.playback import FlightClock, Line, PlayedFlight, read_flight
+from acquire.simulate.playback import FlightClock, PlayedFlight, read_flight
+from acquire.simulate.world.streams import Wire
 from tests.acquire.live import Recorder, free_port
 
 HOURS_S = 7200.0
@@ -99,8 +100,8 @@ def two_hours(folder: Path) -> PlayedFlight:
         raise SystemExit(f"the flight lasts {flight.end_s:.0f} s only")
     lines = {}
     for name, line in flight.lines.items():
-        count = int(np.searchsorted(line.time_s, HOURS_S))
-        lines[name] = Line(line.time_s[:count], line.frames[:count])
+        count = int(np.searchsorted(line.arrival_s, HOURS_S))
+        lines[name] = Wire(line.arrival_s[:count], line.frames[:count])
     return replace(flight, lines=lines)
 
 
@@ -116,7 +117,7 @@ def processor_s(pid: int) -> float:
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def compared(name: str, line: Line, log: Path) -> Compared:
+def compared(name: str, line: Wire, log: Path) -> Compared:
     """Compare a link with what was sent; the numbers of an autopilot's frames go on through its answers."""
     found = [frame for _, frame in raw_frames(log, name)]
     vehicle = name == "vehicle"

@@ -16,6 +16,7 @@ from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
 _NUMBER = {GPS: 1077, GALILEO: 1097}
 _LATENCY_NS = 100_000_000
+_STATION = 1
 _MS_M = LIGHT_M_S * 1e-3
 # What stands for "no value" in the signed fields.
 _NO_FINE_CODE, _NO_FINE_PHASE, _NO_FINE_RATE, _NO_RATE = -(1 << 19), -(1 << 23), -(1 << 14), -(1 << 13)
@@ -23,16 +24,13 @@ _NO_FINE_CODE, _NO_FINE_PHASE, _NO_FINE_RATE, _NO_RATE = -(1 << 19), -(1 << 23),
 _MOST_CELLS = 64
 
 
-def observation_messages(
-    observations: Observations, station: int, every_s: float
-) -> Iterator[tuple[int, bytes]]:
-    """Yield time of sending (GPS ns) and payload: 1077 and 1097 of each epoch."""
+def observation_messages(observations: Observations) -> Iterator[tuple[int, bytes]]:
+    """Yield time of sending (GPS ns) and payload: 1077 and 1097 of each epoch at a whole second."""
     rows = observations.rows
     clock = observations.clock
-    every = round(every_s * SECOND_NS)
     systems = np.array([s.system for s in observations.satellites])
     true_ns = clock.true_gps_ns
-    for epoch in np.flatnonzero(clock.tag_gps_ns % every == 0).tolist():
+    for epoch in np.flatnonzero(clock.tag_gps_ns % SECOND_NS == 0).tolist():
         first, after = np.searchsorted(rows["epoch"], [epoch, epoch + 1])
         here = rows[first:after]
         present = [system for system in _NUMBER if (systems[here["satellite"]] == system).any()]
@@ -40,7 +38,7 @@ def observation_messages(
             mine = here[systems[here["satellite"]] == system]
             more = place + 1 < len(present)
             tow_ms = int(clock.tag_gps_ns[epoch]) % (WEEK_S * SECOND_NS) // 1_000_000
-            head = joined([(_NUMBER[system], 12), (station, 12), (tow_ms, 30), (int(more), 1), (0, 18)])
+            head = joined([(_NUMBER[system], 12), (_STATION, 12), (tow_ms, 30), (int(more), 1), (0, 18)])
             yield int(true_ns[epoch]) + _LATENCY_NS, octets(head + _body(mine, observations))
 
 
@@ -113,22 +111,22 @@ def _times(session: Session, every_s: int) -> range:
     return range(start, stop, every_s * SECOND_NS)
 
 
-def positions(session: Session, station: int) -> list[tuple[int, bytes]]:
+def positions(session: Session) -> list[tuple[int, bytes]]:
     """Return 1006: the announced position; the antenna stands on its mark."""
     x, y, z = (round(float(value) * 1e4) for value in session.announced_m)
     flags = [(1, 1), (0, 1), (1, 1), (0, 1)]  # GPS, no GLONASS, Galileo, a real station
     place = [(x, 38), (1, 1), (0, 1), (y, 38), (0, 2), (z, 38), (0, 16)]
-    bits = joined([(1006, 12), (station, 12), (0, 6), *flags, *place])
+    bits = joined([(1006, 12), (_STATION, 12), (0, 6), *flags, *place])
     return [(time + _STATION_LATENCY_NS, octets(bits)) for time in _times(session, _STATION_EVERY_S)]
 
 
-def dates(session: Session, station: int) -> Iterator[tuple[int, bytes]]:
+def dates(session: Session) -> Iterator[tuple[int, bytes]]:
     """Yield 1013: modified Julian day, second of the day and leap seconds."""
     leap_s = session.sky.leap_s
     for time in _times(session, _STATION_EVERY_S):
         day, of_day = divmod(time + GPS_EPOCH_NS - leap_s * SECOND_NS, DAY_NS)
         fields = [(day + _MJD_1970, 16), (of_day // SECOND_NS, 17), (0, 5), (leap_s, 8)]
-        yield time + _STATION_LATENCY_NS, octets(joined([(1013, 12), (station, 12), *fields]))
+        yield time + _STATION_LATENCY_NS, octets(joined([(1013, 12), (_STATION, 12), *fields]))
 
 
 def ephemerides(session: Session) -> Iterator[tuple[int, bytes]]:

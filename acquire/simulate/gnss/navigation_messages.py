@@ -41,10 +41,7 @@ _SUBFRAME_4 = (
 
 
 def field(value: int, width: int) -> str:
-    """Return the bits of a number, two's complement where it is negative.
-
-    raises OverflowError: when it does not fit.
-    """
+    """Return the bits of a number, two's complement where it is negative."""
     if not -(1 << width - 1 if width else 0) <= value < 1 << width:
         raise OverflowError(f"{value} does not fit {width} bits")
     return format(value & (1 << width) - 1, f"0{width}b") if width else ""
@@ -61,20 +58,7 @@ def octets(bits: str) -> bytes:
     return int(bits.ljust(8 * length, "0"), 2).to_bytes(length, "big") if bits else b""
 
 
-@dataclass(frozen=True)
-class Broadcast:
-    """What subframe 4 tells to all.
-
-    klobuchar: four alpha and four beta as transmitted (8 bits each).
-    leap_s: GPS time minus UTC.
-    """
-
-    klobuchar: tuple[int, ...]
-    leap_s: int
-    almanacs: tuple[Ephemeris, ...]
-
-
-def subframe(ephemeris: Ephemeris, gps_s: int, broadcast: Broadcast) -> list[int]:
+def subframe(ephemeris: Ephemeris, gps_s: int, sky: SkySettings, almanacs: Sequence[Ephemeris]) -> list[int]:
     """Return the subframe that begins at a time, as u-blox hands it over."""
     week, tow = divmod(gps_s, 604_800)
     number = tow // SUBFRAME_S % 5 + 1
@@ -93,18 +77,14 @@ def subframe(ephemeris: Ephemeris, gps_s: int, broadcast: Broadcast) -> list[int
         orbit = e.bits("cic omega0 cis i0 crc omega omega_dot")
         words = _split(joined([*orbit, issue, *e.bits("idot")]))
     elif number == 4:
-        words = _subframe_4(page, week, broadcast)
+        words = _subframe_4(page, week, sky, almanacs)
     else:
-        words = _subframe_5(page, broadcast)
+        words = _subframe_5(page, almanacs)
     return with_parity([_PREAMBLE + "0" * 16, handover, *words])
 
 
 def with_parity(words: Sequence[str]) -> list[int]:
-    """Return the words with their parity in the form of u-blox.
-
-    Receivers of u-blox keep the last two bits of the word before (D29*, D30*) in front of the 30 bits of
-    a word, and turn all 32 where D30* is set: so the data bits come out as they were before transmission.
-    """
+    """Return the words with parity as u-blox has them: D29* and D30* in front, turned where D30* is set."""
     coded, last = [], (0, 0)
     for word in words:
         for tail in [""] if len(word) == 24 else ["00", "01", "10", "11"]:
@@ -125,24 +105,24 @@ def parity(data: str, last: tuple[int, int]) -> str:
     )
 
 
-def _subframe_4(page: int, week: int, broadcast: Broadcast) -> list[str]:
+def _subframe_4(page: int, week: int, sky: SkySettings, almanacs: Sequence[Ephemeris]) -> list[str]:
     identity = _SUBFRAME_4[page]
     if identity == _IONOSPHERE_PAGE:
-        return _ionosphere_and_utc(week, broadcast)
+        return _ionosphere_and_utc(week, sky)
     if identity == _HEALTH_PAGE:
         configuration = "1001" * 32  # antispoofing on, Block IIR-M and later
-        health = "".join(field(_health(broadcast, n), 6) for n in range(25, 33))
+        health = "".join(field(_health(almanacs, n), 6) for n in range(25, 33))
         return _split(_page(identity) + configuration + "00" + health + "0" * 4)
     if 25 <= identity <= 32:
-        return _almanac(identity, broadcast)
+        return _almanac(identity, almanacs)
     return _split(_page(identity) + ("10" * 88)[:176] + "00" * 3)
 
 
-def _subframe_5(page: int, broadcast: Broadcast) -> list[str]:
+def _subframe_5(page: int, almanacs: Sequence[Ephemeris]) -> list[str]:
     if page < 24:
-        return _almanac(page + 1, broadcast)
-    health = "".join(field(_health(broadcast, n), 6) for n in range(1, 25))
-    reference = broadcast.almanacs[0]
+        return _almanac(page + 1, almanacs)
+    health = "".join(field(_health(almanacs, n), 6) for n in range(1, 25))
+    reference = almanacs[0]
     toa = field(round(reference.value("toe")) // 4096, 8) + field(reference.week % 256, 8)
     return _split(_page(51) + toa + health + "0" * 22)
 
@@ -151,21 +131,21 @@ def _page(identity: int) -> str:
     return "01" + field(identity, 6)
 
 
-def _health(broadcast: Broadcast, number: int) -> int:
-    return next((e.health for e in broadcast.almanacs if e.number == number), 0b111111)
+def _health(almanacs: Sequence[Ephemeris], number: int) -> int:
+    return next((e.health for e in almanacs if e.number == number), 0b111111)
 
 
-def _ionosphere_and_utc(week: int, broadcast: Broadcast) -> list[str]:
-    bits = _page(_IONOSPHERE_PAGE) + joined((value, 8) for value in broadcast.klobuchar)
-    leap = field(broadcast.leap_s, 8)
+def _ionosphere_and_utc(week: int, sky: SkySettings) -> list[str]:
+    bits = _page(_IONOSPHERE_PAGE) + joined((value, 8) for value in sky.klobuchar)
+    leap = field(sky.leap_s, 8)
     # A1, A0, t_ot, WN_t, leap seconds, WN_LSF, DN and the leap seconds after an event that is past.
     bits += joined([(0, 24), (1, 32), (61, 8), (week % 256, 8)]) + leap + field(137, 8) + field(7, 8) + leap
     return _split(bits + "0" * 14)
 
 
-def _almanac(number: int, broadcast: Broadcast) -> list[str]:
+def _almanac(number: int, almanacs: Sequence[Ephemeris]) -> list[str]:
     """Return the reduced orbit of one satellite (IS-GPS-200N, table 20-VI), or a dummy page."""
-    found = [e for e in broadcast.almanacs if e.number == number]
+    found = [e for e in almanacs if e.number == number]
     if not found:
         return _split(_page(0) + "10" * 91)
     e = found[0]
@@ -238,7 +218,6 @@ def messages(
     almanacs = {
         system: tuple(s.truth for s in observations.satellites if s.system == system) for system in _SOURCES
     }
-    broadcast = Broadcast(sky.klobuchar, sky.leap_s, almanacs[GPS])
     for index, satellite in enumerate(observations.satellites):
         for source in _SOURCES[satellite.system]:
             count = _tracked(observations, index, source.number)
@@ -247,7 +226,7 @@ def messages(
                     continue
                 sent = satellite.transmitted(gps_s * SECOND_NS)
                 if sent.system == GPS:
-                    words = subframe(sent, gps_s, broadcast)
+                    words = subframe(sent, gps_s, sky, almanacs[GPS])
                 else:
                     words = page(sent, gps_s, source.band, sky.leap_s, almanacs[GALILEO])
                 head = struct.pack(

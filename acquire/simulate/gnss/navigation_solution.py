@@ -8,7 +8,6 @@ from __future__ import annotations
 import datetime as dt
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,47 +19,33 @@ from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
 KIND, SURVEY_KIND = 0x0107, 0x013B
 _LATENCY_NS = 80_000_000
 _EVERYTHING_VALID, _CONFIRMED, _FIX_OK = 0x07, 0xE0, 0x01
-_CARRIER = {"none": 0, "float": 1, "fixed": 2}
 _LEAST_SATELLITES = 4
-
-
-@dataclass(frozen=True)
-class OwnPosition:
-    """Quality of the receiver's own solution.
-
-    sigma_m: east, north, up.
-    correlation_s: how long its error stays.
-    carrier: ``none``, ``float`` or ``fixed``: what it says of the carrier phase.
-    geoid_m: height of the geoid above the ellipsoid that it uses for heights above sea level.
-    """
-
-    sigma_m: tuple[float, float, float] = (0.9, 0.9, 1.6)
-    correlation_s: float = 60.0
-    speed_sigma_m_s: float = 0.04
-    carrier: str = "none"
-    geoid_m: float = 0.0
+# Errors of the receiver's own solution by codes (east, north, up), how long they stay, and of its speed.
+_SIGMA_M, _CORRELATION_S, _SPEED_SIGMA_M_S = (0.9, 0.9, 1.6), 60.0, 0.04
 
 
 def messages(
-    observations: Observations, own: OwnPosition, leap_s: int, rng: np.random.Generator
+    observations: Observations, geoid_m: float, leap_s: int, rng: np.random.Generator
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield time of sending (GPS ns) and payload of NAV-PVT, one per epoch with four satellites."""
+    """Yield time of sending (GPS ns) and payload of NAV-PVT, one per epoch with four satellites.
+
+    geoid_m: height of the geoid above the ellipsoid that the receiver uses for heights above sea level.
+    """
     clock, place = observations.clock, observations.place
     count = len(clock)
     step = float(np.median(np.diff(clock.tag_gps_ns))) / SECOND_NS if count > 1 else 1.0
-    error = correlated(count, step / own.correlation_s, 3, rng).T * own.sigma_m
+    error = correlated(count, step / _CORRELATION_S, 3, rng).T * _SIGMA_M
     frame = axes(place.lat, place.lon)
     metres_per_rad = 6_378_137.0
     lat = np.degrees(place.lat + error[:, 1] / metres_per_rad)
     lon = np.degrees(place.lon + error[:, 0] / metres_per_rad / np.cos(place.lat))
     height = place.height_m + error[:, 2]
     speed = np.einsum("nij,nj->ni", frame, place.velocity_m_s)
-    speed = speed + own.speed_sigma_m_s * rng.standard_normal((count, 3))
+    speed = speed + _SPEED_SIGMA_M_S * rng.standard_normal((count, 3))
     ground = np.hypot(speed[:, 0], speed[:, 1])
     course = np.degrees(np.arctan2(speed[:, 0], speed[:, 1])) % 360
     numbers, pdop = dilution(observations)
-    horizontal, vertical = float(np.hypot(*own.sigma_m[:2])), own.sigma_m[2]
-    flags = _FIX_OK | _CARRIER[own.carrier] << 6 | (0x02 if own.carrier != "none" else 0)
+    horizontal, vertical = float(np.hypot(*_SIGMA_M[:2])), _SIGMA_M[2]
     true_ns = clock.true_gps_ns
     for k in np.flatnonzero(numbers >= _LEAST_SATELLITES).tolist():
         nominal = int(clock.tag_gps_ns[k])
@@ -68,19 +53,19 @@ def messages(
         second = (utc_ns + 5_000_000) // SECOND_NS
         civil, nano = dt.datetime.fromtimestamp(second, dt.UTC), utc_ns - second * SECOND_NS
         east, north, up = speed[k]
-        metres = (height[k], height[k] - own.geoid_m, horizontal, vertical, north, east, -up, ground[k])
+        metres = (height[k], height[k] - geoid_m, horizontal, vertical, north, east, -up, ground[k])
         yield (
             int(true_ns[k]) + _LATENCY_NS,
             struct.pack(
                 "<IH5BBIiBBBBiiiiIIiiiiiIIHBB4xihH",
                 nominal % (WEEK_S * SECOND_NS) // 1_000_000,
                 *civil.timetuple()[:6],
-                *(_EVERYTHING_VALID, 25, nano, 3, flags, _CONFIRMED, int(numbers[k])),
+                *(_EVERYTHING_VALID, 25, nano, 3, _FIX_OK, _CONFIRMED, int(numbers[k])),
                 *(round(angle * 1e7) for angle in (lon[k], lat[k])),
                 *(round(value * 1e3) for value in metres),
                 round(course[k] * 1e5),
-                round(own.speed_sigma_m_s * np.sqrt(3) * 1e3),
-                round(np.degrees(np.arctan2(own.speed_sigma_m_s, max(ground[k], 1e-3))) * 1e5),
+                round(_SPEED_SIGMA_M_S * np.sqrt(3) * 1e3),
+                round(np.degrees(np.arctan2(_SPEED_SIGMA_M_S, max(ground[k], 1e-3))) * 1e5),
                 min(round(pdop[k] * 100), 9999),
                 *[0] * 5,
             ),
@@ -100,15 +85,9 @@ def survey_messages(observations: Observations, announced_m: Floats) -> Iterator
             true + _LATENCY_NS,
             struct.pack(
                 "<B3xII3i3bxIIBB2x",
-                0,
-                tag % (WEEK_S * SECOND_NS) // 1_000_000,
-                passed,
-                *hundredths.tolist(),
-                *fine.tolist(),
-                9500,
-                passed,
-                1,
-                0,
+                *(0, tag % (WEEK_S * SECOND_NS) // 1_000_000, passed),
+                *(*hundredths.tolist(), *fine.tolist()),
+                *(9500, passed, 1, 0),
             ),
         )
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquire.simulate.gnss.atmosphere import Atmosphere, Sight, on
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.geometry import Antenna, Link, Place, link, place
-from acquire.simulate.gnss.settings import GPS, LIGHT_M_S, SIGNALS, Outage, ReceiverModel, Signal
+from acquire.simulate.gnss.settings import GPS, LIGHT_M_S, SIGNALS, ReceiverModel, Signal
 from drivers.arrays import Flags, Floats, Integers
 from drivers.gnsstime import SECOND_NS
 
@@ -146,11 +146,7 @@ class Noise:
 
 
 def thermal(signal: Signal, elevation: Floats, model: ReceiverModel, rng: np.random.Generator) -> Noise:
-    """Return strength and noise of a signal.
-
-    Sources: Kaplan and Hegarty (2006), Understanding GPS, equations 5.15 (code, early minus late power) and
-    5.8 (phase); the Doppler is the phase's change within the integration.
-    """
+    """Return strength and noise of a signal (Kaplan and Hegarty 2006, equations 5.15 and 5.8)."""
     gain = _LOW_GAIN_DB * (1 - np.sin(np.maximum(elevation, 0.0)) ** 0.7)
     fading = correlated(len(elevation), model.interval_s / _FADING_S, 1, rng)[0]
     cn0 = model.cn0_dbhz - signal.weaker_db - gain + _FADING_DB * fading
@@ -225,7 +221,6 @@ def observe(
     rng: np.random.Generator,
     *,
     gaps_s: tuple[tuple[float, float], ...] = (),
-    outages: tuple[Outage, ...] = (),
 ) -> Observations:
     """Measure through a session."""
     start = span_gps_ns[0]
@@ -234,13 +229,14 @@ def observe(
     here = place(antenna.position(true_ns), antenna.velocity(true_ns))
     # To the fraction of a nanosecond, with small numbers.
     seconds = (clock.tag_gps_ns - start) / SECOND_NS - clock.bias_s
-    off = _within(seconds, gaps_s)
+    off = np.zeros(len(seconds), bool)
+    for begin, end in gaps_s:
+        off |= (seconds >= begin) & (seconds < end)
+    epochs = _Epochs(seconds, start, true_ns, clock, here, off)
     biases = rng.normal(0, model.code_bias_m, (len(SIGNALS), _SIGNAL_ORDER))
     parts = []
     for index, (satellite, chance) in enumerate(zip(satellites, rng.spawn(len(satellites)), strict=True)):
-        out = _within(seconds, tuple((o.from_s, o.to_s) for o in outages if o.satellite == satellite.name))
         bias = biases[list(SIGNALS).index(satellite.system)]
-        epochs = _Epochs(seconds, start, true_ns, clock, here, off | out)
         parts += _satellite(index, satellite, atmosphere, model, epochs, bias, chance)
     rows = np.concatenate([np.empty(0, ROW), *parts])
     order = np.lexsort((rows["signal"], rows["satellite"], rows["epoch"]))
@@ -255,13 +251,6 @@ class _Epochs:
     clock: Clock
     place: Place
     blocked: Flags
-
-
-def _within(seconds: Floats, spans: tuple[tuple[float, float], ...]) -> Flags:
-    inside = np.zeros(len(seconds), bool)
-    for begin, end in spans:
-        inside |= (seconds >= begin) & (seconds < end)
-    return inside
 
 
 def _satellite(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from re import compile as pattern
 
 import numpy as np
 
@@ -16,8 +15,6 @@ from acquire.simulate.gnss.settings import BASE, ROVER, Faults, ReceiverModel, S
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from drivers.gnsstime import SECOND_NS
-
-_SATELLITE = pattern(r"[GE][0-3]\d")
 
 
 @dataclass(frozen=True)
@@ -54,11 +51,10 @@ def simulate(
     """Let a rover and a base measure.
 
     start_gps_ns, stop_gps_ns: session, GPS nanoseconds since 1980-01-06.
-    raises ConfigurationError: when no receiver has an epoch between start and stop, or a satellite is named
-        that does not exist.
+    raises ConfigurationError: when no receiver has an epoch between start and stop.
     """
     sky, faults = sky or SkySettings(), faults or Faults()
-    _refuse(start_gps_ns, stop_gps_ns, (rover_model, base_model), faults)
+    _refuse(start_gps_ns, stop_gps_ns, (rover_model, base_model))
     # Each part has its own chance: a fault at the rover changes nothing at the base.
     for_sky, for_air, for_rover, for_base = rng.spawn(4)
     satellites = constellation(start_gps_ns, stop_gps_ns, for_sky, sky.unhealthy)
@@ -74,11 +70,10 @@ def simulate(
             span,
             chance,
             gaps_s=gaps_s,
-            outages=outages,
         )
-        for antenna, model, slips, chance, gaps_s, outages in (
-            (rover, rover_model, faults.rover_slips_per_hour, for_rover, faults.rover_gaps_s, faults.outages),
-            (base, base_model, faults.base_slips_per_hour, for_base, faults.base_gaps_s, ()),
+        for antenna, model, slips, chance, gaps_s in (
+            (rover, rover_model, faults.rover_slips_per_hour, for_rover, faults.rover_gaps_s),
+            (base, base_model, faults.base_slips_per_hour, for_base, faults.base_gaps_s),
         )
     )
     at = still.place
@@ -86,7 +81,7 @@ def simulate(
     return Session(span, sky, satellites, moving, still, at.position_m[0] + shift)
 
 
-def _refuse(start_gps_ns: int, stop_gps_ns: int, models: tuple[ReceiverModel, ...], faults: Faults) -> None:
+def _refuse(start_gps_ns: int, stop_gps_ns: int, models: tuple[ReceiverModel, ...]) -> None:
     longest = max(model.interval_s for model in models)
     if stop_gps_ns - start_gps_ns < 2 * longest * SECOND_NS:
         seconds = (stop_gps_ns - start_gps_ns) / SECOND_NS
@@ -94,10 +89,4 @@ def _refuse(start_gps_ns: int, stop_gps_ns: int, models: tuple[ReceiverModel, ..
             f"the session of {seconds:g} s is too short for measurements every {longest:g} s",
             where="GNSS simulation",
             remedy="fly longer or measure more often",
-        )
-    named = {outage.satellite for outage in faults.outages}
-    wrong = sorted(name for name in named if not _SATELLITE.fullmatch(name))
-    if wrong:
-        raise ConfigurationError(
-            f"{wrong[0]!r} is no satellite", where="outages", remedy="name them as G05 or E24"
         )

@@ -115,22 +115,12 @@ BASE = ReceiverModel(interval_s=1.0, code_multipath_m=0.5, multipath_time_s=60.0
 
 
 @dataclass(frozen=True)
-class Outage:
-    """Signals of a satellite that do not arrive, seconds from the start of the session."""
-
-    satellite: str
-    from_s: float
-    to_s: float
-
-
-@dataclass(frozen=True)
 class Faults:
     """What goes wrong, each alone or together.
 
     base_shift_m: east, north, up: what is announced as the base's position less where it is.
     rover_slips_per_hour, base_slips_per_hour: cycle slips of each signal instead of the receiver's own rate.
     rover_gaps_s, base_gaps_s: times without any measurement, seconds from the start.
-    outages: of single satellites, at the rover.
     """
 
     base_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -138,4 +128,3 @@ class Faults:
     base_slips_per_hour: float | None = None
     rover_gaps_s: tuple[tuple[float, float], ...] = ()
     base_gaps_s: tuple[tuple[float, float], ...] = ()
-    outages: tuple[Outage, ...] = ()

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.gnss import msm, navigation_messages, navigation_solution, time_marks
-from acquire.simulate.gnss.msm import observation_messages
-from acquire.simulate.gnss.navigation_solution import OwnPosition
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.session import Session
 from acquire.simulate.gnss.settings import SIGNALS, UBX_SYSTEM
@@ -99,15 +97,13 @@ class Stream:
 def rover_ubx(
     session: Session,
     events: Events | None = None,
-    own_position: OwnPosition | None = None,
+    geoid_m: float = 0.0,
     *,
     rng: np.random.Generator,
 ) -> Stream:
     """Return the rover's stream: RXM-RAWX, RXM-SFRBX, NAV-PVT and TIM-TM2."""
     for_position, for_marks = rng.spawn(2)
-    solved = navigation_solution.messages(
-        session.rover, own_position or OwnPosition(), session.sky.leap_s, for_position
-    )
+    solved = navigation_solution.messages(session.rover, geoid_m, session.sky.leap_s, for_position)
     parts = [*_raw(session, session.rover), _ubx(navigation_solution.KIND, solved)]
     if events is not None:
         marks = time_marks.messages(events, session.rover.clock, session.sky.leap_s, for_marks)
@@ -127,17 +123,14 @@ def _raw(session: Session, receiver: Observations) -> list[list[Timed]]:
     return [_ubx(KIND, messages(receiver, session.sky.leap_s)), _ubx(navigation_messages.KIND, told)]
 
 
-def base_rtcm(
-    session: Session, *, station: int = 1, ephemerides: bool = True, every_s: float = 1.0
-) -> Stream:
+def base_rtcm(session: Session) -> Stream:
     """Return the base's stream of RTCM 3: 1006, 1013, 1077 and 1097, with ephemerides 1019 and 1046."""
-    parts = [
-        msm.positions(session, station),
-        msm.dates(session, station),
-        observation_messages(session.base, station, every_s),
-    ]
-    if ephemerides:
-        parts.append(msm.ephemerides(session))
+    parts = (
+        msm.positions(session),
+        msm.dates(session),
+        msm.observation_messages(session.base),
+        msm.ephemerides(session),
+    )
     return _stream([[(time, rtcm3.encode(payload)) for time, payload in part] for part in parts])
 
 

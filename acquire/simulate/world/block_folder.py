@@ -22,10 +22,7 @@ from drivers.errors import ConfigurationError
 
 
 def write_block(world: World, observed: Observations, folder: Path) -> None:
-    """Write the block folder of a flight.
-
-    raises ConfigurationError: when a fault is switched on that only shows in streams.
-    """
+    """Write the block folder of a flight; a fault that only shows in streams is refused."""
     if world.has(Fault.CYCLE_SLIPS):
         raise ConfigurationError(
             "cycle slips do not show at the level block", remedy='take level = "observations" or "pictures"'
@@ -51,7 +48,9 @@ def write_block(world: World, observed: Observations, folder: Path) -> None:
             **dict.fromkeys(("X", "Y", "Z", "omega", "phi", "kappa"), ("", blank)),
         },
     )
-    _write_points(world, observed, folder / "points.csv")
+    notes = take_notes(world, world.targets.surveyed_m)
+    seen = tuple(observed.names[k] for k in np.unique(observed.point).tolist())
+    write_targets(world, notes, folder / "points.csv", seen)
     write_observations(world, observed, folder / "observations.csv")
     (folder / "block.toml").write_text(_setup(world), encoding="utf-8")
 
@@ -110,20 +109,13 @@ def telemetry_gap(world: World) -> tuple[float, float]:
     return middle - half, middle + half
 
 
-def _write_points(world: World, observed: Observations, path: Path) -> None:
-    targets = world.targets
-    notes = take_notes(world, targets.surveyed_m)
-    sigma = world.configuration.targets.sigma_m
-    seen = np.zeros(len(observed.names), bool)
-    seen[observed.point] = True
-    rows = [
-        (name, *notes.control[k], *(f"{s:g}" for s in sigma), targets.roles[k])
-        for k, name in enumerate(targets.names)
-        if seen[k]
-    ]
-    ties = [name for name, there in zip(observed.names, seen.tolist(), strict=True) if there][len(rows) :]
-    lines = [",".join(row) for row in rows] + [f"{name},,,,,,,tie" for name in ties]
-    path.write_text("point,X,Y,Z,sX,sY,sZ,role\n" + "\n".join(lines) + "\n", encoding="utf-8")
+def write_targets(world: World, notes: FieldBook, path: Path, names: Sequence[str]) -> None:
+    """Write a table of points: targets as they were surveyed, all others as tie points."""
+    sigma = ",".join(f"{s:g}" for s in world.configuration.targets.sigma_m)
+    surveyed = zip(world.targets.names, notes.control, world.targets.roles, strict=True)
+    cells = {name: f"{','.join(texts)},{sigma},{role}" for name, texts, role in surveyed}
+    lines = [f"{name},{cells.get(name, ',,,,,,tie')}" for name in names]
+    path.write_text("\n".join(["point,X,Y,Z,sX,sY,sZ,role", *lines]) + "\n", encoding="utf-8")
 
 
 def camera_keys(configuration: Configuration) -> dict[str, Any]:

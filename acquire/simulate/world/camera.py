@@ -2,58 +2,57 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import Annotated, Self
 
 import numpy as np
+from pydantic import Field, FiniteFloat, PositiveFloat
 
-from acquire.simulate.world import configuration
+from acquire.checked_toml import Table
 from drivers.arrays import Flags, Floats
 
 OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
-@dataclass(frozen=True)
-class Camera:
+class Camera(Table):
     """A camera with radial and tangential distortion; pixel centres are whole numbers, rows go down.
 
-    width, height, fx, fy, cx, cy: px.
+    nominal_mm: what the makers say (EXIF, start value of a calibration).
+    fx, fy, cx, cy: px.
     k1, k2, p1, p2, k3: in units of the principal distance.
     """
 
-    width: int
-    height: int
-    pitch_mm: float
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-    k3: float
+    id: str = "cam"
+    size_px: tuple[Annotated[int, Field(ge=64)], Annotated[int, Field(ge=64)]]
+    pitch_mm: PositiveFloat
+    nominal_mm: PositiveFloat
+    fx: PositiveFloat
+    fy: PositiveFloat
+    cx: FiniteFloat
+    cy: FiniteFloat
+    k1: FiniteFloat = 0.0
+    k2: FiniteFloat = 0.0
+    p1: FiniteFloat = 0.0
+    p2: FiniteFloat = 0.0
+    k3: FiniteFloat = 0.0
+    readout_s: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+    exposure_s: Annotated[FiniteFloat, Field(ge=0)] = 0.0005
+    estimate: tuple[str, ...] = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 
-    @classmethod
-    def of(cls, given: configuration.Camera) -> Camera:
-        """Make the camera of a configuration."""
-        return cls(*given.size_px, given.pitch_mm, **{name: getattr(given, name) for name in OPENCV})
+    @property
+    def width(self) -> int:
+        """Columns of the image."""
+        return self.size_px[0]
 
-    def zoomed(self, factor: float) -> Camera:
-        """Give the camera with a longer principal distance.
+    @property
+    def height(self) -> int:
+        """Rows of the image."""
+        return self.size_px[1]
 
-        The lens keeps its distortion in the image plane: k1 counts r^2 in principal distances.
-        """
-        f = factor
-        return replace(
-            self,
-            fx=self.fx * f,
-            fy=self.fy * f,
-            k1=self.k1 * f**2,
-            k2=self.k2 * f**4,
-            k3=self.k3 * f**6,
-            p1=self.p1 * f,
-            p2=self.p2 * f,
-        )
+    def zoomed(self, factor: float) -> Self:
+        """Give the camera with a longer principal distance; the distortion stays in the image plane."""
+        # k1 counts r^2 in principal distances.
+        powers = {"fx": 1, "fy": 1, "k1": 2, "k2": 4, "k3": 6, "p1": 1, "p2": 1}
+        return self.model_copy(update={n: getattr(self, n) * factor**power for n, power in powers.items()})
 
     def project(self, points: Floats) -> Floats:
         """Give columns and rows of points in OpenCV's camera axes (x right, y down, z forward).

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, FiniteFloat, PositiveFloat, model_validator
 
 from acquire.checked_toml import Table, checked_tables, read_tables
+from acquire.simulate.world.camera import Camera
 
 Pair = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -145,30 +146,6 @@ class Vehicle(Table):
     sway_m: NonNegative = 0.05
     shake_deg: NonNegative = 0.6
     vibration_deg: NonNegative = 0.01
-
-
-class Camera(Table):
-    """The true camera, in OpenCV's terms: px, the polynomial in units of the principal distance.
-
-    `nominal_mm` is what the makers say (EXIF, start value of a calibration).
-    """
-
-    id: str = "cam"
-    size_px: tuple[Annotated[int, Field(ge=64)], Annotated[int, Field(ge=64)]]
-    pitch_mm: PositiveFloat
-    nominal_mm: PositiveFloat
-    fx: PositiveFloat
-    fy: PositiveFloat
-    cx: FiniteFloat
-    cy: FiniteFloat
-    k1: FiniteFloat = 0.0
-    k2: FiniteFloat = 0.0
-    p1: FiniteFloat = 0.0
-    p2: FiniteFloat = 0.0
-    k3: FiniteFloat = 0.0
-    readout_s: NonNegative = 0.0
-    exposure_s: NonNegative = 0.0005
-    estimate: tuple[str, ...] = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 
 
 class Rig(Table):

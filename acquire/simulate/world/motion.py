@@ -10,6 +10,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world import configuration
+from acquire.simulate.world.camera import Camera
 from drivers.arrays import Floats
 
 _CLIMB_M_S = 4.0
@@ -42,7 +43,7 @@ class Leg:
     strip: int = -1
 
 
-def strips(plan: configuration.Plan, camera: configuration.Camera) -> tuple[Strip, ...]:
+def strips(plan: configuration.Plan, camera: Camera) -> tuple[Strip, ...]:
     """Lay strips over the area, pass after pass, each next to the one before and flown the other way."""
     area = np.array(plan.area_m)
     found: list[Strip] = []

@@ -23,29 +23,6 @@ def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
     return camera.project(rays @ TO_OPENCV)
 
 
-@dataclass(frozen=True)
-class Sight:
-    """True image places: point `point` at `pixels` of picture `image`."""
-
-    image: Integers
-    point: Integers
-    pixels: Floats
-
-
-def sight(
-    points_m: Floats, exposures: Exposures, motion: Motion, rig: Rig, readout_s: float, margin_px: float
-) -> Sight:
-    """Give where all points appear in all pictures; `points_m` (n, 3)."""
-    image, point, pixels = [], [], []
-    for number in range(len(exposures)):
-        place = seen_rolling(points_m, exposures, number, motion, rig, readout_s)
-        rows = np.flatnonzero(exposures.cameras[number].sees(place, margin_px))
-        image.append(np.full(len(rows), number))
-        point.append(rows)
-        pixels.append(place[rows])
-    return Sight(np.concatenate(image), np.concatenate(point), np.concatenate(pixels))
-
-
 def seen_rolling(
     points_m: Floats, exposures: Exposures, number: int, motion: Motion, rig: Rig, readout_s: float
 ) -> Floats:
@@ -108,12 +85,16 @@ def observe(world: World) -> Observations:
     low, high = (middle + 1.25 * (corner - middle) for corner in (area.min(axis=0), area.max(axis=0)))
     points = world.targets.centre_m
     if given.observing.ties:
-        places = random.uniform(low, high, (given.observing.ties, 2))
-        heights = world.terrain.height(places[:, 0], places[:, 1])
-        points = np.vstack([points, np.column_stack([places, heights])])
-    found = sight(points, world.exposures, world.motion, world.rig, given.camera.readout_s, MARGIN_PX)
-    kept = kept_images(world)[found.image]
-    image, point, pixels = found.image[kept], found.point[kept], found.pixels[kept]
+        plan = random.uniform(low, high, (given.observing.ties, 2))
+        heights = world.terrain.height(plan[:, 0], plan[:, 1])
+        points = np.vstack([points, np.column_stack([plan, heights])])
+    places, rows = [], []
+    for number in np.flatnonzero(kept_images(world)).tolist():
+        place = seen_rolling(points, world.exposures, number, world.motion, world.rig, given.camera.readout_s)
+        rows.append(np.flatnonzero(world.exposures.cameras[number].sees(place, MARGIN_PX)))
+        places.append(place[rows[-1]])
+    image = np.repeat(np.flatnonzero(kept_images(world)), [len(seen_there) for seen_there in rows])
+    point, pixels = np.concatenate(rows), np.concatenate(places)
     rays = np.bincount(point, minlength=len(points))
     enough = rays[point] >= 2
     image, point, pixels = image[enough], point[enough], pixels[enough]

@@ -14,7 +14,7 @@ from acquire.simulate.world.observations import kept_images
 from acquire.simulate.world.render import make_scene, render
 from acquire.simulate.world.telemetry import LABEL, make_filter
 from acquire.simulate.world.world import World, picture_stamps
-from drivers.arrays import Bytes, Floats
+from drivers.arrays import Floats
 
 MAKER = "simulated"
 # Most of the time is spent outside the interpreter: threads share the painted ground.
@@ -33,6 +33,9 @@ _XMP = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
 
 def write_pictures(world: World, folder: Path, advance: Callable[[float], None]) -> None:
     """Render and write all pictures that reach the office."""
+    from PIL import Image
+
+    given = world.configuration.pictures
     folder.mkdir(parents=True)
     scene = make_scene(world)
     # Made before the threads ask for it all at once.
@@ -44,36 +47,21 @@ def write_pictures(world: World, folder: Path, advance: Callable[[float], None])
     kept = np.flatnonzero(kept_images(world)).tolist()
 
     def make(number: int) -> None:
-        picture = render(scene, number)
-        write_picture(folder / names[number], picture, world, stamps[number], places[number], angles[number])
+        image = Image.fromarray(np.ascontiguousarray(render(scene, number)[..., ::-1]))
+        exif = _exif(world, stamps[number], places[number], image.size)
+        more: dict[str, Any] = {}
+        if given.gimbal_xmp:
+            above = float(places[number, 2]) - world.place.height_m - world.motion.ground_m
+            roll, pitch, yaw = angles[number].tolist()
+            # A camera that is fixed to the body looks down where the gimbal's pitch is -90.
+            text = _XMP.format(above=above, roll=roll, pitch=pitch - 90, yaw=(yaw + 180) % 360 - 180)
+            more["xmp"] = text.encode()
+        path = folder / names[number]
+        image.save(path, "JPEG", quality=given.quality, subsampling=0, exif=exif, **more)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         for _ in pool.map(make, kept):
             advance(1 / len(kept))
-
-
-def write_picture(
-    path: Path,
-    picture: Bytes,
-    world: World,
-    stamp: dt.datetime,
-    place: Floats,
-    angles_deg: Floats,
-) -> None:
-    """Write a picture."""
-    from PIL import Image
-
-    given = world.configuration
-    image = Image.fromarray(np.ascontiguousarray(picture[..., ::-1]))
-    exif = _exif(world, stamp, place, image.size)
-    more: dict[str, Any] = {}
-    if given.pictures.gimbal_xmp:
-        above = float(place[2]) - world.place.height_m - world.motion.ground_m
-        roll, pitch, yaw = angles_deg.tolist()
-        # A camera that is fixed to the body looks down where the gimbal's pitch is -90.
-        text = _XMP.format(above=above, roll=roll, pitch=pitch - 90, yaw=(yaw + 180) % 360 - 180)
-        more["xmp"] = text.encode()
-    image.save(path, "JPEG", quality=given.pictures.quality, subsampling=0, exif=exif, **more)
 
 
 def _exif(world: World, stamp: dt.datetime, place: Floats, size: tuple[int, int]) -> Any:

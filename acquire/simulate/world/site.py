@@ -16,14 +16,13 @@ from acquire.simulate.world.block_folder import (
     write_block,
     write_observations,
     write_table,
+    write_targets,
 )
 from acquire.simulate.world.configuration import Air, Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
-from acquire.simulate.world.streams import Streams, make_streams, telemetry_log
+from acquire.simulate.world.streams import Wire, make_streams, telemetry_log
 from acquire.simulate.world.truth import write_truth
 from acquire.simulate.world.world import World, make_world, picture_stamps
-
-_SIGMAS = ("sX", "sY", "sZ")
 
 
 def write_project(world: World, site: Path) -> None:
@@ -37,7 +36,7 @@ def write_project(world: World, site: Path) -> None:
         sections.append(("[measurements]", {"block": "block"}))
     else:
         notes = take_notes(world, world.place.to_projected(world.targets.surveyed_m))
-        _write_control(world, notes, site / "control.csv")
+        write_targets(world, notes, site / "control.csv", world.targets.names)
         sections += _flight(world, notes)
     judgement = {"scale": given.judgement.scale} if given.judgement.scale else {}
     if given.judgement.standards:
@@ -105,16 +104,6 @@ def _weather(air: Air, height_m: float) -> dict[str, float]:
         "temperature_c": round(air.temperature_c - 6.5e-3 * height_m, 1),
         "relative_humidity_percent": round(100 * air.relative_humidity, 1),
     }
-
-
-def _write_control(world: World, notes: FieldBook, path: Path) -> None:
-    sigma = ",".join(f"{s:g}" for s in world.configuration.targets.sigma_m)
-    lines = [
-        f"{name},{','.join(texts)},{sigma},{role}"
-        for name, texts, role in zip(world.targets.names, notes.control, world.targets.roles, strict=True)
-    ]
-    header = ",".join(("point", "X", "Y", "Z", *_SIGMAS, "role"))
-    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
 
 
 def write_particulars(world: World, path: Path) -> None:
@@ -187,14 +176,14 @@ def simulate_flight(configuration: Configuration, folder: Path, advance: Advance
     return summary(world)
 
 
-def write_streams(world: World, streams: Streams, folder: Path) -> None:
+def write_streams(world: World, streams: dict[str, Wire], folder: Path) -> None:
     """Write the recorded streams to the site, and when each frame arrived beside the truth."""
     site, wires = folder / "site", folder / "truth" / "wires"
     wires.mkdir(parents=True)
-    (site / "vehicle.tlog").write_bytes(telemetry_log(world, streams.vehicle))
-    (site / "rover.ubx").write_bytes(streams.rover.data)
-    (site / f"base.{world.configuration.gnss.base_protocol}").write_bytes(streams.base.data)
-    for name, wire in streams.links().items():
+    (site / "vehicle.tlog").write_bytes(telemetry_log(world, streams["vehicle"]))
+    (site / "rover.ubx").write_bytes(streams["rover"].data)
+    (site / f"base.{world.configuration.gnss.base_protocol}").write_bytes(streams["base"].data)
+    for name, wire in streams.items():
         sizes = [len(frame) for frame in wire.frames]
         write_table(wires / f"{name}.csv", {"arrival_s": (".6f", wire.arrival_s), "bytes": ("d", sizes)})
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquire.simulate.gnss.geometry import Antenna
-from acquire.simulate.gnss.navigation_solution import OwnPosition
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, SkySettings
 from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
@@ -24,21 +23,23 @@ from drivers.arrays import Floats, Integers
 class Wire:
     """What arrived over one link.
 
-    arrival_s (n,): when each frame had arrived, s since the start; never decreasing.
-    frames (n,): as they arrived.
-    sent, lost, damaged: frames that were sent, that did not arrive, that arrived with a wrong bit.
+    arrival_s (n,): when each frame had arrived, s since the start of the flight; never decreasing.
+    damaged: frames that arrived with a wrong bit; 0 where it is not known.
     """
 
     arrival_s: Floats
     frames: tuple[bytes, ...]
-    sent: int
-    lost: int
-    damaged: int
+    damaged: int = 0
 
     @property
     def data(self) -> bytes:
         """All bytes one after another."""
         return b"".join(self.frames)
+
+    @property
+    def end_s(self) -> float:
+        """When the last frame is complete."""
+        return float(self.arrival_s[-1]) if len(self.arrival_s) else 0.0
 
 
 def carry(
@@ -52,22 +53,15 @@ def carry(
     gap_s: tuple[float, float] = (np.inf, np.inf),
 ) -> Wire:
     """Carry frames from a device to the recording; `time_s` (n,): when they are sent."""
-    count = len(frames)
-    late = latency_s * (0.6 + 0.4 * random.exponential(size=count))
+    late = latency_s * (0.6 + 0.4 * random.exponential(size=len(frames)))
     arrival = np.maximum.accumulate(np.asarray(time_s) + late)
-    kept = (random.random(count) >= loss) & ~((time_s >= gap_s[0]) & (time_s < gap_s[1]))
-    hurt = kept & (random.random(count) < damage)
+    kept = (random.random(len(frames)) >= loss) & ~((time_s >= gap_s[0]) & (time_s < gap_s[1]))
+    hurt = kept & (random.random(len(frames)) < damage)
     arrived = list(frames)
     for number in np.flatnonzero(hurt).tolist():
         arrived[number] = _turned(frames[number], random)
     rows = np.flatnonzero(kept)
-    return Wire(
-        arrival[rows],
-        tuple(arrived[row] for row in rows.tolist()),
-        count,
-        count - len(rows),
-        int(hurt.sum()),
-    )
+    return Wire(arrival[rows], tuple(arrived[row] for row in rows.tolist()), int(hurt.sum()))
 
 
 def _turned(frame: bytes, random: np.random.Generator) -> bytes:
@@ -88,33 +82,19 @@ def telemetry_log(world: World, wire: Wire) -> bytes:
 PULSE_S = 0.02
 
 
-@dataclass(frozen=True)
-class Streams:
-    """What the recording receives over each link."""
-
-    vehicle: Wire
-    rover: Wire
-    base: Wire
-
-    def links(self) -> dict[str, Wire]:
-        """Give the links by name."""
-        return {"vehicle": self.vehicle, "rover": self.rover, "base": self.base}
-
-
-def make_streams(world: World) -> Streams:
-    """Let the devices of a flight send."""
+def make_streams(world: World) -> dict[str, Wire]:
+    """Let the devices of a flight send: what the recording receives over vehicle, rover and base."""
     given = world.configuration
     random = world.random("wires")
     vehicle = vehicle_wire(world, random)
     session, chance = _session(world)
-    own = OwnPosition(geoid_m=given.place.geoid_m)
-    rover = rover_ubx(session, _events(world), own, rng=chance)
+    rover = rover_ubx(session, _events(world), given.place.geoid_m, rng=chance)
     base = base_ubx(session) if given.gnss.base_protocol == "ubx" else base_rtcm(session)
-    return Streams(
-        vehicle,
-        _carried(world, rover, random, given.wires.rover_loss, given.wires.rover_damage),
-        _carried(world, base, random, 0.0, 0.0),
-    )
+    return {
+        "vehicle": vehicle,
+        "rover": _carried(world, rover, random, given.wires.rover_loss, given.wires.rover_damage),
+        "base": _carried(world, base, random, 0.0, 0.0),
+    }
 
 
 def vehicle_wire(world: World, random: np.random.Generator) -> Wire:

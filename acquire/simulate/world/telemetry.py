@@ -41,18 +41,6 @@ class Sent:
 
 
 @dataclass(frozen=True)
-class Clock:
-    """The clock of the autopilot: it counts from its start, a little fast or slow."""
-
-    boot_s: float
-    drift: float
-
-    def since_boot(self, time_s: Any) -> Any:
-        """Give seconds since the autopilot's start."""
-        return self.boot_s + time_s * (1 + self.drift)
-
-
-@dataclass(frozen=True)
 class Filter:
     """Where the autopilot believes to be: the truth a little late, with errors that come and go."""
 
@@ -99,13 +87,11 @@ def _wander(count: int, share: float, random: np.random.Generator) -> Floats:
 
 def messages(world: World) -> list[Sent]:
     """Give all messages of a flight in the order of sending."""
-    given = world.configuration.telemetry
-    clock = Clock(given.boot_s, given.clock_drift_ppm * 1e-6)
     view = make_filter(world)
     parts = [
-        _status(world, clock),
-        _attitudes(world, clock, view),
-        _positions(world, clock, view),
+        _status(world),
+        _attitudes(world, view),
+        _positions(world, view),
         _pictures(world, view),
         _mission(world),
     ]
@@ -115,23 +101,15 @@ def messages(world: World) -> list[Sent]:
 def frames(sent: list[Sent]) -> list[bytes]:
     """Give the frames of messages; every source numbers its own."""
     dialect = ardupilotmega()
-    numbers = {name: dialect.number(name) for name in {one.name for one in sent}}
+    numbers = {name: dialect.number(name) for name in {message.name for message in sent}}
     counts: dict[tuple[int, int], int] = {}
     made = []
-    for one in sent:
-        sequence = counts.get(one.source, 0)
-        counts[one.source] = sequence + 1
-        system, component = one.source
-        made.append(
-            encode(
-                dialect,
-                numbers[one.name],
-                dict(one.fields),
-                sequence=sequence,
-                system=system,
-                component=component,
-            )
-        )
+    for message in sent:
+        sequence = counts.get(message.source, 0)
+        counts[message.source] = sequence + 1
+        place = dict(zip(("system", "component"), message.source, strict=True))
+        kind, fields = numbers[message.name], dict(message.fields)
+        made.append(encode(dialect, kind, fields, sequence=sequence, **place))
     return made
 
 
@@ -149,11 +127,13 @@ def _whole(values: Any) -> Integers:
     return np.asarray(np.rint(values), dtype=np.int64)
 
 
-def _boot_ms(clock: Clock, time_s: Floats) -> Integers:
-    return _whole(clock.since_boot(time_s) * 1e3)
+def _since_boot(world: World, time_s: Floats, unit_s: float) -> Integers:
+    """Give the autopilot's own time: it counts from its start, a little fast or slow."""
+    given = world.configuration.telemetry
+    return _whole((given.boot_s + time_s * (1 + given.clock_drift_ppm * 1e-6)) * unit_s)
 
 
-def _status(world: World, clock: Clock) -> Iterator[Sent]:
+def _status(world: World) -> Iterator[Sent]:
     random = world.random("telemetry")
     yield Sent(0.0, AUTOPILOT, "STATUSTEXT", {"severity": 6, "text": LABEL.encode()})
     time = _every(world, 1.0, 0.01)
@@ -165,7 +145,7 @@ def _status(world: World, clock: Clock) -> Iterator[Sent]:
     read = time + random.standard_normal(len(time)) * _CLOCK_JITTER_S
     utc_us = world.utc_ns(read) // 1000
     yield from _rows(
-        "SYSTEM_TIME", time + 0.003, {"time_unix_usec": utc_us, "time_boot_ms": _boot_ms(clock, time)}
+        "SYSTEM_TIME", time + 0.003, {"time_unix_usec": utc_us, "time_boot_ms": _since_boot(world, time, 1e3)}
     )
     used = time / world.motion.duration_s
     battery = {
@@ -175,13 +155,13 @@ def _status(world: World, clock: Clock) -> Iterator[Sent]:
         "load": 312,
     }
     yield from _rows("SYS_STATUS", time + 0.006, battery)
-    yield from _rows("TIMESYNC", time + 0.009, {"tc1": 0, "ts1": _whole(clock.since_boot(time) * 1e9)})
+    yield from _rows("TIMESYNC", time + 0.009, {"tc1": 0, "ts1": _since_boot(world, time, 1e9)})
     for moment in time.tolist():
         radio = {"rssi": 190, "remrssi": 185, "txbuf": 100, "noise": 60, "remnoise": 62}
         yield Sent(moment + 0.4, RADIO, "RADIO_STATUS", radio)
 
 
-def _attitudes(world: World, clock: Clock, view: Filter) -> Iterator[Sent]:
+def _attitudes(world: World, view: Filter) -> Iterator[Sent]:
     rate = world.configuration.telemetry.attitude_hz
     time = _every(world, rate, 0.02)
     angles = view.angles(time)
@@ -189,14 +169,14 @@ def _attitudes(world: World, clock: Clock, view: Filter) -> Iterator[Sent]:
     rates = {name: speed[:, k] for k, name in enumerate(("rollspeed", "pitchspeed", "yawspeed"))}
     turned = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
     named = {name: turned[:, k] for k, name in enumerate(("roll", "pitch", "yaw"))}
-    yield from _rows("ATTITUDE", time, {"time_boot_ms": _boot_ms(clock, time), **named, **rates})
+    yield from _rows("ATTITUDE", time, {"time_boot_ms": _since_boot(world, time, 1e3), **named, **rates})
     slow = time[::4] + 0.001
     quaternions = Rotation.from_euler("ZYX", view.angles(slow)[:, ::-1]).as_quat(scalar_first=True)
     parts = {f"q{k + 1}": quaternions[:, k] for k in range(4)}
-    yield from _rows("ATTITUDE_QUATERNION", slow, {"time_boot_ms": _boot_ms(clock, slow), **parts})
+    yield from _rows("ATTITUDE_QUATERNION", slow, {"time_boot_ms": _since_boot(world, slow, 1e3), **parts})
 
 
-def _positions(world: World, clock: Clock, view: Filter) -> Iterator[Sent]:
+def _positions(world: World, view: Filter) -> Iterator[Sent]:
     rate, geoid = world.configuration.telemetry.position_hz, world.configuration.place.geoid_m
     time = _every(world, rate, 0.03)
     place, velocity = view.place(time)
@@ -207,7 +187,7 @@ def _positions(world: World, clock: Clock, view: Filter) -> Iterator[Sent]:
         "GLOBAL_POSITION_INT",
         time,
         {
-            "time_boot_ms": _boot_ms(clock, time),
+            "time_boot_ms": _since_boot(world, time, 1e3),
             **where,
             "alt": _whole((place[:, 2] - geoid) * 1e3),
             "relative_alt": _whole((place[:, 2] - home) * 1e3),
@@ -223,7 +203,7 @@ def _positions(world: World, clock: Clock, view: Filter) -> Iterator[Sent]:
         "GPS_RAW_INT",
         later,
         {
-            "time_usec": _whole(clock.since_boot(later) * 1e6),
+            "time_usec": _since_boot(world, later, 1e6),
             "fix_type": 4,
             "lat": _whole(np.degrees(place[:, 0]) * 1e7),
             "lon": _whole(np.degrees(place[:, 1]) * 1e7),

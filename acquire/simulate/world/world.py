@@ -195,7 +195,7 @@ def make_world(configuration: Configuration) -> World:
     terrain = make_terrain(configuration.terrain, half, generator(configuration, "terrain"))
     _require_room(configuration, terrain)
     targets = make_targets(configuration.targets, area, terrain, generator(configuration, "targets"))
-    camera = Camera.of(configuration.camera)
+    camera = configuration.camera
     rig = make_rig(configuration.rig, generator(configuration, "rig"))
     lines = strips(configuration.plan, configuration.camera)
     home = np.array(configuration.plan.take_off_m)

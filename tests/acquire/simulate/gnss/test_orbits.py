@@ -13,7 +13,7 @@ from acquire.simulate.gnss import navigation_messages
 from acquire.simulate.gnss.constellation import Satellite, constellation
 from acquire.simulate.gnss.ephemeris import Ephemeris, fields_of, renewed
 from acquire.simulate.gnss.geometry import link, place
-from acquire.simulate.gnss.navigation_messages import Broadcast, subframe
+from acquire.simulate.gnss.navigation_messages import subframe
 from acquire.simulate.gnss.settings import SkySettings
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, Flight, Floats, Loop, gps_ns
 from tests.acquire.simulate.gnss.rtklib import Rinex
@@ -163,11 +163,11 @@ def test_range_rate_is_the_derivative(flight: Flight) -> None:
 def test_almanacs_are_near_the_ephemerides(flight: Flight) -> None:
     """The pages of subframes 4 and 5 by their bits (IS-GPS-200N, figure 20-1 sheet 4): some kilometres."""
     truths = {s.truth.number: s for s in flight.session.satellites if s.system == "G"}
-    broadcast = Broadcast(SkySettings().klobuchar, 18, tuple(s.truth for s in truths.values()))
+    almanacs = tuple(s.truth for s in truths.values())
     found = set()
     first = START // SECOND // 750 * 750
     for at in range(first, first + 750, 6):
-        words = subframe(truths[min(truths)].truth, at, broadcast)
+        words = subframe(truths[min(truths)].truth, at, SkySettings(), almanacs)
         bits = "".join(format(word >> 6 & 0xFF_FFFF, "024b") for word in words)
         number = int(bits[50:56], 2)
         if bits[43:46] not in ("100", "101") or number not in truths:

@@ -14,7 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from acquire.simulate.hardware import awaited, on_ports, record_settings
-from acquire.simulate.playback import FlightClock, Line, read_flight
+from acquire.simulate.playback import FlightClock, read_flight
+from acquire.simulate.world.streams import Wire
 from photocal.project import read_project
 from tests.acquire.live import Recorder, await_frame, free_port, until
 from tests.acquire.simulate.world.conftest import Flight
@@ -45,9 +46,9 @@ class Stopwatch:
         self._stopped = None
 
 
-def last_before(line: Line, time_s: float) -> bytes:
+def last_before(line: Wire, time_s: float) -> bytes:
     """Return the last frame that is complete by a moment."""
-    return line.frames[int(np.searchsorted(line.time_s, time_s, side="right")) - 1]
+    return line.frames[int(np.searchsorted(line.arrival_s, time_s, side="right")) - 1]
 
 
 def positions(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64], list[str]]:

@@ -43,9 +43,9 @@ def test_pyubx2_and_pyrtcm_read_every_frame_of_a_survey(small: Flight) -> None:
     own = small.world.configuration.gnss.model_dump(exclude_none=True)
     streams = make_streams(make_world(configured("small", gnss={**own, "base_protocol": "rtcm3"})))
     for wire, peer in (
-        (streams.rover, pyubx2.UBXReader),
-        (streams.base, pyrtcm.RTCMReader),
-        (make_streams(small.world).base, pyubx2.UBXReader),
+        (streams["rover"], pyubx2.UBXReader),
+        (streams["base"], pyrtcm.RTCMReader),
+        (make_streams(small.world)["base"], pyubx2.UBXReader),
     ):
         read = [raw for raw, _ in peer(io.BytesIO(b"".join(wire.frames)), validate=1, quitonerror=2)]
         assert read == list(wire.frames)
@@ -54,11 +54,10 @@ def test_pyubx2_and_pyrtcm_read_every_frame_of_a_survey(small: Flight) -> None:
 def test_the_autopilot_tells_the_truth_with_its_errors(small: Flight) -> None:
     world = small.world
     sent = [one for one in telemetry.messages(world) if one.name == "ATTITUDE"]
-    clock = telemetry.Clock(87.0, 12e-6)
     given = world.configuration.telemetry
     # Their own clock tells when the attitudes were; the filter is late.
     boot = np.array([one.fields["time_boot_ms"] for one in sent]) / 1e3
-    time = (boot - clock.boot_s) / (1 + clock.drift) - given.lag_s
+    time = (boot - 87.0) / (1 + 12e-6) - given.lag_s
     told = np.array([[one.fields[name] for name in ("roll", "pitch", "yaw")] for one in sent])
     error = (told - world.motion.angles(time) + np.pi) % (2 * np.pi) - np.pi
     sigma = np.radians(world.configuration.rig.attitude_sigma_deg)
@@ -90,8 +89,8 @@ def test_a_flight_is_imported_whole(small: Flight, acquire: Acquire, tmp_path: P
 
 def test_streams_are_the_same_each_time(small: Flight) -> None:
     again = make_streams(make_world(configured("small")))
-    assert (small.folder / "site/rover.ubx").read_bytes() == again.rover.data
-    assert (small.folder / "site/base.ubx").read_bytes() == again.base.data
+    assert (small.folder / "site/rover.ubx").read_bytes() == again["rover"].data
+    assert (small.folder / "site/base.ubx").read_bytes() == again["base"].data
 
 
 def test_losses_and_damage_on_the_wires() -> None:
@@ -99,9 +98,8 @@ def test_losses_and_damage_on_the_wires() -> None:
     frames = [bytes([k % 251, 1, 2, 3]) * 5 for k in range(4000)]
     time = np.asarray(np.arange(4000) * 0.01, dtype=np.float64)
     wire = carry(time, frames, random, latency_s=0.05, loss=0.02, damage=0.03, gap_s=(10.0, 11.0))
-    assert wire.lost - 100 == pytest.approx(80, abs=30)
+    assert len(frames) - len(wire.frames) - 100 == pytest.approx(80, abs=30)
     assert wire.damaged == pytest.approx(117, abs=40)
-    assert len(wire.frames) == wire.sent - wire.lost
     assert (np.diff(wire.arrival_s) >= 0).all()
     kept = set(frames)
     hurt = [frame for frame in wire.frames if frame not in kept]
@@ -118,17 +116,17 @@ def test_a_lossy_link_is_imported_with_its_damage(acquire: Acquire, tmp_path: Pa
     given = configured("small", wires={"vehicle_loss": 0.02, "vehicle_damage": 0.02})
     world = make_world(given)
     streams = make_streams(world)
-    (tmp_path / "vehicle.tlog").write_bytes(telemetry_log(world, streams.vehicle))
+    (tmp_path / "vehicle.tlog").write_bytes(telemetry_log(world, streams["vehicle"]))
     done = acquire("import", tmp_path / "vehicle.tlog", "-o", tmp_path / "log.mcap", "--json")
     (link,) = json.loads(done.stdout)["links"]
-    intact = len(streams.vehicle.frames) - streams.vehicle.damaged
+    intact = len(streams["vehicle"].frames) - streams["vehicle"].damaged
     assert intact <= link["frames"] <= intact + 3
-    assert link["damage_runs"] > 0.8 * streams.vehicle.damaged
+    assert link["damage_runs"] > 0.8 * streams["vehicle"].damaged
 
 
 def attitude_gap(world: World) -> float:
     """Give the longest time without telemetry that arrived."""
-    return float(np.diff(make_streams(world).vehicle.arrival_s).max())
+    return float(np.diff(make_streams(world)["vehicle"].arrival_s).max())
 
 
 def test_a_telemetry_gap_lasts_half_a_minute() -> None:
