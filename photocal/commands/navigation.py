@@ -247,12 +247,13 @@ def survey(
     """
     import tempfile
 
+    from acquire.checked_toml import read_toml
     from acquire.outputs import output_folder, write_json
     from photocal.navigation.engine import Rtklib
-    from photocal.navigation.survey import Survey, read_setup, run_survey
+    from photocal.navigation.survey import Survey, SurveySetup, run_survey
     from photocal.navigation.survey_report import survey_figures, survey_text, write_points
 
-    plan = read_setup(setup)
+    plan = read_toml(setup, SurveySetup)
     with tempfile.TemporaryDirectory() as scratch:
         solution, sessions = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
     figures = survey_figures(solution, sessions)

@@ -1,44 +1,16 @@
-"""Antenna models in ANTEX files: phase centre offsets and their variation with the zenith angle."""
+"""Which antennas an ANTEX file has models of: phase centres, which the engine applies."""
 
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError, reading
 
 
-@dataclass(frozen=True)
-class AntennaModel:
-    """One receiver antenna, calibrated.
-
-    name: type and radome, as in the file.
-    offsets_m: by frequency ("G01"), phase centre less antenna reference point, north, east, up.
-    zenith_deg (n,): angles of the variations.
-    variations_m: by frequency, (n,), without azimuth; added to the distance, as the offset's are.
-    """
-
-    name: str
-    offsets_m: dict[str, Floats]
-    zenith_deg: Floats
-    variations_m: dict[str, Floats]
-
-    def correction_m(self, frequency: str, azimuth_deg: float, zenith_deg: float) -> float:
-        """What the antenna adds to the distance of a satellite (Rothacher and Schmid 2010, ANTEX 1.4)."""
-        azimuth, zenith = np.radians([azimuth_deg, zenith_deg])
-        towards = np.array(
-            [np.cos(azimuth) * np.sin(zenith), np.sin(azimuth) * np.sin(zenith), np.cos(zenith)]
-        )
-        variation = np.interp(zenith_deg, self.zenith_deg, self.variations_m[frequency])
-        return float(variation - self.offsets_m[frequency] @ towards)
-
-
-def read_antennas(path: Path) -> dict[str, AntennaModel]:
-    """Read the receiver antennas of an ANTEX file by their names; of several, the last.
+def read_antennas(path: Path) -> tuple[str, ...]:
+    """Read the names (type and radome) of the receiver antennas whose models an ANTEX file has.
 
     raises InputNotFoundError, InputMalformedError: when it cannot be read, or is no ANTEX file.
     """
@@ -46,25 +18,23 @@ def read_antennas(path: Path) -> dict[str, AntennaModel]:
         lines = path.read_text(encoding="latin-1").splitlines()
     if not any(line[60:].startswith("ANTEX VERSION") for line in lines[:5]):
         raise InputMalformedError("is no ANTEX file", where=path, remedy="name one, such as igs20.atx")
-    found: dict[str, AntennaModel] = {}
+    found = []
     starts = [k for k, line in enumerate(lines) if line[60:].startswith("START OF ANTENNA")]
     for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
         try:
-            model = _model(lines[start:end])
+            name = _name(lines[start:end])
         except (ValueError, IndexError) as refusal:
             raise InputMalformedError(
                 "is damaged", where=f"{path}, antenna of line {start + 1}", remedy="fetch the file again"
             ) from refusal
-        if model is not None:
-            found[model.name] = model
-    return found
+        if name is not None:
+            found.append(name)
+    return tuple(found)
 
 
-def _model(lines: list[str]) -> AntennaModel | None:
-    """Read one antenna; None for a satellite's."""
-    offsets: dict[str, Floats] = {}
-    variations: dict[str, Floats] = {}
-    name, frequency, grid = "", "", np.zeros(0)
+def _name(lines: list[str]) -> str | None:
+    """Read one antenna, its numbers, too, which the engine uses; None for a satellite's."""
+    name, frequency = "", ""
     for line in lines:
         label, cells = line[60:].strip(), line[:60].split()
         if label == "TYPE / SERIAL NO":
@@ -72,28 +42,25 @@ def _model(lines: list[str]) -> AntennaModel | None:
             if line[20:21] in set("GRECJIS") and line[21:23].isdigit():
                 return None
             name = " ".join(line[:20].split())
-        elif label == "ZEN1 / ZEN2 / DZEN":
-            first, last, step = map(float, cells)
-            grid = np.arange(first, last + step / 2, step)
         elif label == "START OF FREQUENCY":
             frequency = cells[0]
-        elif label == "NORTH / EAST / UP":
-            offsets[frequency] = np.array([float(cell) for cell in cells]) / 1e3
+        elif label in ("ZEN1 / ZEN2 / DZEN", "NORTH / EAST / UP"):
+            _ = [float(cell) for cell in cells]
         elif frequency and line[:8].strip() == "NOAZI":
-            variations[frequency] = np.array([float(cell) for cell in line[8:].split()]) / 1e3
-    return AntennaModel(name, offsets, grid, variations)
+            _ = [float(cell) for cell in line[8:].split()]
+    return name
 
 
-def antenna_named(antennas: dict[str, AntennaModel], name: str, path: Path) -> AntennaModel:
-    """Give the model of an antenna; without its radome where the file knows it with NONE only.
+def antenna_named(antennas: Sequence[str], name: str, path: Path) -> str:
+    """Give the name of an antenna's model; without its radome where the file knows it with NONE only.
 
     raises ConfigurationError: when the file has none of that name; says which are alike.
     """
     wanted = " ".join(name.split())
     for key in (wanted, f"{wanted} NONE", f"{wanted.split(' ')[0]} NONE" if wanted else ""):
         if key in antennas:
-            return antennas[key]
-    alike = difflib.get_close_matches(wanted, list(antennas), 3, 0.4)
+            return key
+    alike = difflib.get_close_matches(wanted, antennas, 3, 0.4)
     raise ConfigurationError(
         f"antenna {name!r} is not in {path.name}",
         where=path,

@@ -1,4 +1,4 @@
-"""The PPK engine behind one interface: RINEX from raw frames, positions from RINEX.
+"""The PPK engine: RINEX from raw frames, positions from RINEX.
 
 The engine is RTKLIB 2.4.3 (Takasu and Yasuda 2009) by its programs `convbin` and `rnx2rtkp`, as Debian
 packages them. Its fork demo5 fixes more epochs and, on a rover among trees, 2 % of them wrongly.
@@ -10,7 +10,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, ProgramMissingError
@@ -62,43 +62,14 @@ class RinexFiles:
     navigation: Path
 
 
-class Engine(Protocol):
-    """What computes positions."""
-
-    @property
-    def name(self) -> str:
-        """Name and version, for the summary."""
-        ...
-
-    def convert(self, raw: bytes, form: Literal["ubx", "rtcm3"], stem: Path, near: GpsTime) -> RinexFiles:
-        """Write RINEX files beside `stem` from intact frames; `near` settles the week of RTCM."""
-        ...
-
-    def solve(
-        self,
-        mode: Mode,
-        direction: Direction,
-        files: list[Path],
-        options: ProcessingOptions,
-        base_m: Floats | None,
-        folder: Path,
-    ) -> EngineSolution:
-        """Compute positions from rover, base and navigation files."""
-        ...
-
-    def satellite_residuals(self, mode: Mode, rover: Path, folder: Path) -> SatelliteResiduals:
-        """Return the satellites of the forward run with the base that `solve` has done in the folder."""
-        ...
-
-
 @dataclass(frozen=True)
 class Rtklib:
-    """RTKLIB's command line programs; an `Engine`."""
+    """RTKLIB's command line programs: what converts and computes."""
 
     name: str = "RTKLIB 2.4.3 (rnx2rtkp)"
 
     def convert(self, raw: bytes, form: Literal["ubx", "rtcm3"], stem: Path, near: GpsTime) -> RinexFiles:
-        """Convert intact frames with `convbin`."""
+        """Write RINEX files beside `stem` from intact frames by `convbin`; `near` settles RTCM's week."""
         source = stem.with_suffix(f".{form}")
         source.write_bytes(raw)
         made = RinexFiles(stem.with_suffix(".obs"), stem.with_suffix(".nav"))
@@ -118,7 +89,7 @@ class Rtklib:
         base_m: Floats | None,
         folder: Path,
     ) -> EngineSolution:
-        """Compute positions with `rnx2rtkp`."""
+        """Compute positions from rover, base and navigation files with `rnx2rtkp`."""
         settings = folder / f"{mode}-{direction}.conf"
         settings.write_text(configuration(mode, direction, options))
         output = folder / f"{files[0].stem}-{mode}-{direction}.pos"

@@ -81,12 +81,10 @@ def time_marks(
     fields: NDArray[Any],
     edge: str,
     link: str,
-    leap_s: int | None = None,
     stream_ns: Integers | None = None,
 ) -> Events:
     """Return the events of one edge from RXM-TIM-TM2 messages.
 
-    leap_s: GPS time minus UTC where the table has ended.
     raises InputMalformedError: when the marks are in the receiver's own time, which nothing ties to GPS time.
     """
     new = ubx.time_marks(fields, rising=edge == RISING)
@@ -101,7 +99,7 @@ def time_marks(
     utc = new.valid & (new.base == ubx.BASE_UTC)
     if utc.any():
         # The week and its milliseconds count UTC from the GPS epoch: the leap seconds are missing in them.
-        gps[utc] = UtcTime(new.time_ns[utc] + GPS_EPOCH_NS).to_gps(leap_s).ns
+        gps[utc] = UtcTime(new.time_ns[utc] + GPS_EPOCH_NS).to_gps().ns
     remarks = counter_jumps(new.count, edge)
     if not new.valid.all():
         remarks.append(f"{int((~new.valid).sum())} {edge} edges without a valid time left out")

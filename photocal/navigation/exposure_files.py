@@ -153,13 +153,7 @@ def write_block_images(
     crs: coordinate reference system of X, Y, Z; without: topocentric (east, north, up) about the middle.
     returns: ``frame`` and, where it is local, the origin.
     """
-    rows = with_images(exposures)
-    p = exposures.placed
-    lat, lon, height = p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows]
-    origin = np.array([np.mean(lat), np.mean(lon), np.mean(height)])
-    xyz, turn, frame = in_frame(lat, lon, height, origin, crs)
-    whole = orientations(exposures, rig or Rig())
-    angles, covariance = Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn)
+    rows, xyz, (angles, covariance), frame = _oriented(exposures, rig or Rig(), crs)
     unit = np.array([1.0, 1.0, 1.0, *[180 / np.pi] * 3])
     covariance = covariance * unit[:, None] * unit
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
@@ -176,6 +170,18 @@ def write_block_images(
     write_rows(path, IMAGE_COLUMNS, lines)
     _write_covariances(path.with_name("covariance.parquet"), names, kept)
     return frame
+
+
+def _oriented(
+    exposures: Exposures, rig: Rig, crs: str | None
+) -> tuple[Integers, Floats, tuple[Floats, Floats], dict[str, Any]]:
+    """Rows with images, their coordinates, angles with covariances, and the frame of all these."""
+    rows, p = with_images(exposures), exposures.placed
+    lat, lon, height = p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows]
+    origin = np.array([np.mean(lat), np.mean(lon), np.mean(height)])
+    xyz, turn, frame = in_frame(lat, lon, height, origin, crs)
+    whole = orientations(exposures, rig)
+    return rows, xyz, Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn), frame
 
 
 def _write_covariances(path: Path, names: list[str], lower: list[Floats]) -> None:
@@ -207,8 +213,6 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
     """Return coordinates in a CRS and the rotation (n, 3, 3) from east, north, up to its axes."""
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
-
-    from drivers.errors import ConfigurationError
 
     try:
         way = Transformer.from_crs("EPSG:4979", crs, always_xy=True, allow_ballpark=False, only_best=True)
@@ -261,13 +265,8 @@ def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str,
     from photocal.exchange.reconstruction import Origin, Reconstruction
     from photocal.geometry.camera import camera as nominal
 
-    rows = with_images(exposures)
-    p = exposures.placed
-    lat, lon, height = p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows]
-    origin = np.array([np.mean(lat), np.mean(lon), np.mean(height)])
-    xyz, turn, _ = in_frame(lat, lon, height, origin, None)
-    whole = orientations(exposures, rig)
-    angles, covariance = Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn)
+    rows, xyz, (angles, covariance), frame = _oriented(exposures, rig, None)
+    origin = Origin(*frame["origin_lat_lon_height"])
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, [3, 4, 5, 0, 1, 2]]
     names = [exposures.image[row].split() for row in rows.tolist()]
     every = np.repeat(np.arange(len(rows)), [len(own) for own in names])
@@ -285,7 +284,7 @@ def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str,
         np.zeros((0, 2)),
         pose_sigma=sigma[every],
     )
-    write_geopackage(path, given, topocentric(Origin(*map(float, origin))), changed_utc)
+    write_geopackage(path, given, topocentric(origin), changed_utc)
 
 
 def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | None) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from photocal.findings.finding import Finding
 from photocal.navigation.attitude import Attitudes
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
-from photocal.navigation.engine import Engine
+from photocal.navigation.engine import Rtklib
 from photocal.navigation.events import CameraEventList, Events, listed_in, read_mrk
 from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposure_report import exposure_figures
@@ -102,7 +102,7 @@ class _Flight:
     images: list[ImageMetadata]
 
 
-def run_exposures(choices: Choices, engine: Engine, folder: Path) -> ExposureRun:
+def run_exposures(choices: Choices, engine: Rtklib, folder: Path) -> ExposureRun:
     """Find events, positions, attitudes and images of a flight.
 
     raises ConfigurationError: when the log has neither events nor images, or nothing that tells positions.

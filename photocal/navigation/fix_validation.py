@@ -54,9 +54,9 @@ def judge(
 ) -> Judgement:
     """Validate the fixes of a combined solution and rescale the sigmas of the rest."""
     origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
-    here = _enu(combined, origin)
+    here = combined.offsets(origin)
     fore, back = forward.at(combined.time), backward.at(combined.time)
-    difference = _enu(forward, origin)[fore] - _enu(backward, origin)[back]
+    difference = forward.offsets(origin)[fore] - backward.offsets(origin)[back]
     separation = np.where(((fore >= 0) & (back >= 0))[:, None], difference, np.nan)
     fixed = combined.quality == FIXED
     directions = np.column_stack([_quality(forward, fore), _quality(backward, back)])
@@ -77,10 +77,6 @@ def judge(
     covariance = _covariance(combined, quality, factor, separation)
     judged = combined.with_quality(quality, covariance)
     return Judgement(judged, demoted, factor, separation, directions, sigma)
-
-
-def _enu(solution: EngineSolution, origin: Floats) -> Floats:
-    return solution.offsets(origin)
 
 
 def _quality(solution: EngineSolution, row: Integers) -> Integers:
@@ -152,7 +148,7 @@ def _lonely(time: GpsTime, fixed: Flags) -> Flags:
 
 def _off_code(here: Floats, combined: EngineSolution, code: EngineSolution, origin: Floats) -> Flags:
     row = code.at(combined.time)
-    difference = here - _enu(code, origin)[row]
+    difference = here - code.offsets(origin)[row]
     known = row >= 0
     if known.sum() < _SHORT_RUN:
         return np.zeros(len(here), bool)

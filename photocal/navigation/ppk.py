@@ -14,7 +14,7 @@ from drivers.arrays import Flags, Floats
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.navigation.antex import antenna_named, read_antennas
 from photocal.navigation.common_errors import CommonErrors, common_errors
-from photocal.navigation.engine import Direction, Engine, Mode, ProcessingOptions
+from photocal.navigation.engine import Direction, Mode, ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import EngineSolution, SatelliteResiduals
 from photocal.navigation.fix_validation import Judgement, judge
 from photocal.navigation.precise_results import ObservationFile, count_ephemerides
@@ -178,7 +178,7 @@ def with_antennas(
                 where=observed.path,
                 remedy='name its type and radome as the ANTEX file does, or "none" for one without a model',
             )
-        changed[f"{side}_antenna"] = antenna_named(models, given or observed.antenna, antex).name
+        changed[f"{side}_antenna"] = antenna_named(models, given or observed.antenna, antex)
         # The engine reads the header's height only together with the header's type.
         if getattr(options, f"{side}_antenna_m") is None:
             changed[f"{side}_antenna_m"] = observed.antenna_m
@@ -186,7 +186,7 @@ def with_antennas(
 
 
 def process(
-    inputs: Inputs, options: ProcessingOptions, mode: Mode, engine: Engine, folder: Path
+    inputs: Inputs, options: ProcessingOptions, mode: Mode, engine: Rtklib, folder: Path
 ) -> PpkResult:
     """Compute and judge the trajectory.
 
@@ -270,7 +270,7 @@ def parse_position(text: str) -> Floats:
     return np.asarray(geocentric(np.array([lat]), np.array([lon]), np.array([height]))[0])
 
 
-def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Engine, folder: Path) -> Floats:
+def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Rtklib, folder: Path) -> Floats:
     """Return the base's position less its own code solution (east, north, up); refuse a wrong one."""
     alone = [inputs.base.path, *inputs.navigation]
     code = engine.solve("single", "forward", alone, options, None, folder)

@@ -11,7 +11,7 @@ from acquire.console import numbers_of
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
 from drivers.gnsstime import GPS_EPOCH_NS
-from photocal.navigation.engine import Engine, RinexFiles
+from photocal.navigation.engine import RinexFiles, Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file, read_precise_result
@@ -71,7 +71,7 @@ class Sources:
         )
 
 
-def gather_inputs(sources: Sources, engine: Engine, folder: Path) -> tuple[Inputs, list[str]]:
+def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Inputs, list[str]]:
     """Return the inputs of a run, and remarks on what was left out of the log.
 
     raises ConfigurationError: when something that is needed was not named.
@@ -142,7 +142,7 @@ def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources) 
 
 
 def converted(
-    recording: ReceiverRecording, engine: Engine, stem: Path, near: GpsTime | None = None
+    recording: ReceiverRecording, engine: Rtklib, stem: Path, near: GpsTime | None = None
 ) -> RinexFiles:
     """Convert what a receiver recorded to RINEX; raises IllPosedError when no observations come out."""
     # A base that sends both repeats the same observations; the raw ones are finer.

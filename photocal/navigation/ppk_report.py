@@ -13,8 +13,9 @@ from drivers.arrays import Floats
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text
-from photocal.navigation.engine import Engine
+from photocal.navigation.engine import Rtklib
 from photocal.navigation.engine_output import FIXED
+from photocal.navigation.fix_validation import Judgement
 from photocal.navigation.ppk import PpkResult, options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.trajectory import geodetic, write_trajectory
@@ -31,7 +32,7 @@ _APART_M = 0.10
 _LISTED_PLACES = 10
 
 
-def solved(sources: Sources, engine: Engine, folder: Path) -> tuple[PpkResult, dict[str, Any]]:
+def solved(sources: Sources, engine: Rtklib, folder: Path) -> tuple[PpkResult, dict[str, Any]]:
     """Process a rover in motion against its base; also return the figures."""
     inputs, remarks = gather_inputs(sources, engine, folder)
     options = options_for(inputs.rover, inputs.base, sources.rover_antenna_m, sources.base_antenna_m)
@@ -89,7 +90,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
         "findings": [finding_json(one, say) for one in _findings(result, counts, len(trajectory))],
     }
     if result.judgement is not None:
-        figures["validation"] = _validation(result)
+        figures["validation"] = _validation(result, result.judgement)
     if result.common is not None and result.mode != "static":
         figures["common"] = result.common.as_json()
     if result.mode == "static":
@@ -126,10 +127,7 @@ def _span(file: Any) -> dict[str, Any]:
     }
 
 
-def _validation(result: PpkResult) -> dict[str, Any]:
-    judgement = result.judgement
-    if judgement is None:
-        return {}
+def _validation(result: PpkResult, judgement: Judgement) -> dict[str, Any]:
     fixed = judgement.solution.quality == 1
     apart = judgement.separation_m
     known = np.isfinite(apart).all(axis=1)
@@ -139,7 +137,7 @@ def _validation(result: PpkResult) -> dict[str, Any]:
         "median_ratio_of_fixes": _median(result.combined.ratio[fixed]),
         "float_sigma_factor_enu": [float(v) for v in judgement.float_factor],
         "combinations_replaced": result.replaced,
-        "directions_apart": _directions_apart(result),
+        "directions_apart": _directions_apart(judgement),
         "doppler_velocity_sigma_m_s": judgement.velocity_sigma_m_s,
         "forward_minus_backward_rms_enu_m": {
             "fixed": _rms(apart[known & fixed & (np.abs(apart) < 0.2).all(axis=1)]),
@@ -148,20 +146,15 @@ def _validation(result: PpkResult) -> dict[str, Any]:
     }
 
 
-def _directions_apart(result: PpkResult) -> list[dict[str, Any]]:
-    """List where a position counts as fixed though the directions are apart, and which was taken.
-
-    The engine takes the direction with the better status; where both are fixed and differ, neither counts.
-    """
-    judgement = result.judgement
-    if judgement is None:
-        return []
+def _directions_apart(judgement: Judgement) -> list[dict[str, Any]]:
+    """List where a position counts as fixed though the directions are apart, and which was taken."""
+    # The engine takes the direction with the better status; where both are fixed and differ, neither counts.
     apart = np.linalg.norm(judgement.separation_m, axis=1)
     rows = np.flatnonzero((judgement.solution.quality == FIXED) & (apart > _APART_M))
     places = []
     for place in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ():
         fixed = (judgement.directions[place] == FIXED).all(axis=0)
-        time = result.trajectory.time
+        time = judgement.solution.time
         places.append(
             {
                 "from_gps": time[place[:1]].iso()[0],

@@ -18,10 +18,6 @@ from photocal.block.setup import MountingKeys
 from photocal.findings.finding import Finding
 
 
-def _none() -> Floats:
-    return np.zeros(3)
-
-
 @dataclass(frozen=True)
 class Rig:
     """How the camera sits on the body (forward, right, down) whose attitude is recorded.
@@ -38,10 +34,10 @@ class Rig:
     """
 
     lever_m: Floats | None = None
-    lever_sigma_m: Floats = field(default_factory=_none)
+    lever_sigma_m: Floats = field(default_factory=lambda: np.zeros(3))
     angle_sigma: Floats | None = None
-    boresight: Floats = field(default_factory=_none)
-    boresight_sigma: Floats = field(default_factory=_none)
+    boresight: Floats = field(default_factory=lambda: np.zeros(3))
+    boresight_sigma: Floats = field(default_factory=lambda: np.zeros(3))
     axes: Floats = field(default_factory=NADIR.copy)
     time_offset_s: float = 0.0
     time_offset_sigma_s: float = 0.0

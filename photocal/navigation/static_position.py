@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError
-from photocal.navigation.engine import Engine, ProcessingOptions
+from photocal.navigation.engine import ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import EngineSolution
 from photocal.navigation.precise_results import ObservationFile
 from photocal.navigation.trajectory import Trajectory, geocentric
@@ -23,7 +23,7 @@ _STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
 
 
 def precise_point(
-    rover: ObservationFile, files: list[Path], options: ProcessingOptions, engine: Engine, folder: Path
+    rover: ObservationFile, files: list[Path], options: ProcessingOptions, engine: Rtklib, folder: Path
 ) -> Trajectory:
     """Compute the position of a receiver that stood still by itself, with precise orbits and clocks."""
     if "2" not in rover.bands:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from acquire.checked_toml import Table, read_toml
+from acquire.checked_toml import Table
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
-from photocal.navigation.engine import Engine
+from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import converted
@@ -87,32 +87,22 @@ class SurveySetup(Table):
     baseline: tuple[MeasuredBaseline, ...] = ()
 
 
-def read_setup(path: Path) -> SurveySetup:
-    """Read a set-up file (TOML).
-
-    raises InputNotFoundError, ConfigurationError: when it cannot be read, or has an unknown key or an
-        impossible value.
-    """
-    return read_toml(path, SurveySetup)
-
-
 _LOG = ".mcap"
 
 
 @dataclass(frozen=True)
 class Survey:
-    """A survey with the engine and the folders that it works in.
-
-    setup: what was measured.
-    folder: where the files named in it lie.
-    engine: what computes positions.
-    scratch: where the engine may leave its files.
-    """
+    """A survey with its engine, the folder of the files that it names, and one for those of the engine."""
 
     setup: SurveySetup
     folder: Path
-    engine: Engine
+    engine: Rtklib
     scratch: Path
+
+    @property
+    def antex(self) -> Path | None:
+        """The file of antenna models."""
+        return None if self.setup.antex is None else self.folder / self.setup.antex
 
 
 def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
@@ -183,7 +173,7 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
         precise=bool(measured.products),
     )
     options = with_antennas(
-        options, _antex(survey), (rover, measured.rover_antenna), (base, measured.base_antenna)
+        options, survey.antex, (rover, measured.rover_antenna), (base, measured.base_antenna)
     )
     found = process(inputs, options, "static", survey.engine, own)
     position, air_m = _through_air(found)
@@ -222,7 +212,7 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]
     observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, own / "rover")
     named = [survey.folder / p for p in (*point.nav, *point.products)]
     options = replace(options_for(observed, observed), rover_antenna_m=point.rover_antenna_m, precise=True)
-    options = with_antennas(options, _antex(survey), (observed, point.rover_antenna), None)
+    options = with_antennas(options, survey.antex, (observed, point.rover_antenna), None)
     found = precise_point(observed, [*recorded, *named], options, survey.engine, own)
     place, covariance = _earth_centred(found)
     session = {
@@ -235,10 +225,6 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]
         **_duration(float(observed.time.ns[-1] - observed.time.ns[0]) / 60e9, survey),
     }
     return Mark(point.name, place, covariance), session
-
-
-def _antex(survey: Survey) -> Path | None:
-    return None if survey.setup.antex is None else survey.folder / survey.setup.antex
 
 
 def _own_folder(survey: Survey, name: str) -> Path:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers import gnsstime
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
@@ -43,7 +43,10 @@ class Instants:
 
     def __sub__(self, other: Self) -> Integers:
         """Return how long after `other` these instants are, nanoseconds."""
-        self._same_scale(other)
+        if type(other) is not type(self):
+            raise TypeError(
+                f"{type(self).__name__} and {type(other).__name__} are different clocks: convert first"
+            )
         return self.ns - other.ns
 
     def shifted(self, duration_ns: ArrayLike) -> Self:
@@ -53,11 +56,6 @@ class Instants:
             raise TypeError(f"a shift takes whole nanoseconds, not {duration.dtype}")
         return type(self)(self.ns + duration.astype(np.int64))
 
-    def before(self, other: Self) -> Flags:
-        """Tell which instants come before `other`."""
-        self._same_scale(other)
-        return self.ns < other.ns
-
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             raise TypeError(f"{type(self).__name__} and {type(other).__name__} cannot be compared")
@@ -65,19 +63,9 @@ class Instants:
 
     __hash__ = None  # type: ignore[assignment]
 
-    def _same_scale(self, other: object) -> None:
-        if type(other) is not type(self):
-            raise TypeError(
-                f"{type(self).__name__} and {type(other).__name__} are different clocks: convert first"
-            )
-
 
 class HostTime(Instants):
     """Times of receipt by the clock of the recording computer, nanoseconds since 1970."""
-
-
-class BootTime(Instants):
-    """Time of an autopilot since it started, nanoseconds."""
 
 
 class GpsTime(Instants):
@@ -95,30 +83,22 @@ class GpsTime(Instants):
             )
         return cls(gnsstime.week_to_ns(weeks, tow))
 
-    def week_and_seconds(self) -> tuple[Integers, Floats]:
-        """Return GPS week and seconds of the week (float64: 0.1 ns at the end of a week)."""
-        return self.ns // WEEK_NS, (self.ns % WEEK_NS) / 1e9
-
-    def to_utc(self, leap_s: int | None = None) -> UtcTime:
+    def to_utc(self) -> UtcTime:
         """Convert to UTC."""
-        if leap_s is not None:
-            return UtcTime(self.ns + GPS_EPOCH_NS - leap_s * SECOND_NS)
         utc = UtcTime(gnsstime.gps_to_utc_ns(self.ns))
         _refuse_expired(utc)
         return utc
 
     def iso(self) -> list[str]:
         """Return calendar dates in GPS time, to the millisecond, for messages."""
-        return [_calendar(ns + GPS_EPOCH_NS) for ns in self.ns.tolist()]
+        return _calendar(self.ns + GPS_EPOCH_NS)
 
 
 class UtcTime(Instants):
     """UTC, nanoseconds since 1970 without leap seconds, as POSIX counts."""
 
-    def to_gps(self, leap_s: int | None = None) -> GpsTime:
+    def to_gps(self) -> GpsTime:
         """Convert to GPS time, the inverse of `GpsTime.to_utc`; a leap second itself counts as the next."""
-        if leap_s is not None:
-            return GpsTime(self.ns - GPS_EPOCH_NS + leap_s * SECOND_NS)
         _refuse_expired(self)
         civil = self.ns - GPS_EPOCH_NS
         before, after = (civil + _offset_ns(civil + late) for late in (0, 60 * SECOND_NS))
@@ -128,7 +108,7 @@ class UtcTime(Instants):
 
     def iso(self) -> list[str]:
         """Return calendar dates, UTC, to the millisecond, for messages."""
-        return [_calendar(ns) for ns in self.ns.tolist()]
+        return _calendar(self.ns)
 
 
 def leap_seconds(time: GpsTime) -> Integers:
@@ -145,11 +125,10 @@ def _refuse_expired(time: UtcTime) -> None:
     if len(time) and int(time.ns.max()) >= last:
         raise InputMalformedError(
             f"the table of leap seconds ends on {EXPIRES}, a time in the data is later",
-            remedy="give the leap seconds that the receiver reports, or a newer version of the table",
+            remedy="update the package tzdata, which has the table",
         )
 
 
-def _calendar(unix_ns: int) -> str:
-    seconds, rest = divmod(unix_ns, SECOND_NS)
-    stamp = dt.datetime(1970, 1, 1, tzinfo=dt.UTC) + dt.timedelta(seconds=seconds)
-    return f"{stamp:%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d}"
+def _calendar(unix_ns: Integers) -> list[str]:
+    stamps = np.datetime_as_string(unix_ns.astype("datetime64[ns]"), unit="ms")
+    return [stamp.replace("T", " ") for stamp in stamps.tolist()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,20 +22,14 @@ from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
 from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
-from photocal.navigation.time_sync import TimeSync, VehicleClocks, vehicle_clocks
+from photocal.navigation.time_sync import Received, TimeSync, VehicleClocks, vehicle_clocks
 
 _STRAY_NS = 5_000_000_000
 _MILLISECOND_NS = 1_000_000
 # Logs from an autopilot's card take UTC from when positions of its receiver were noted: late by up to 0.1 s.
 _CARD_SIGMA_S = 0.05
-_KINDS = (
-    "GLOBAL_POSITION_INT",
-    "ATTITUDE",
-    "ATTITUDE_QUATERNION",
-    "SYSTEM_TIME",
-    "TIMESYNC",
-    "GPS_RAW_INT",
-)
+_TRACKS = ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
+_KINDS = (*_TRACKS, "SYSTEM_TIME", "TIMESYNC", "GPS_RAW_INT")
 
 
 @dataclass(frozen=True)
@@ -43,13 +38,11 @@ class VehicleTrack:
 
     position_time: by the autopilot's clock, never by arrival.
     position_host: arrival of the positions.
-    lat_deg, lon_deg, height_msl_m, height_rel_m (n,): height above sea level as the autopilot computes it,
-        and above the take-off.
+    lat_deg, lon_deg, height_msl_m (n,): height above sea level as the autopilot computes it.
     attitude: rotations; of ATTITUDE and ATTITUDE_QUATERNION the one with more messages.
     clock_sigma_s: standard deviation of the autopilot's UTC.
     clocks: what is known of its clock and that of the recording computer.
     geoid_m: height above the ellipsoid less height above sea level that the autopilot's GNSS receiver tells.
-    untimed: messages without a time of the autopilot, left out.
     clock: UTC of its time since boot.
     sync: its time since boot against the recording computer's clock.
     mounting: what its parameters tell of antenna and camera mount.
@@ -60,12 +53,10 @@ class VehicleTrack:
     lat_deg: Floats
     lon_deg: Floats
     height_msl_m: Floats
-    height_rel_m: Floats
     attitude: AttitudeTrack | None
     clock_sigma_s: float = 0.0
     clocks: list[ComparedClocks] = field(default_factory=list)
     geoid_m: float | None = None
-    untimed: int = 0
     clock: AutopilotClock | None = None
     sync: TimeSync | None = None
     mounting: Mounting = field(default_factory=lambda: Mounting(()))
@@ -79,7 +70,7 @@ class _Received:
     device: list[Integers] = field(default_factory=list)
     fields: list[NDArray[Any]] = field(default_factory=list)
 
-    def joined(self) -> tuple[Integers, Integers, NDArray[Any]] | None:
+    def joined(self) -> Received | None:
         if not self.fields:
             return None
         return np.concatenate(self.host), np.concatenate(self.device), np.concatenate(self.fields)
@@ -95,27 +86,21 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
         return _of_topics(log, link or "vehicle")
     clocks = vehicle_clocks(found["SYSTEM_TIME"].joined(), found["TIMESYNC"].joined(), gnss)
     clock = clocks.clock
-    untimed = 0
-    tracks: dict[str, tuple[Integers, Integers, NDArray[Any]] | None] = {}
-    for name in ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION"):
-        tracks[name], lost = _timed(found[name], clocks)
-        untimed += lost
+    tracks = {name: _timed(found[name], clocks) for name in _TRACKS}
     p = tracks["GLOBAL_POSITION_INT"]
     none = np.empty(0, np.int64)
-    scale = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3, "relative_alt": 1e-3}
-    columns = {key: np.empty(0) if p is None else p[2][key] * unit for key, unit in scale.items()}
+    scale = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3}
+    lat, lon, height = (np.empty(0) if p is None else p[2][key] * unit for key, unit in scale.items())
     return VehicleTrack(
         UtcTime(none if p is None else p[1]).to_gps(),
         HostTime(none if p is None else p[0]),
-        columns["lat"],
-        columns["lon"],
-        columns["alt"],
-        columns["relative_alt"],
+        lat,
+        lon,
+        height,
         _attitude(tracks),
         0.0 if clock is None else clock.sigma_s,
         clocks.compared,
         _geoid(found["GPS_RAW_INT"]),
-        untimed,
         clock,
         clocks.sync,
         told_mounting(log, link or "vehicle"),
@@ -124,14 +109,12 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
 
 def _of_topics(log: FlightLog, link: str) -> VehicleTrack:
     utc, host, place = decoded_positions(log, link)
-    unknown = np.full(len(utc), np.nan)
     return VehicleTrack(
         UtcTime(utc).to_gps(),
         HostTime(host),
         place[:, 0],
         place[:, 1],
         place[:, 2],
-        unknown,
         decoded_attitude(log, link),
         _CARD_SIGMA_S,
         mounting=told_mounting(log, link),
@@ -149,7 +132,7 @@ def _received(log: FlightLog, link: str | None) -> dict[str, _Received]:
             got = decode(batch, kind, dialect)
             if not len(got):
                 continue
-            if owner is None and name in ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION"):
+            if owner is None and name in _TRACKS:
                 owner = int(got.system[0])
             own = np.ones(len(got), bool) if owner is None else got.system == owner
             into = found[name]
@@ -159,13 +142,11 @@ def _received(log: FlightLog, link: str | None) -> dict[str, _Received]:
     return found
 
 
-def _timed(
-    received: _Received, clocks: VehicleClocks
-) -> tuple[tuple[Integers, Integers, NDArray[Any]] | None, int]:
-    """Return arrival, UTC and fields in the order of UTC, and how many messages had no time."""
+def _timed(received: _Received, clocks: VehicleClocks) -> Received | None:
+    """Return arrival, UTC and fields in the order of UTC, without the messages that had no time."""
     joined = received.joined()
     if joined is None:
-        return None, 0
+        return None
     host, device, fields = joined
     # Where the device told no time the log repeats the time of arrival.
     timed = np.ones(len(host), bool) if clocks.clock is not None and not clocks.told else host != device
@@ -175,10 +156,10 @@ def _timed(
     if clocks.clock is not None and len(host):
         device, _ = clocks.clock.utc(fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS, host)
     _, first = np.unique(device, return_index=True)
-    return (host[first], device[first], fields[first]), int((~timed).sum())
+    return host[first], device[first], fields[first]
 
 
-def _attitude(tracks: dict[str, tuple[Integers, Integers, NDArray[Any]] | None]) -> AttitudeTrack | None:
+def _attitude(tracks: Mapping[str, Received | None]) -> AttitudeTrack | None:
     made = []
     angles = tracks["ATTITUDE"]
     if angles is not None and len(angles[0]):
@@ -205,10 +186,8 @@ def _geoid(received: _Received) -> float | None:
 
 
 def _strays(device: Integers) -> Flags:
-    """Tell which single times stand out of the order of arrival: damage that a checksum of 16 bits passed.
-
-    In a sequence that grows the middle of five is its own median.
-    """
+    """Tell which single times stand out of the order of arrival: damage that a checksum of 16 bits passed."""
+    # In a sequence that grows the middle of five is its own median.
     if len(device) < 5:
         return np.zeros(len(device), bool)
     padded = np.concatenate([device[:1].repeat(2), device, device[-1:].repeat(2)])

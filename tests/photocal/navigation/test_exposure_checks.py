@@ -178,7 +178,7 @@ def evidence(path: Trajectory, late_s: float = 0.0, **changed: object) -> Eviden
     place = rng.normal(0, 0.3, (n, 2)) / 1.1e5
     vehicle = VehicleTrack(
         late, HostTime(late.ns), truth.lat_deg + place[:, 0], truth.lon_deg + place[:, 1],
-        truth.height_m - GEOID + rng.normal(1.5, 0.5, n), np.zeros(n), None,
+        truth.height_m - GEOID + rng.normal(1.5, 0.5, n), None,
     )  # fmt: skip
     rover = ReceiverRecording("rover", geoid_m=[GEOID + 0.7])
     ppk = {"base": {"up_off_code_solution_m": 1.0}}

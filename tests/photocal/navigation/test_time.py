@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import InputMalformedError
-from photocal.navigation.time import BootTime, GpsTime, HostTime, UtcTime, leap_seconds
+from photocal.navigation.time import WEEK_NS, GpsTime, HostTime, UtcTime, leap_seconds
 
 SECOND = 1_000_000_000
 
@@ -31,8 +31,7 @@ def unix_ns(text: str) -> int:
 )
 def test_published_epochs(utc: str, week: int, tow: int) -> None:
     gps = UtcTime(np.array([unix_ns(utc)])).to_gps()
-    weeks, seconds = gps.week_and_seconds()
-    assert (weeks[0], seconds[0]) == (week, tow)
+    assert gps.ns[0] == week * WEEK_NS + tow * 10**9
     assert GpsTime.from_week([week], [tow]) == gps
 
 
@@ -52,12 +51,11 @@ def test_the_table_knows_its_end() -> None:
     later = UtcTime(np.array([unix_ns("2031-01-01T00:00:00")]))
     with pytest.raises(InputMalformedError, match="leap seconds ends on"):
         later.to_gps()
-    assert later.to_gps(19).to_utc(19) == later
 
 
 def test_clocks_do_not_mix() -> None:
     one = np.array([1])
-    for other in (UtcTime(one), BootTime(one), HostTime(one)):
+    for other in (UtcTime(one), HostTime(one)):
         with pytest.raises(TypeError, match="convert first"):
             _ = GpsTime(one) - other  # type: ignore[operator]
         with pytest.raises(TypeError, match="cannot be compared"):
