@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.arrays import Floats, Integers
-from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.kernels.data import Structure
@@ -26,7 +25,7 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
     """Give the minimum its statistics."""
     problem, state, normal = at.problem, at.state, at.normal
     network, structure = problem.network, problem.structure
-    inverse = selected_inverse(problem.layout.envelope, normal.matrix)
+    inverse = at.inverse
     point_covariance = np.zeros((len(state.points), 3, 3))
     residuals, redundancy = np.zeros((2, *network.rays.plane.shape))
     values = values_of(problem, state)

@@ -162,30 +162,38 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
 
 def _substitute(structure: Envelope, panels: list[Floats], x: Floats) -> None:
     """Solve in place: forward, then back."""
+    border = x[structure.band :]
     for j, panel in enumerate(panels):
-        rows, width = _rows(structure, j), int(structure.width[j])
-        if width == 0:
-            continue
-        top = structure.start(j) if j < len(structure.last) else structure.band
-        x[top : top + width] = blas.dtrsm(1.0, panel[:width].T, x[top : top + width], lower=0, trans_a=1)
-        x[rows] -= panel[width:] @ x[top : top + width]
+        here, rows, width = _places(structure, j)
+        if width:
+            x[here] = blas.dtrsm(1.0, panel[:width].T, x[here], lower=0, trans_a=1)
+            if j < len(structure.last):
+                split = width + rows.stop - rows.start
+                x[rows] -= panel[width:split] @ x[here]
+                border -= panel[split:] @ x[here]
     for j in reversed(range(len(panels))):
-        panel, rows, width = panels[j], _rows(structure, j), int(structure.width[j])
-        if width == 0:
-            continue
-        top = structure.start(j) if j < len(structure.last) else structure.band
-        part = x[top : top + width] - panel[width:].T @ x[rows]
-        x[top : top + width] = blas.dtrsm(1.0, panel[:width].T, part, lower=0)
+        panel, (here, rows, width) = panels[j], _places(structure, j)
+        if width:
+            part = x[here]
+            if j < len(structure.last):
+                split = width + rows.stop - rows.start
+                part = part - panel[width:split].T @ x[rows] - panel[split:].T @ border
+            x[here] = blas.dtrsm(1.0, panel[:width].T, part, lower=0)
+
+
+def _places(structure: Envelope, j: int) -> tuple[slice, slice, int]:
+    """Columns of panel j, the rows of the band below its diagonal block, and its width."""
+    top, width = structure.start(j) if j < len(structure.last) else structure.band, int(structure.width[j])
+    last = int(structure.last[j]) if j < len(structure.last) else top + width
+    return slice(top, top + width), slice(top + width, last), width
 
 
 def _rows(structure: Envelope, j: int) -> Integers:
     """Rows below the diagonal block of panel j."""
     if j == len(structure.last):
         return np.zeros(0, dtype=np.int64)
-    first = structure.start(j) + int(structure.width[j])
-    return np.concatenate(
-        [np.arange(first, structure.last[j]), np.arange(structure.band, structure.size)]
-    ).astype(np.int64)
+    _, rows, _ = _places(structure, j)
+    return np.concatenate([np.arange(rows.start, rows.stop), np.arange(structure.band, structure.size)])
 
 
 def selected_inverse(structure: Envelope, factor: Floats) -> Floats:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from drivers.arrays import Floats
 from photocal.adjustment.datum import Correction, correction, full_solution, with_datum
-from photocal.adjustment.envelope import factorise
+from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Normal, Problem, normal_equations, prepare
 from photocal.adjustment.rank import explain_singular
@@ -28,6 +29,11 @@ class Factored:
     state: State
     normal: Normal
     datum: Correction | None
+
+    @cached_property
+    def inverse(self) -> Floats:
+        """Selected inverse of the reduced system."""
+        return selected_inverse(self.problem.layout.envelope, self.normal.matrix)
 
 
 def factored(network: Network, state: State) -> Factored:

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.covariance import equation_covariance
-from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
@@ -129,37 +128,47 @@ class Member:
 def member_tests(at: Factored, solution: Solution) -> tuple[Member, ...]:
     """Test every observed position and every control point as one, whatever correlates its coordinates."""
     network, found = at.problem.network, list[Member]()
-    positions = network.positions
+    positions, points = network.positions, network.points
     if len(positions.image):
         rows = other_equations(at.problem, at.state)["position"]
-        inverse = selected_inverse(at.problem.layout.envelope, at.normal.matrix)
-        taken = equation_covariance(rows, at.problem.structure, inverse, 3)
-        root = np.linalg.cholesky(positions.covariance)
-        for k, residual in enumerate(rows.residual.reshape(-1, 3)):
-            image = int(positions.image[k])
-            found.append(_member("position", image, residual, taken[k], root[k], np.arange(3)))
-    observed = np.diagonal(network.points.weight, axis1=1, axis2=2) > 0
-    for j in np.flatnonzero(observed.any(axis=1)).tolist():
-        own = np.flatnonzero(observed[j])
-        square = np.ix_(own, own)
-        root_of_point = np.linalg.cholesky(np.linalg.inv(network.points.weight[j][square]))
-        back = np.linalg.inv(root_of_point)
-        residual = back @ (solution.points[j] - network.points.values[j])[own]
-        taken_of_point = back @ solution.point_covariance[j][square] @ back.T
-        found.append(_member("control", j, residual, taken_of_point, root_of_point, own))
+        taken = equation_covariance(rows, at.problem.structure, at.inverse, 3)
+        residual = rows.residual.reshape(-1, 3)
+        root = np.asarray(np.linalg.cholesky(positions.covariance), dtype=np.float64)
+        found += _members("position", positions.image, residual, taken, root, np.ones(residual.shape, bool))
+    observed = np.diagonal(points.weight, axis1=1, axis2=2) > 0
+    control = np.flatnonzero(observed.any(axis=1))
+    if len(control):
+        own = observed[control]
+        both = own[:, :, None] & own[:, None, :]
+        # What is not observed has a variance of 1 here, and nothing checks it.
+        variance = np.linalg.inv(np.where(both, points.weight[control], np.eye(3)))
+        root = np.asarray(np.linalg.cholesky(variance), dtype=np.float64)
+        back = np.linalg.inv(root)
+        off = np.where(own, solution.points[control] - points.values[control], 0.0)
+        spread = np.where(both, solution.point_covariance[control], np.eye(3))
+        taken = np.asarray(back @ spread @ np.swapaxes(back, 1, 2), dtype=np.float64)
+        found += _members("control", control, np.einsum("nab,nb->na", back, off), taken, root, own)
     return tuple(found)
 
 
-def _member(kind: str, index: int, residual: Floats, taken: Floats, root: Floats, own: Integers) -> Member:
-    """Test whitened residuals, computed less observed, whose adjusted values have the covariance `taken`."""
-    left, axes = np.linalg.eigh(np.eye(len(own)) - (taken + taken.T) / 2.0)
+def _members(
+    kind: str, index: Integers, residual: Floats, taken: Floats, root: Floats, observed: Flags
+) -> list[Member]:
+    """Test whitened residuals, computed less observed, whose adjusted values have the covariances `taken`."""
+    left, axes = np.linalg.eigh(np.eye(3) - (taken + np.swapaxes(taken, 1, 2)) / 2.0)
     checked = left > CHECKED
-    axes, left = axes[:, checked], left[checked]
-    whole = root @ axes
-    error, covariance = np.zeros(3), np.full((3, 3), np.inf)
-    error[own] = -whole @ (axes.T @ residual / left)
+    axes = axes * checked[:, None, :]
+    share = np.divide(1.0, left, out=np.zeros_like(left), where=checked)
+    along, whole = np.einsum("nab,na->nb", axes, residual), root @ axes
+    error = -np.einsum("nab,nb->na", whole, along * share)
     # What is not checked in one direction is not known in any that has part in it.
-    known = np.abs(root @ (np.eye(len(own)) - axes @ axes.T)).max(axis=1) < CHECKED * np.abs(root).max()
-    covariance[np.ix_(own[known], own[known])] = ((whole / left) @ whole.T)[np.ix_(known, known)]
-    statistic = float(np.sum((axes.T @ residual) ** 2 / left))
-    return Member(kind, index, error, covariance, statistic, len(left))
+    own = np.abs(root) * observed[:, :, None]
+    unchecked = np.abs(root - whole @ np.swapaxes(axes, 1, 2)).max(axis=2)
+    known = observed & (unchecked < CHECKED * own.max(axis=(1, 2))[:, None])
+    covariance = (whole * share[:, None, :]) @ np.swapaxes(whole, 1, 2)
+    covariance[~(known[:, :, None] & known[:, None, :])] = np.inf
+    statistic, dimensions = np.sum(along**2 * share, axis=1), checked.sum(axis=1)
+    return [
+        Member(kind, int(i), error[k], covariance[k], float(statistic[k]), int(dimensions[k]))
+        for k, i in enumerate(index)
+    ]

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 
 from tests.docs.rooms import modules
 
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in modules().items()}
 FILES = {"result.json", "residuals.csv", "residuals.parquet"}
 
 
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in modules().items()}
+
+
 def classes() -> Iterator[tuple[str, ast.ClassDef]]:
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 yield name, node
@@ -32,7 +37,7 @@ def test_the_files_of_a_result_are_named_in_its_room_only() -> None:
     """Who opens a file must name it: all others go through `photocal.results`."""
     named = {
         module
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and node.value in FILES
     }
@@ -69,7 +74,7 @@ def test_one_skew_matrix() -> None:
     """Nested lists with three zeros on the diagonal and the signs of a cross product."""
     found = [
         module
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.List)
         and len(node.elts) == 3

@@ -190,12 +190,8 @@ def gross_error(fit: Fit, level: float) -> Member | None:
     rated = list[tuple[float, Member]]()
     for kind in ("position", "control"):
         own = [one for one in tested if one.kind == kind]
-        variance = np.array([np.diag(one.covariance) for one in own]).reshape(-1, 3)
-        shares = np.array([one.error for one in own]).reshape(-1, 3) ** 2 / variance
-        for one, share in zip(own, shares, strict=True):
-            if (rest := redundancy[kind] - one.dimensions) >= FEWEST:
-                others = (shares.sum(axis=0) - share) / (len(own) - 1)
-                rated.append((_p_of_member(one, np.maximum(others, 1.0), rest), one))
+        if own:
+            rated += zip(_p_of_members(own, redundancy[kind]), own, strict=True)
     p_value, worst = min(rated, key=lambda pair: (pair[0], -pair[1].statistic), default=(1.0, None))
     if worst is None or len(tested) * p_value >= level:
         return None
@@ -207,15 +203,26 @@ def gross_error(fit: Fit, level: float) -> Member | None:
     return worst
 
 
-def _p_of_member(one: Member, scatter: Floats, rest: float) -> float:
-    """Probability of so large an error, where the variances of the axes are so many times those stated."""
+def _p_of_members(members: list[Member], redundancy: float) -> list[float]:
+    """Probability of so large errors, where all others tell how many times the variances are those stated."""
     from scipy import stats
 
-    known = np.isfinite(np.diag(one.covariance))
-    error, covariance = (one.error / np.sqrt(scatter))[known], one.covariance[np.ix_(known, known)]
-    dimensions = int(known.sum())
-    f = float(error @ np.linalg.solve(covariance, error)) / max(dimensions, 1)
-    return float(stats.f.sf(f, dimensions, rest)) if dimensions else 1.0
+    error, covariance = (
+        np.array([one.error for one in members]),
+        np.array([one.covariance for one in members]),
+    )
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    shares, known = error**2 / variance, np.isfinite(variance)
+    others = (shares.sum(axis=0) - shares) / max(len(members) - 1, 1)
+    error = np.where(known, error / np.sqrt(np.maximum(others, 1.0)), 0.0)
+    covariance = np.where(known[:, :, None] & known[:, None, :], covariance, np.eye(3))
+    dimensions = known.sum(axis=1)
+    square = np.einsum("na,na->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    rest = redundancy - np.array([one.dimensions for one in members])
+    asked = (dimensions > 0) & (rest >= FEWEST)
+    count = np.maximum(dimensions, 1)
+    p_value = np.where(asked, stats.f.sf(square / count, count, np.maximum(rest, FEWEST)), 1.0)
+    return [float(one) for one in p_value]
 
 
 def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:
