@@ -194,11 +194,7 @@ def value_class(
     errors: Mapping[str, tuple[tuple[str, ...], Floats]] | None = None,
     vegetated: Sample | None = None,
 ) -> ValueClass:
-    """Compute the class reached, and what goes by the class that was asked for.
-
-    height, vegetated: heights in open ground (NVA), which are held against the class, and in vegetated ground
-        (VVA), which are reported as they are.
-    """
+    """Compute the class reached, and what goes by the class that was asked for."""
     horizontal = _with_survey(plane, stated.survey_horizontal_m)
     vertical = _with_survey(height, stated.survey_vertical_m)
     wide, high = stated.target_horizontal_m, stated.target_vertical_m

@@ -56,10 +56,7 @@ class Discrepancies:
         return 0.0 - self.d_m
 
     def component(self, name: str) -> tuple[tuple[str, ...], Floats]:
-        """Give the values of one component with the names of their points.
-
-        returns values_m (k,): discrepancies, m.
-        """
+        """Give the values of one component with the names of their points."""
         return self._complete([COMPONENTS.index(name)], 0)
 
     def planimetric(self) -> tuple[tuple[str, ...], Floats]:

@@ -107,19 +107,13 @@ class LimitTable(Table):
         )
 
     def limits(self, size: float) -> tuple[ClassLimit, ...]:
-        """Give the limits by the rule.
-
-        size: scale denominator, or contour interval in m, as `basis` says.
-        """
+        """Give the limits by the rule."""
         return tuple(
             ClassLimit(limit.name, limit.pec_m * size, limit.ep_m * size) for limit in self.unit_limits
         )
 
     def limits_at(self, size: float) -> tuple[ClassLimit, ...]:
-        """Give the printed limits where the size is listed, otherwise those by the rule.
-
-        size: scale denominator, or contour interval in m, as `basis` says.
-        """
+        """Give the printed limits where the size is listed, otherwise those by the rule."""
         printed = {
             entry.limit.name: entry.limit
             for entry in self.published
@@ -128,10 +122,7 @@ class LimitTable(Table):
         return tuple(printed.get(limit.name, limit) for limit in self.limits(size))
 
     def interval_at(self, scale_denominator: float) -> float | None:
-        """Give the contour interval that the standard lists for a scale.
-
-        returns: interval in m; None where the scale is not listed or the table knows no intervals.
-        """
+        """Give the contour interval that the standard lists for a scale."""
         listed = [p.interval_m for p in self.published if p.scale_denominator == scale_denominator]
         return listed[0] if listed and self.basis == "interval" else None
 

@@ -83,11 +83,7 @@ def moments(values_m: Floats) -> Moments:
 
 
 def spread(values_m: Floats) -> Spread:
-    """Compute extremes, median and the robust standard deviation of one component.
-
-    values_m (n,): discrepancies, m, n at least 1.
-    returns: the figures in m. Normalised median absolute deviation after Hoehle and Hoehle 2009.
-    """
+    """Compute extremes, median and the robust standard deviation of one component."""
     median = float(np.median(values_m))
     return Spread(
         float(np.min(values_m)),
@@ -300,10 +296,7 @@ MOST_TESTED = 100
 
 
 def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
-    """Find the values that do not belong to the normal distribution of the others.
-
-    They are shown, never removed: a check point with a large error is the reason for checking.
-    """
+    """Find the values that do not belong to the normal distribution of the others."""
     if len(values_m) < SMALLEST_SAMPLE:
         return ()
     rows = np.arange(len(values_m))

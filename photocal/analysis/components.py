@@ -42,8 +42,6 @@ class Components:
 def principal_components(estimates: Estimates) -> Components:
     """Analyse the correlation matrix of parameters.
 
-    The correlations are used, not the covariances, because the parameters have different units.
-
     Tank study (Silva, UFPR, 1995), equation 78: loading = c_ij sqrt(lambda_j) / sigma_i, sigma_i = 1 here.
     """
     positive_definite(estimates)
@@ -97,10 +95,6 @@ class Proposal:
 
 def propose_removal(estimates: Estimates) -> Proposal:
     """Apply the removal rule of the tank study until the remaining parameters are distinct.
-
-    As many parameters leave in a round as there are negligible components; they are taken from those
-    that load together on one component, the least significant first, higher radial terms before lower ones.
-    The covariance without them follows from the inverse with their rows and columns deleted.
 
     Tank study (Silva, UFPR, 1995), section on the choice of additional parameters.
     """

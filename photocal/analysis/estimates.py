@@ -35,10 +35,7 @@ class Estimates:
         return self.covariance / np.outer(self.sigmas, self.sigmas)
 
     def indices(self, parameters: Iterable[str]) -> list[int]:
-        """Give the places of the named parameters.
-
-        raises ConfigurationError: when a name is not among the parameters.
-        """
+        """Give the places of the named parameters."""
         place = {name: i for i, name in enumerate(self.names)}
         wanted = tuple(parameters)
         unknown = [name for name in wanted if name not in place]
@@ -86,13 +83,7 @@ def scaled(estimates: Estimates, variance_factor: float) -> Estimates:
 
 
 def without(estimates: Estimates, removed: Iterable[str]) -> tuple[Estimates, float]:
-    """Take parameters out of the adjustment: hold them at zero, and let the others follow.
-
-    Deleting a parameter from an adjustment deletes its row and column of the reduced normal
-    matrix, the inverse of the covariance: exact for a linear model, a prediction for ours.
-
-    raises IllPosedError: when the covariance of the removed parameters is not positive definite.
-    """
+    """Take parameters out of the adjustment: hold them at zero, and let the others follow."""
     out = estimates.indices(removed)
     stay = [i for i in range(len(estimates.names)) if i not in out]
     S, x = estimates.covariance, estimates.values
@@ -178,11 +169,7 @@ def f_test(
 
 
 def significance(estimates: Estimates, degrees_of_freedom: float, alpha: float = 0.10) -> tuple[FTest, ...]:
-    """Test every parameter alone, the usual groups, and the radial terms one after the other.
-
-    estimates: parameters with their covariance, scaled by the a posteriori variance of unit weight.
-    raises IllPosedError: when the covariance of a group is not positive definite.
-    """
+    """Test every parameter alone, the usual groups, and the radial terms one after the other."""
     single = [((name,), "single") for name in estimates.names]
     groups = [(_estimated(group, estimates), "group") for group in GROUPS]
     cumulative = [(group, "cumulative") for group in CUMULATIVE if set(group) <= set(estimates.names)]

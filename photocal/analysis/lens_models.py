@@ -51,11 +51,7 @@ class LensFit:
 
 
 def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]) -> tuple[LensFit, ...]:
-    """Fit every model to the rays of one camera; the one that it has comes first, then the better ones.
-
-    A model that the rays do not determine, also without a group of images, is not listed, and neither is one
-    whose coefficients a prior holds.
-    """
+    """Fit every model to the rays of one camera; the one that it has comes first, then the better ones."""
     own = fitted.network.cameras[camera].with_values(fitted.state.cameras[camera])
     if not any(name in own.free for name in own.lens.terms) or own.focus_m or own.photo_variant:
         return ()

@@ -178,10 +178,7 @@ def _some_pairs(images: int) -> list[tuple[int, int]]:
 
 
 def _from_right_angle(between: Floats) -> float:
-    """Give the distance of the roll between two photographs from 90 or 270 degrees, deg.
-
-    The roll is the twist about the optical axis in the decomposition of the rotation into swing and twist.
-    """
+    """Give the distance of the roll between two photographs from 90 or 270 degrees, deg."""
     twist = 2.0 * np.arctan2(between[0, 1] - between[1, 0], 1.0 + np.trace(between))
     return float(abs(90.0 - abs(np.degrees(np.arctan2(np.sin(twist), np.cos(twist))))))
 

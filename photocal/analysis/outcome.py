@@ -58,11 +58,7 @@ class Effect:
 
 
 def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tuple[Effect, ...]:
-    """Give the effect of every parameter but c, and of the usual groups.
-
-    reach: largest distance of an observation from the image centre, in the unit of the camera: beyond it
-        nothing determined the distortion.
-    """
+    """Give the effect of every parameter but c, and of the usual groups."""
     names = [name for name in estimates.names if name != "c"]
     groups = [tuple(name for name in group if name in names) for group in GROUPS]
     wanted = [(name,) for name in names] + [group for group in groups if len(group) > 1]

@@ -67,11 +67,7 @@ def groups_of(fit: Fit) -> list[Flags]:
 
 
 def state_without(fit: Fit, removals: Removals, out: Flags) -> State:
-    """Leave images out of a minimum: near it where the way is short, else adjusted anew.
-
-    returns: as large as before; what was left out keeps its values.
-    raises IllPosedError, NotConvergedError: when the rest is not determined.
-    """
+    """Leave images out of a minimum: near it where the way is short, else adjusted anew."""
     nearby = removals.without(out, NEAR)
     if nearby is not None:
         return nearby.state
@@ -151,9 +147,6 @@ def bootstrap(
     fit: Fit, draws: int, rng: np.random.Generator, done: Callable[[], None] = lambda: None
 ) -> Floats:
     """Adjust blocks whose images were drawn with replacement: spread of all camera parameters, (cameras, 14).
-
-    An image that is drawn twice counts twice, with all of its observations. Draws that leave something
-    undetermined are left out.
 
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.
     """

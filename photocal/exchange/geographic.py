@@ -87,11 +87,7 @@ def write_kml(path: Path, given: Reconstruction, to_geographic: ToGeographic) ->
 
 
 def footprints(given: Reconstruction, height_m: float) -> Floats:
-    """Corners of each image on a horizontal plane.
-
-    returns (images, 4, 3): from the upper-left corner clockwise in the image; NaN for images that look past
-        the plane.
-    """
+    """Corners of each image on a horizontal plane."""
     rotation, _ = to_vision(given.poses)
     corners = np.full((len(given.poses), 4, 3), np.nan)
     for k, pose in enumerate(given.poses):
@@ -110,11 +106,7 @@ def footprints(given: Reconstruction, height_m: float) -> Floats:
 def features(
     given: Reconstruction, to_geographic: ToGeographic
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Give exposures, footprints on the median height of the points, and points.
-
-    yields properties: kind (exposure, footprint, or the role of a point), name, and figures with their unit
-        in the name.
-    """
+    """Give exposures, footprints on the median height of the points, and points."""
     exposures = to_geographic(given.poses[:, 3:])
     for k, name in enumerate(given.image_names):
         angles = dict(

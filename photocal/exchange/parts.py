@@ -84,11 +84,7 @@ def observations(
     unit: Literal["px", "mm"],
     axes: Literal["pixel", "photo"],
 ) -> Observations:
-    """Collect image observations.
-
-    raises InputMalformedError: for an unknown image or point, a point observed twice in an image, or a sigma
-        that is not positive.
-    """
+    """Collect image observations."""
     image_index = {name: k for k, name in enumerate(image_names)}
     point_index = {name: k for k, name in enumerate(point_names)}
     seen: set[tuple[str, str]] = set()
@@ -135,10 +131,7 @@ def block(
     datum: Literal["control", "free"] = "control",
     relations: Relations = NO_RELATIONS,
 ) -> Block:
-    """Put a block together; what is measured and not among the points is a tie point of unknown place.
-
-    raises InputMalformedError: for a point that is listed twice, and as `observations`.
-    """
+    """Put a block together; what is measured and not among the points is a tie point of unknown place."""
     entries = list(points)
     known = {entry.name for entry in entries}
     measured = dict.fromkeys(mark.point for mark in marks)

@@ -152,11 +152,7 @@ def _points(lines: list[Line]) -> list[tuple[str, Floats]]:
 
 
 def _smart_shift(ids: list[int]) -> tuple[int, int]:
-    """By how much the numbers of SmartPoints are raised, and the row of the first of them.
-
-    SmartPoints have numbers of their own, after the object points in the table; where they begin the
-    numbers fall.
-    """
+    """By how much the numbers of SmartPoints are raised, and the row of the first of them."""
     falls = [k for k in range(1, len(ids)) if ids[k] < ids[k - 1]]
     if len(falls) != 1:
         return 0, len(ids)
@@ -187,11 +183,7 @@ def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
 
 
 def read_positions(path: Path) -> dict[str, tuple[Floats, float]]:
-    """Read a table of camera positions: image, X, Y, Z, standard deviation of each coordinate.
-
-    returns: position and its standard deviation by image, m.
-    raises InputNotFoundError, InputMalformedError.
-    """
+    """Read a table of camera positions: image, X, Y, Z, standard deviation of each coordinate."""
     rows = list(read_rows(path, "label,x,y,z,sxyz", ("label", "x", "y", "z", "sxyz")))
     parts.require_unique([row.name("label") for row in rows], "image", path)
     return {

@@ -124,10 +124,7 @@ def number(cell: str, place: object, what: str) -> float:
 
 
 def numbers(text: str, place: object, what: str, count: int | None = None) -> list[float]:
-    """Read numbers separated by blanks.
-
-    raises InputMalformedError: for another count, or a cell that is no number.
-    """
+    """Read numbers separated by blanks."""
     cells = text.split()
     if count is not None and len(cells) != count:
         raise InputMalformedError(

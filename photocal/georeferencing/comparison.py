@@ -162,10 +162,7 @@ def _judge(
 
 
 def coarsely_placed(block: Block) -> bool:
-    """Whether nothing but navigation fixes, as pictures state them, places a block.
-
-    They are older than the exposure, and their errors last: both look like lever arms and shifts of strips.
-    """
+    """Whether nothing but navigation fixes, as pictures state them, places a block."""
     sigma = block.images.sigma[:, 3:]
     stated = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)]
     none_else = not len(block.positions.image) and not block.points.of_role("control").any()

@@ -99,11 +99,7 @@ def with_calibration(block: Block, calibration: Calibration) -> Block:
 
 
 def joint_covariance(calibration: Calibration, common: int) -> Floats:
-    """Give the covariance of all common values of a block and its cameras.
-
-    common: number of the block's common values; shifts and drifts of its strips are taken as known.
-    returns (common + n parameters, common + n parameters).
-    """
+    """Give the covariance of all common values of a block and its cameras."""
     size = len(calibration.covariance)
     at = np.concatenate([np.arange(STRIPS), common + np.arange(size - STRIPS)])
     joint = np.zeros((common + size - STRIPS, common + size - STRIPS))

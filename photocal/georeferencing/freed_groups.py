@@ -266,10 +266,7 @@ def stated_of_positions(block: Block) -> Floats:
 
 
 def positions_moved(block: Block, solution: Solution, one: Fault, stated: Floats) -> float:
-    """How far an error that was freed moves the positions, in stated sigmas; infinite where it does not.
-
-    What is not told surely counts for nothing. Of strips: each against the mean of the others.
-    """
+    """How far an error that was freed moves the positions, in stated sigmas; infinite where it does not."""
     own, given = block.positions, block.mounting.values
     if "positions" not in one.where or not len(own.image):
         return math.inf

@@ -198,11 +198,7 @@ class Mistyped:
 def mistyped_control(
     block: Block, given: Floats, to_given: Place = lambda local: local, system: str = "local"
 ) -> tuple[Block, tuple[Mistyped, ...]]:
-    """Find control points that contradict the other ones.
-
-    Nothing is named when more than three are in contradiction, or when others could be to blame as well:
-    then it is not the points.
-    """
+    """Find control points that contradict the other ones."""
     control = np.flatnonzero(block.points.of_role("control"))
     if len(control) < _FEWEST:
         return block, ()

@@ -71,11 +71,7 @@ def _points(points: ObjectPoints, frame: Frame) -> ObjectPoints:
 
 
 def as_mounted(block: Block) -> Block:
-    """Return the block with observed elements of images.csv as positions and attitudes.
-
-    Only so can a lever arm, a boresight or a shift be estimated from them. Blocks that have
-    positions or attitudes of their own are left as they are.
-    """
+    """Return the block with observed elements of images.csv as positions and attitudes."""
     if len(block.positions.image) or len(block.attitudes.image):
         return block
     sigma, values = block.images.sigma, block.images.values

@@ -160,10 +160,7 @@ def _scale(tries: tuple[Hypothesis, ...]) -> float:
 
 
 def as_good(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
-    """Give the other hypotheses that explain nearly all of what the best explains.
-
-    What contains it, and a shift of its own for each strip, is no other name for it.
-    """
+    """Give the other hypotheses that explain nearly all of what the best explains."""
     limit = min(best.gain - _AS_GOOD * _scale(tries), _SAME_GAIN * best.gain)
     silent = {best.name, *(one.code for one in FAULTS if one.each == "strip" or best.name in one.contains)}
     return tuple(one for one in tries if one.name not in silent and one.significant and one.gain >= limit)

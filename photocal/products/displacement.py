@@ -76,11 +76,7 @@ class Displacement:
 def displacement(
     right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: Frame, x: Floats, y: Floats
 ) -> Displacement:
-    """Follow ground points through the right image geometry and back through the wrong one.
-
-    x, y (n,): ground points, m.
-    raises ConfigurationError: when the two have different images, or none shows any of the points.
-    """
+    """Follow ground points through the right image geometry and back through the wrong one."""
     if right.names != wrong.names:
         raise ConfigurationError("the two orientations have different images", remedy="use one block")
     given = np.column_stack([x, y, terrain.at(x, y)])

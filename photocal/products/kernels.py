@@ -31,10 +31,7 @@ def move(
     room: Scratch,
     found: Floats,
 ) -> None:
-    """Move a place to where a rolling shutter records the point: the line tells the pose, and that the line.
-
-    u, v, w: point in camera axes in the middle of the readout.
-    """
+    """Move a place to where a rolling shutter records the point: the line tells the pose, that the line."""
     x, y, z = movement[m, 0], movement[m, 1], movement[m, 2]
     a = rotation[m, 0, 0] * x + rotation[m, 0, 1] * y + rotation[m, 0, 2] * z
     b = rotation[m, 1, 0] * x + rotation[m, 1, 1] * y + rotation[m, 1, 2] * z
@@ -71,10 +68,7 @@ def look_up(
     row: Floats,
     chosen: Integers,
 ) -> None:
-    """For every ground point choose the image with the best nadir and find the place in it.
-
-    movement (images, 6 or 21): during the readout of a rolling shutter, see `OrientedImages`.
-    """
+    """For every ground point choose the image with the best nadir and find the place in it."""
     room = kernel_scratch(0)
     found = np.zeros(2)
     count = len(candidates)

@@ -66,11 +66,7 @@ def image_border(camera: Camera, per_side: int = 64) -> Floats:
 
 
 def ideal_limit(camera: Camera) -> float:
-    """Largest ideal radius that lies in the image, in the camera's unit.
-
-    A polynomial from ideal to distorted coordinates turns back at some radius; what lies beyond would be
-    folded into the image and show the same ground twice.
-    """
+    """Largest ideal radius that lies in the image, in the camera's unit."""
     border = pixel_to_plane(camera.size_px, camera.pitch, image_border(camera))
     ideal = np.linalg.norm(undistorted(camera, border), axis=1)
     # The limit only spares work beyond the image, it must never cut into it.

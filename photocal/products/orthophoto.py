@@ -58,11 +58,7 @@ def candidates(shots: OrientedImages, borders: Floats, ground: Floats) -> Intege
 
 
 def footprints(shots: OrientedImages, frame: Frame, height: float) -> Bounds:
-    """Rectangle around what the images show at one height, in the terrain's coordinates.
-
-    height: of the terrain, m.
-    returns: west, south, east, north; images that look to the horizon count with their nadir only.
-    """
+    """Rectangle around what the images show at one height, in the terrain's coordinates."""
     given = frame.to_given(shots.station)
     nadir = frame.to_local(np.column_stack([given[:, :2], np.full(len(given), height)]))
     borders = border_directions(shots)
@@ -145,10 +141,7 @@ class Recipe:
     nodata: float
 
     def require_nodata(self) -> None:
-        """Refuse a value for nothing that the type of the pixels cannot hold, or at neither end of it.
-
-        raises ConfigurationError.
-        """
+        """Refuse a value for nothing that the type of the pixels cannot hold, or at neither end of it."""
         if self.dtype.startswith("float"):
             return
         limits = np.iinfo(np.dtype(self.dtype))

@@ -133,11 +133,7 @@ def _heights(dtm: Path, points: GroundPoints, kind: str | None, said: str | None
 
 
 def find_target(raster: RasterFile, place: Floats, diameter: float, search: float) -> Floats:
-    """Find a round target near a place in a raster.
-
-    The place of the best normalised correlation with a disc, then the centre of gravity of what stands out
-    from the surroundings there.
-    """
+    """Find a round target near a place in a raster."""
     import cv2
 
     cell = raster.transform[0]

@@ -54,15 +54,6 @@ def fit(
 ) -> Adjusted:
     """Fit a surface so that every point, corrected within its covariance, lies on it.
 
-    Each iteration linearises at the corrected points, so that the minimum is that of the weighted
-    distances and no approximation of them.
-
-    points (n, d): measured coordinates, m, near the origin.
-    covariance (n, d, d): covariance of each point, m2; different points are uncorrelated.
-    raises IllPosedError: for fewer points than parameters, or points that leave a parameter undetermined.
-    raises InputMalformedError: for a covariance that gives a condition no variance.
-    raises NotConvergedError: when the steps do not end.
-
     Helmert (1872); in the form of Pope (1972) with the misclosure reduced to the measured points.
     """
     residuals = np.zeros_like(points)

@@ -42,16 +42,7 @@ class Grid:
 
 
 def ground_points(x: Floats, y: Floats, terrain: Terrain, frame: Frame) -> Floats:
-    """Ground points of a window in local coordinates.
-
-    x (columns,).
-    y (rows,): of the cell centres, m.
-    frame: from the terrain's coordinates to local ones.
-    returns (rows * columns, 3): m; NaN without terrain.
-
-    The frame is evaluated on a lattice over the window at its lowest and highest height and interpolated:
-    over a window of a few hundred metres the curvature of the earth between two nodes is micrometres.
-    """
+    """Ground points of a window in local coordinates."""
     xs, ys = np.broadcast_to(x, (len(y), len(x))), np.broadcast_to(y[:, None], (len(y), len(x)))
     z = terrain.at(xs, ys)
     if not np.isfinite(z).any():
@@ -101,11 +92,7 @@ class Terrain:
     height_kind: str
 
     def at(self, x: Floats, y: Floats) -> Floats:
-        """Interpolate heights bilinearly.
-
-        x, y: m, of one shape.
-        returns: m; NaN outside the outermost cell centres and beside cells without height.
-        """
+        """Interpolate heights bilinearly."""
         a, b, c, d, e, f = self.transform
         determinant = a * e - b * d
         column = (e * (x - c) - b * (y - f)) / determinant - 0.5

@@ -54,10 +54,7 @@ WORDS = ("table", "figure", "page", "of", "contents")
 def certificate(
     run: Run, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
 ) -> Document:
-    """Compose the certificate.
-
-    raises InputMalformedError: when a figure cannot be right: it is not printed.
-    """
+    """Compose the certificate."""
     result = run.result
     known = tuple(derived_figures(run, camera_id, particulars) for camera_id in result.cameras)
     _refuse_impossible(known, say)

@@ -58,12 +58,7 @@ def limits(
     gsd_cm: float | None,
     dz_cm: float | None,
 ) -> tuple[Limit, ...]:
-    """Set each figure against its limit.
-
-    image_rmse_mm: root mean square of the image residuals in x and y, mm.
-    check_rmse_cm: planimetric and altimetric root mean square error of the check points, cm.
-    gsd_cm, dz_cm: their limits: ground sampling distance, expected altimetric accuracy.
-    """
+    """Set each figure against its limit."""
     x, y = image_rmse_mm if image_rmse_mm is not None else (None, None)
     plane, height = check_rmse_cm if check_rmse_cm is not None else (None, None)
     return (
@@ -211,11 +206,7 @@ def offsets(
     sigmas: tuple[float, float, float] | None,
     prior: float | None = None,
 ) -> Offsets | None:
-    """Make offsets of what is given; None unless values and standard deviations are.
-
-    values, sigmas: three components and their standard deviations.
-    prior: standard deviation beforehand.
-    """
+    """Make offsets of what is given; None unless values and standard deviations are."""
     return Offsets(values, sigmas, prior) if values is not None and sigmas is not None else None
 
 

@@ -110,10 +110,7 @@ def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
 
 
 def to_plane(camera: Camera, measured: Floats, residual: Floats, *, unit: str, axes: str) -> SensorResiduals:
-    """Turn observed coordinates and residuals into the image plane of a camera.
-
-    measured, residual (n, 2): in `unit` and `axes`.
-    """
+    """Turn observed coordinates and residuals into the image plane of a camera."""
     # Pitch in the unit of the observations per pixel, and in the unit of the camera per pixel.
     observed = np.array((1.0, 1.0) if unit == "px" else camera.pitch)
     pixels, vectors = measured / observed, residual / observed

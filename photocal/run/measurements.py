@@ -72,11 +72,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
 
 
 def with_points_on_the_ground(block: Block) -> Block:
-    """Give points without coordinates the place where their rays meet the level of the control points.
-
-    Rays of two neighbouring images, turned by what the attitude is wrong, may well meet behind the camera;
-    the ground is below it.
-    """
+    """Give points without coordinates the place where their rays meet the level of the control points."""
     level = float(np.nanmedian(block.points.values[:, 2]))
     seen = block.observations
     plane, _ = observed_plane(block)

@@ -223,9 +223,6 @@ def brown_from_pix4d(
 ) -> Camera:
     """Convert Pix4D's parameters in mm to a camera with the same distortion.
 
-    Pix4D evaluates its polynomial at ideal coordinates divided by f, with y down from the corner; so the
-    result is a `brown-ideal` camera and nothing is fitted: K_n = R_n / f^(2n), P1 = T2 / f, P2 = -T1 / f.
-
     Canon ELPH study (FCT-UNESP), box 1.
     """
     f = parameters["f"]

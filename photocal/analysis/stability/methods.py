@@ -60,12 +60,7 @@ def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Float
 
 
 def view(camera: Camera, pixels: Floats) -> View:
-    """Correct pixels by a calibration.
-
-    pixels (n, 2): column and row, px.
-    returns: ideal image coordinates and principal distance in units of the camera's own pixel width.
-    raises IllPosedError: when the distortion folds, so that pixels have no ray.
-    """
+    """Correct pixels by a calibration."""
     plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
     ideal = undistorted(camera, plane) / camera.pitch[0]
     if not np.all(np.isfinite(ideal)):

@@ -219,11 +219,7 @@ def of_sigma(search: Search) -> list[Finding]:
 
 
 def of_bias(search: Search) -> list[Finding]:
-    """Describe the bias of every c, when it is beyond its precision, formal and by images left out.
-
-    It is grave where it moves the object points of this block, too: else control or positions hold them, and
-    only who carries c to another flight is misled.
-    """
+    """Describe the bias of every c, when it is beyond its precision, formal and by images left out."""
     if search.last is search.first:
         return []
     listed = []
@@ -317,11 +313,7 @@ def of_jackknife(search: Search) -> list[Finding]:
 
 
 def _factor(fitted: Fit) -> float:
-    """Give the variance factor for judging: a posteriori, but never below 1.
-
-    Where the residuals are smaller than assumed the formal precision would become better than the one that
-    was promised, while hidden errors show in the parameters and not in the residuals.
-    """
+    """Give the variance factor for judging: a posteriori, but never below 1."""
     return max(1.0, fitted.solution.variance_factor)
 
 

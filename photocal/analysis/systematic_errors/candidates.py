@@ -216,11 +216,7 @@ def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
 
 
 def _rolling_shutter(network: Network, state: State, computed: Floats, camera: int) -> Floats | None:
-    """Give minus the image motion while the rows are read, for a readout as long as the exposure interval.
-
-    Only for exposures that follow one another at regular distances, in the order of the images: then
-    the distance to the next one stands for the velocity.
-    """
+    """Give minus the image motion while the rows are read, for a readout as long as the exposure interval."""
     mine = np.flatnonzero(network.exposures.camera == camera)
     if len(mine) < 5:
         return None
@@ -241,10 +237,7 @@ def _rolling_shutter(network: Network, state: State, computed: Floats, camera: i
 
 
 def _per_interval(centres: Floats) -> Floats | None:
-    """Give the way flown per exposure interval, (n, 3); zero where a line has only one exposure.
-
-    A step that is much longer or shorter than the usual one is a turn between lines, not flight.
-    """
+    """Give the way flown per exposure interval, (n, 3); zero where a line has only one exposure."""
     steps = np.diff(centres, axis=0)
     length = np.linalg.norm(steps, axis=1)
     typical = float(np.median(length))
@@ -316,8 +309,6 @@ def judged(fit: Fit, candidate: Candidate, amount: float, sigma: float, fall: fl
 
 def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
     """Probability of an amount that is none, by how the images differ about it; 1 where too few can be asked.
-
-    fit: with the amount corrected.
 
     The F test takes rays for independent. What matching, focus or a moving shutter do to one image they do to
     all of its rays, and the next image has it otherwise: a test over images as they are (Liang and Zeger

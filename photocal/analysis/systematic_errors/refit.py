@@ -50,11 +50,7 @@ class Fit:
 
 
 def fit(network: Network, state: State | None = None) -> Fit:
-    """Adjust a network with its statistics.
-
-    state: where to start; the network's own start values otherwise.
-    raises IllPosedError, NotConvergedError: as the adjustment does.
-    """
+    """Adjust a network with its statistics."""
     start = start_state(network) if state is None else state
     problem = with_datum(prepare(network), start)
     minimum = minimise(problem, start)

@@ -33,8 +33,6 @@ def variance_components(
 ) -> tuple[VarianceComponent, ...]:
     """Estimate the variance of groups of observations from their residuals and redundancy numbers.
 
-    names: names of the m groups.
-
     sigma_i^2 = v'Pv_i / r_i (Foerstner 1979, one step), judged by F with r_i and r - r_i degrees of freedom.
     """
     from scipy import stats

@@ -263,10 +263,7 @@ def _same(one: Candidate, other: Candidate) -> bool:
 
 
 def _groups(last: Fit, sigma: AssumedSigma) -> tuple[GroupTest, ...]:
-    """Test groups of observations, with the sigma of the rays that was found where it differs.
-
-    Where a group is far off, its residuals show its sigma only when it is weighted with it.
-    """
+    """Test groups of observations, with the sigma of the rays that was found where it differs."""
     ratio = sigma.found / sigma.assumed
     if sigma.p_value < LEVEL and abs(ratio - 1.0) > WRONG_SIGMA:
         last = fit(with_sigmas(last.network, ratio), last.state)

@@ -180,11 +180,7 @@ def _further(fit: Fit, fields: Floats) -> _Further:
 
 
 def gross_error(fit: Fit, level: float) -> Member | None:
-    """Find the worst of the positions and control points, where it contradicts all others at a level.
-
-    It is judged by the scatter of the others of its kind by axis, and for all of them having been looked at.
-    None where what positions have in common, all or those of a strip, explains more.
-    """
+    """Find the worst of the positions and control points, where it contradicts all others at a level."""
     tested = [one for one in member_tests(fit.factored, fit.solution) if one.dimensions]
     redundancy = {one.name: one.redundancy for one in fit.solution.groups}
     rated = list[tuple[float, Member]]()
@@ -280,12 +276,7 @@ class ImageShift:
 def image_shifts(
     fit: Fit, variance_factor: float, done: Callable[[], None] = lambda: None
 ) -> tuple[ImageShift, ...]:
-    """Test each image for a scale and a principal point of its own.
-
-    The most suspicious images, all of them in a small network, get them as unknowns beside all others. The
-    rest is tested by its residuals, from which only what the exterior orientation takes up is taken away:
-    that test alarms less often than its level says.
-    """
+    """Test each image for a scale and a principal point of its own."""
     screened = screened_shifts(fit, variance_factor)
     suspicious = sorted(screened, key=lambda one: one.p_value)[:MOST_JOINT]
     if len(screened) > MOST_JOINT:
@@ -347,11 +338,7 @@ def _own_geometry(plane: Floats) -> Floats:
 
 
 def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
-    """Test the residuals of each image for a scale and a principal point of its own.
-
-    What the exterior orientation of the image takes up is taken away first. Other unknowns are not, which
-    makes the test alarm less often than its level says.
-    """
+    """Test the residuals of each image for a scale and a principal point of its own."""
     from scipy import stats
 
     network, state = fit.network, fit.state
