@@ -164,14 +164,12 @@ def analyse(
 ) -> Outcome:
     """Look for what an adjustment hides: systematic errors, insignificant and correlated parameters."""
     from photocal.analysis.outcome import analyse_network
-    from photocal.analysis.systematic_errors.refit import Checks
     from photocal.block.network import assemble
+    from photocal.report.analysis_record import checks_of
     from photocal.results.adjusted import network_of
 
     assembly = assemble(block) if result is None else network_of(block, result)
-    rows = np.flatnonzero(block.points.of_role("check")[assembly.points])
-    checks = Checks(rows, assembly.frame.to_local(block.points.values[assembly.points[rows]]))
-    return analyse_network(assembly.network, checks, alpha, threshold)
+    return analyse_network(assembly.network, checks_of(block, assembly), alpha, threshold)
 
 
 def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = None) -> BlockCheck:

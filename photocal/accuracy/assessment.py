@@ -64,7 +64,6 @@ class ComponentResult:
 class VectorResult:
     """Plane or space vectors, or absolute height differences, summed up.
 
-    statistics: mean, root mean square and maximum of the lengths.
     probable_m: CE90 (plane) or LE90 (height) from the second moments, m; None in space.
     counted_m: length that 90 % of the points do not exceed, m.
     """

@@ -68,7 +68,6 @@ class AdmittedSize:
     """Smallest scale denominator, or contour interval in m, at which a class is reached.
 
     precision: by the chi-square test of the spread; None with a single point.
-    rmse: by RMSE within the standard error.
     share: by the 90 % rule; None when only moments are known.
     """
 

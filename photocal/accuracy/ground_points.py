@@ -29,10 +29,7 @@ _SAME_POINT_M = 0.005
 
 @dataclass(frozen=True)
 class GroundPoints:
-    """Ground points of one role, in one coordinate system.
-
-    xyz_m (n, 3): coordinates, m; NaN where not given.
-    """
+    """Ground points of one role, in one coordinate system."""
 
     names: tuple[str, ...]
     xyz_m: Floats

@@ -60,7 +60,6 @@ class LengthStatistics:
     """Lengths of residual vectors (2D or 3D) summed up in the two ways that the literature mixes.
 
     mean_m: arithmetic mean of the lengths, m. Smaller than, or equal to, the root mean square.
-    rms_m: root mean square of the lengths, m: the 2D or 3D RMSE.
     """
 
     n: int
@@ -177,9 +176,6 @@ class BiasTest:
     """Two-sided Student test of a mean against zero.
 
     t: mean over its standard deviation, with the sign of the mean; infinite when the spread is zero.
-    critical: value that |t| must stay below.
-    confidence: two-sided level of confidence, 0 to 1.
-    p_value: probability of a larger |t| without bias.
     """
 
     t: float
@@ -195,11 +191,7 @@ class BiasTest:
 
 @dataclass(frozen=True)
 class PrecisionTest:
-    """One-sided chi-square test of a standard deviation against a required one.
-
-    chi_squared: degrees of freedom times the ratio of the variances.
-    critical: value that it must stay below.
-    """
+    """One-sided chi-square test of a standard deviation against a required one."""
 
     chi_squared: float
     critical: float
@@ -213,11 +205,7 @@ class PrecisionTest:
 
 @dataclass(frozen=True)
 class NormalityTest:
-    """Shapiro-Wilk test of normality.
-
-    w: statistic of Shapiro and Wilk, 1 for normal data.
-    p_value: probability of a smaller value for normal data.
-    """
+    """Shapiro-Wilk test of normality."""
 
     w: float
     p_value: float
@@ -328,7 +316,6 @@ def critical_deviate(n: int, confidence: float) -> float:
 class SimilarityTrend:
     """Scale, rotation and shift that explain planimetric discrepancies best.
 
-    shift_m: east and north part at the centre of the points, m.
     scale: by which the product is too large: 0.01 is 1 %.
     rotation_rad: by which the product is turned counter-clockwise, rad.
     rmse_left_m: planimetric root mean square (over n) of what it does not explain, m.

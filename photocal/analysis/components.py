@@ -24,7 +24,6 @@ ORDER_OF_LEAVING = ("K4", "K3", "P4", "P3", "K2", "B2", "B1", "P2", "P1", "K1")
 class Components:
     """Principal components of correlated parameters.
 
-    names: the p parameters.
     eigenvalues (p,): of the correlation matrix, largest first; their sum is p.
     percent, cumulative_percent (p,): share of each component in the sum.
     vectors (p, p): eigenvectors, one a column.
@@ -59,10 +58,8 @@ def principal_components(estimates: Estimates) -> Components:
 class RemovalStep:
     """One round of the removal rule.
 
-    components: what the rule looked at.
     negligible: number of last components that hold less than the negligible share together.
     crowd: parameters that cannot be told apart in this round.
-    removed: those of the crowd that leave.
     statistic: x' S^-1 x / p of the removed ones: large when they are needed although correlated; nan without
         values.
     """
@@ -78,11 +75,7 @@ class RemovalStep:
 class Proposal:
     """What the removal rule ends with.
 
-    steps: the rounds in which something was removed.
-    removed, kept: parameters that the rule leaves out and keeps.
     recommended: those of the removed that are worth leaving out: not needed, or of unknown significance.
-    final: components of the kept parameters.
-    remarks: the proposal, one for each round and those of the end.
     """
 
     steps: tuple[RemovalStep, ...]

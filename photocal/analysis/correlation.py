@@ -39,8 +39,6 @@ UNKNOWN = "unknown"
 class StrongCorrelation:
     """Two parameters that the network separates badly.
 
-    first, second: the parameters.
-    value: their correlation.
     cause: code of why, with what would separate them.
     """
 
@@ -126,9 +124,7 @@ ELEMENTS = ("omega", "phi", "kappa", "X0", "Y0", "Z0")
 class ExteriorCorrelation:
     """A camera parameter and an element of the exterior orientation that the network separates badly.
 
-    parameter, element: the two.
     image: where the correlation is largest.
-    value: the correlation there.
     images: number of images in which it is over the threshold.
     cause: code of why, with what would separate them.
     """

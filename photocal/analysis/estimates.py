@@ -13,12 +13,7 @@ from drivers.errors import ConfigurationError, IllPosedError
 
 @dataclass(frozen=True)
 class Estimates:
-    """Parameters of an adjustment with their covariance.
-
-    names: names of the p parameters, in the order of the arrays.
-    values (p,): estimated values, each in its own unit.
-    covariance (p, p): their covariance, in products of those units.
-    """
+    """Parameters of an adjustment with their covariance."""
 
     names: tuple[str, ...]
     values: Floats
@@ -127,10 +122,6 @@ class FTest:
     """Outcome of one test of "these parameters are zero".
 
     kind: "single", "group" or "cumulative".
-    parameters: the p parameters tested together.
-    statistic, critical: F and its critical value, dimensionless.
-    p_value: probability of an F at least as large if the parameters were zero.
-    significant: whether the statistic reaches the critical value.
     """
 
     kind: str
@@ -171,11 +162,7 @@ def f_test(
 def significance(estimates: Estimates, degrees_of_freedom: float, alpha: float = 0.10) -> tuple[FTest, ...]:
     """Test every parameter alone, the usual groups, and the radial terms one after the other."""
     single = [((name,), "single") for name in estimates.names]
-    groups = [(_estimated(group, estimates), "group") for group in GROUPS]
+    groups = [(tuple(n for n in group if n in estimates.names), "group") for group in GROUPS]
     cumulative = [(group, "cumulative") for group in CUMULATIVE if set(group) <= set(estimates.names)]
     wanted = single + [(names, kind) for names, kind in groups if len(names) > 1] + cumulative
     return tuple(f_test(estimates, names, degrees_of_freedom, alpha, kind) for names, kind in wanted)
-
-
-def _estimated(group: tuple[str, ...], estimates: Estimates) -> tuple[str, ...]:
-    return tuple(name for name in group if name in estimates.names)

@@ -11,7 +11,7 @@ from drivers.arrays import Flags, Integers
 from drivers.errors import IllPosedError, InputMalformedError, NotConvergedError
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS
 from photocal.adjustment.near import Removals
-from photocal.adjustment.network import NO_RELATIONS, Network
+from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.state import State
 from photocal.analysis.robust import NEAR, state_without
 from photocal.analysis.systematic_errors.refit import Checks, Fit, fit, lowest
@@ -34,12 +34,9 @@ ALIKE = 4.0
 class LensFit:
     """One model of the lens of a camera, all others unchanged.
 
-    terms: its estimated coefficients.
-    chi_squared: v'Pv of the whole network.
     left_out: root mean square of the standardised residuals of images that were left out, oriented on the
         points and with the lens of the others; NaN where no image could be.
     change_of_c: c with it less c as adjusted, in the unit of the camera: fisheyes have another.
-    check_rmse_m: of the check points in X, Y, Z.
     """
 
     model: Model
@@ -63,7 +60,9 @@ def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]
         return ()
     for model in MODELS:
         try:
-            other = fit(_with_lens(fitted.network, camera, _alternative(own, model)), fitted.state)
+            cameras = list(fitted.network.cameras)
+            cameras[camera] = _alternative(own, model)
+            other = fit(replace(fitted.network, cameras=tuple(cameras)), fitted.state)
             fits.append(_judged(other, camera, own, groups, checks))
         except (IllPosedError, NotConvergedError, InputMalformedError):
             continue
@@ -130,11 +129,6 @@ def _alternative(own: Camera, model: Model) -> Camera:
     free = np.array([name in terms | kept for name in PARAMETERS])
     prior = np.where(np.isin(PARAMETERS, ["x0", "y0", "readout"]), own.prior_sigma, np.inf)
     return replace(made, estimated=free, prior_sigma=prior, prior_correlation=None)
-
-
-def _with_lens(network: Network, camera: int, own: Camera) -> Network:
-    cameras = tuple(own if k == camera else one for k, one in enumerate(network.cameras))
-    return replace(network, cameras=cameras)
 
 
 def _judged(fitted: Fit, camera: int, own: Camera, groups: list[Integers], checks: Checks) -> LensFit:

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Floats
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.findings.finding import Finding
@@ -32,7 +32,6 @@ METHODS = ("convergent", "mixed-ranges", "self-calibration", "on-the-job")
 class Shape:
     """What counts about the geometry of a network.
 
-    images: number of photographs.
     convergence_deg: largest angle between two optical axes.
     roll_deg: the roll between two photographs that comes nearest to 90 degrees (or 270), as its distance from
         it.
@@ -40,7 +39,6 @@ class Shape:
     height_ratio: largest over smallest median distance of a photograph.
     constraints: observed or held coordinates of points and exposures, observations between points, and the
         inner constraints of a free network: what carries the datum.
-    control_points: points with surveyed coordinates.
     quadrants: quarters of the object, seen from its middle, that have control.
     control_share: area of the control's hull over that of all points.
     """
@@ -62,7 +60,6 @@ class MethodCheck:
 
     method: one of `METHODS`.
     requirements: everything that it asks for, passed or a note; `texts.need_words` says it.
-    met: whether the network satisfies the method.
     """
 
     method: str
@@ -80,11 +77,14 @@ def shape(network: Network, state: State) -> Shape:
     low, middle, high = np.percentile(distance, [5, 50, 95])
     known = network.points.held | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0.0)
     control = np.flatnonzero(known.any(axis=1))
-    pairs = _some_pairs(len(axes))
+    # All pairs of images, or those of 60 evenly chosen ones.
+    chosen = sorted({round(i) for i in np.linspace(0, len(axes) - 1, min(len(axes), 60))})
+    pairs = list(combinations(chosen, 2))
     angles = [float(np.degrees(np.arccos(np.clip(axes[i] @ axes[j], -1.0, 1.0)))) for i, j in pairs]
     rolls = [_from_right_angle(state.rotation[i] @ state.rotation[j].T) for i, j in pairs]
     inner = 0 if network.datum_points is None else DATUM_CONSTRAINTS
     flat = _across(state.points, axes)
+    whole, middle_of_object = _hull_area(flat), (flat.min(axis=0) + flat.max(axis=0)) / 2.0
     return Shape(
         len(axes),
         max(angles, default=0.0),
@@ -93,8 +93,8 @@ def shape(network: Network, state: State) -> Shape:
         float(median.max() / median.min()),
         int(known.sum() + np.isfinite(network.exposures.sigma).sum() + len(network.relations.kind) + inner),
         len(control),
-        _quadrants(flat, control),
-        _share(flat, control),
+        len({(bool(a), bool(b)) for a, b in flat[control] > middle_of_object}),
+        _hull_area(flat[control]) / whole if whole > 0.0 else 0.0,
     )
 
 
@@ -103,18 +103,22 @@ def check_method(method: str, found: Shape) -> MethodCheck:
 
     Requirements after Brown (1971, 1989) and Merchant (1972), as the Canon ELPH study lists them.
     """
-    needed = {
-        "convergent": (_photographs, _convergence, _roll),
-        "mixed-ranges": (_photographs, _ranges, _roll),
-        "self-calibration": (_photographs, _roll, _datum, _convergence_or_ranges),
-        "on-the-job": (_photographs, _control, _around, _convergence_or_ranges),
+    photographs = _at_least("photographs", found.images, PHOTOGRAPHS)
+    datum = _at_least("datum", found.constraints, DATUM_CONSTRAINTS)
+    control = _at_least("control", found.control_points, CONTROL_POINTS)
+    quarters = {"quarters": float(found.quadrants), "share": found.control_share, "needed": COVERED}
+    spread = found.quadrants == 4 and found.control_share >= COVERED
+    around = _needed("around", met=spread, figures=quarters)
+    tilted, mixed, roll = _convergence(found), _ranges(found), _roll(found)
+    figures = {**tilted.figures, **mixed.figures}
+    either = _needed("height-separated", met=_met(tilted) or _met(mixed), figures=figures)
+    requirements = {
+        "convergent": (photographs, tilted, roll),
+        "mixed-ranges": (photographs, mixed, roll),
+        "self-calibration": (photographs, roll, datum, either),
+        "on-the-job": (photographs, control, around, either),
     }[method]
-    requirements = tuple(one(found) for one in needed)
     return MethodCheck(method, requirements, all(_met(one) for one in requirements))
-
-
-def _photographs(found: Shape) -> Finding:
-    return _at_least("photographs", found.images, PHOTOGRAPHS)
 
 
 def _convergence(found: Shape) -> Finding:
@@ -138,26 +142,6 @@ def _ranges(found: Shape) -> Finding:
     return _needed("mixed-ranges", met=met, figures=figures)
 
 
-def _convergence_or_ranges(found: Shape) -> Finding:
-    tilted, mixed = _convergence(found), _ranges(found)
-    return _needed(
-        "height-separated", met=_met(tilted) or _met(mixed), figures={**tilted.figures, **mixed.figures}
-    )
-
-
-def _datum(found: Shape) -> Finding:
-    return _at_least("datum", found.constraints, DATUM_CONSTRAINTS)
-
-
-def _control(found: Shape) -> Finding:
-    return _at_least("control", found.control_points, CONTROL_POINTS)
-
-
-def _around(found: Shape) -> Finding:
-    figures = {"quarters": float(found.quadrants), "share": found.control_share, "needed": COVERED}
-    return _needed("around", met=found.quadrants == 4 and found.control_share >= COVERED, figures=figures)
-
-
 def _needed(code: str, *, met: bool, figures: Mapping[str, float]) -> Finding:
     return Finding(code, "passed" if met else "note", figures=figures)
 
@@ -169,12 +153,6 @@ def _met(need: Finding) -> bool:
 def _at_least(code: str, found: float, needed: float, figures: Mapping[str, float] | None = None) -> Finding:
     both = {"found": float(found), "needed": float(needed)}
     return _needed(code, met=found >= needed, figures={**both, **(figures or {})})
-
-
-def _some_pairs(images: int) -> list[tuple[int, int]]:
-    """All pairs of images, or those of 60 evenly chosen ones."""
-    chosen = sorted({round(i) for i in np.linspace(0, images - 1, min(images, 60))})
-    return list(combinations(chosen, 2))
 
 
 def _from_right_angle(between: Floats) -> float:
@@ -192,17 +170,6 @@ def _across(points: Floats, axes: Floats) -> Floats:
         return np.asarray(points @ directions[:2].T)
     _, _, directions = np.linalg.svd((mean / length)[None, :])
     return np.asarray(points @ directions[1:].T)
-
-
-def _quadrants(flat: Floats, control: Integers) -> int:
-    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2.0
-    side = flat[control] > middle
-    return len({(bool(a), bool(b)) for a, b in side})
-
-
-def _share(flat: Floats, control: Integers) -> float:
-    whole = _hull_area(flat)
-    return _hull_area(flat[control]) / whole if whole > 0.0 else 0.0
 
 
 def _hull_area(flat: Floats) -> float:

@@ -25,7 +25,7 @@ from photocal.analysis.estimates import GROUPS, Estimates, FTest, scaled, signif
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
 from photocal.analysis.robust import MOST_REMOVALS, REMOVED_TOGETHER, apart, bootstrap, sandwich
-from photocal.analysis.stability.methods import Method, View, fitted_pose, rotation_misfit, sensor_grid, view
+from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit, sensor_grid, view
 from photocal.analysis.systematic_errors.camera_findings import of_datum
 from photocal.analysis.systematic_errors.candidates import Within, within_flight
 from photocal.analysis.systematic_errors.findings import findings
@@ -44,7 +44,6 @@ _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rot
 class Effect:
     """Effect of one or more parameters over the format.
 
-    parameters: parameters that are set to zero.
     largest_px, rms_px: displacement over the format when the others keep their values.
     remaining_largest_px, remaining_rms_px: the same when the others follow, as in an adjustment without these
         parameters, and the bundle is rotated back: what no other parameter can do.
@@ -84,7 +83,9 @@ def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixe
     if _has_ray(adjusted, pixels).all():
         # Without parameters that a weak flight mistakes for each other nothing brings the bundles together.
         with suppress(NotConvergedError):
-            left = _sizes(_difference(full, view(adjusted, pixels)))
+            other = view(adjusted, pixels)
+            pose, _ = fitted_pose(_ROTATION, rotation_misfit, full, other)
+            left = _sizes(rotation_misfit(full, other, pose))
     return Effect(removed, *alone, *left)
 
 
@@ -92,11 +93,6 @@ def _has_ray(camera: Camera, pixels: Floats) -> Flags:
     """Where the distortion of a camera does not fold, (n,)."""
     plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
     return np.asarray(np.isfinite(undistorted(camera, plane)).all(axis=1))
-
-
-def _difference(full: View, other: View) -> Floats:
-    pose, _ = fitted_pose(_ROTATION, rotation_misfit, full, other)
-    return rotation_misfit(full, other, pose)
 
 
 def _sizes(moved: Floats) -> tuple[float, float]:
@@ -110,9 +106,7 @@ class CameraAnalysis:
 
     variance_factor_of_tests: by which the covariance was scaled for them.
     significance: single, group and cumulative tests.
-    effects: over the format, px.
     correlations, correlations_with_exterior: over the threshold.
-    left_out: adjusted anew without each parameter.
     within_flight: c, x0 and y0 over the flight; empty for a few images.
     """
 
@@ -240,9 +234,6 @@ class Analysis:
     cameras: by name, as all that follows; None for one without estimated parameters.
     lens_models: the models compared, its own first; empty where nothing is left to explain.
     observation_sigma: of the image coordinates, assumed and found, in the unit of the image plane.
-    variance_components: of images, axes and cameras.
-    bootstrap_draws: how often images were drawn.
-    network: its geometry.
     result_sha256: digest of the result.json that it belongs to.
     """
 

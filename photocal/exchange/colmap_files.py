@@ -49,7 +49,6 @@ class Shot:
     """One image.
 
     quaternion, translation: from object to camera axes.
-    marks (n, 2).
     points (n,): keys of the points, or `NO_POINT`.
     """
 
@@ -66,8 +65,6 @@ class Shot:
 class Content:
     """A whole model.
 
-    keys (n,): of the points.
-    xyz (n, 3).
     errors (n,): mean reprojection error of each point, px.
     tracks (rays, 2): image key and position of the mark in that image, for each point.
     """

@@ -156,18 +156,12 @@ def _image_names(paths: dict[str, str]) -> dict[str, str]:
 
 
 def _used_cameras(root: Element, given: Element, path: Path) -> Iterator[DbatCamera]:
-    loaded = _initial_interior(root) == "loaded"
+    start = root.find("operations/operation/set_initial_values/io")
+    loaded = start is not None and (start.findtext("all") or start.text or "").strip() == "loaded"
     switches = _estimated_interior(root, path)
     for element in given.iterfind("cameras/camera"):
         camera = _camera(element, path, loaded)
         yield replace(camera, estimate=tuple(name for name in camera.estimate if name in switches))
-
-
-def _initial_interior(root: Element) -> str:
-    found = root.find("operations/operation/set_initial_values/io")
-    if found is None:
-        return "default"
-    return (found.findtext("all") or found.text or "default").strip()
 
 
 def _estimated_interior(root: Element, path: Path) -> set[str]:

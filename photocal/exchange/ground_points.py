@@ -37,7 +37,6 @@ class GroundMark:
     """A ground point seen in an image.
 
     xyz: in the file's coordinate system; geographic ones as longitude, latitude (deg), height (m).
-    column, row: px.
     """
 
     point: str

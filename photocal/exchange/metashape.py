@@ -250,7 +250,9 @@ def write_metashape(path: Path, given: Reconstruction, _: Choices | None = None)
         SubElement(sensor, "resolution", width=width, height=height)
         calibration = SubElement(sensor, "calibration", {"type": "frame", "class": "adjusted"})
         SubElement(calibration, "resolution", width=width, height=height)
-        for key, value in _frame(conversion.camera).items():
+        written, f = conversion.camera, conversion.camera.value("c")
+        for key, (name, sign, power) in TERMS.items():
+            value = sign * written.value(name) * f**power
             if value or key in ("f", "cx", "cy"):
                 SubElement(calibration, key).text = repr(value)
     rotation, translation = to_vision(given.poses)
@@ -280,12 +282,6 @@ def to_metashape(own: Camera) -> Conversion:
         # In a fit P3 and P4 would stand on P1 and P2, which are nearly zero.
         terms += ["P3", "P4"]
     return converted(flat, "brown-ideal", "after", terms)
-
-
-def _frame(own: Camera) -> dict[str, float]:
-    """Metashape's keys of a camera in its model."""
-    f = own.value("c")
-    return {key: sign * own.value(name) * f**power for key, (name, sign, power) in TERMS.items()}
 
 
 def _write_markers(chunk: Element, given: Reconstruction) -> None:

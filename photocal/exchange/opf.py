@@ -71,11 +71,6 @@ def read_opf(path: Path) -> Reconstruction:
     return structured(path, "an OPF project", lambda: _read(path))
 
 
-def resource_files(path: Path) -> tuple[Path, ...]:
-    """Files that a project names and `read_opf` understands; parameters and errors as there."""
-    return structured(path, "an OPF project", lambda: tuple(_resources(path).files.values()))
-
-
 def _read(path: Path) -> Reconstruction:
     resources = _resources(path)
     inputs, calibrated = resources.load("input-cameras"), resources.load("calibrated-cameras")
@@ -212,7 +207,8 @@ def _triples(rows: list[Any]) -> Floats:
 def read_project_block(path: Path) -> Block:
     """Read an OPF project."""
     given = read_opf(path)
-    return vision_block(given.name, given, [path, *resource_files(path)])
+    files = structured(path, "an OPF project", lambda: list(_resources(path).files.values()))
+    return vision_block(given.name, given, [path, *files])
 
 
 _SPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "photocal")
@@ -243,7 +239,10 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
     for own, pinhole in zip(given.cameras, pinholes, strict=True):
         require_one_focal_length(pinhole, own.id, "an OPF project")
     contents = {
-        "scene-reference-frame": _frame(),
+        "scene-reference-frame": {
+            "crs": {"definition": LOCAL_CRS},
+            "base_to_canonical": {"scale": [1.0, 1.0, 1.0], "shift": [0.0, 0.0, 0.0], "swap_xy": False},
+        },
         "camera-list": {"cameras": [{"id": k, "uri": quote(name)} for k, name in _images(given)]},
         "input-cameras": {"sensors": _sensors(given, pinholes), "captures": _captures(given)},
         "input-control-points": _input_points(given),
@@ -288,11 +287,6 @@ def _project(given: Reconstruction) -> dict[str, Any]:
         "description": "",
         "items": items,
     }
-
-
-def _frame() -> dict[str, Any]:
-    same = {"scale": [1.0, 1.0, 1.0], "shift": [0.0, 0.0, 0.0], "swap_xy": False}
-    return {"crs": {"definition": LOCAL_CRS}, "base_to_canonical": same}
 
 
 def _images(given: Reconstruction) -> Iterable[tuple[int, str]]:

@@ -50,7 +50,6 @@ class Export:
     """What a text export holds.
 
     interior: default camera of the head, with one digit more than the photos have.
-    control: coordinates of the control points by their name.
     points: coordinates of all object points by their name, SmartPoints renumbered behind the others.
     """
 

@@ -99,7 +99,11 @@ def _accuracy_columns(header: list[str]) -> tuple[int, int, int]:
 
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """Reference tables of the images and of the points."""
-    crs = "" if given.frame == "local" else _wkt(given.frame)
+    from pyproj import CRS
+
+    crs = ""
+    if given.frame != "local":
+        crs = " ".join(CRS.from_user_input(given.frame).to_wkt("WKT1_GDAL").split())
     for file, names, places, sigmas in (
         ("cameras.csv", given.image_names, given.poses[:, 3:], given.pose_sigma[:, 3:]),
         ("markers.csv", given.point_names, given.xyz, given.xyz_sigma),
@@ -108,9 +112,3 @@ def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion,
         entries = (PointEntry(name, xyz=xyz, sigma=sigma) for name, xyz, sigma in rows)
         write_references(folder / file, crs, entries)
     return ()
-
-
-def _wkt(frame: str) -> str:
-    from pyproj import CRS
-
-    return " ".join(CRS.from_user_input(frame).to_wkt("WKT1_GDAL").split())

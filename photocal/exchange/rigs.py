@@ -96,7 +96,10 @@ def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
 
     def sensors() -> dict[str, Sensor]:
         return {
-            name: (_turn(keys["rotation"]), np.array(keys["translation"], dtype=float).reshape(3))
+            name: (
+                Rotation.from_rotvec(np.array(keys["rotation"], dtype=float).reshape(3)).as_matrix(),
+                np.array(keys["translation"], dtype=float).reshape(3),
+            )
             for name, keys in read_json(poses).items()
         }
 
@@ -109,10 +112,6 @@ def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
     known = structured(poses, "a file of OpenSfM's rigs", sensors)
     pairs = [of.get(name, ("", "")) for name in given.image_names]
     return with_rig(given, [head for head, _ in pairs], [key for _, key in pairs], known)
-
-
-def _turn(vector: Any) -> Floats:
-    return np.asarray(Rotation.from_rotvec(np.array(vector, dtype=float).reshape(3)).as_matrix())
 
 
 def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> Reconstruction:

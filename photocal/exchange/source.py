@@ -28,10 +28,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a text file that can name its place.
-
-    text: without its line end.
-    """
+    """A line of a text file that can name its place."""
 
     path: Path
     number: int

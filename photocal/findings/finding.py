@@ -18,10 +18,8 @@ Figure = float | str | tuple[str, ...] | None
 class Size:
     """How large an error is and what it does.
 
-    sigma: standard deviation of the figure (a priori).
     c: by how much c was wrong because of it, in the unit of the camera.
     ground_m: what that c makes of heights at the distance of this block, m.
-    px: largest displacement in the image, px.
     """
 
     figure: float

@@ -62,7 +62,6 @@ class BlockCheck:
     judged: those methods that the block allows, in the order of `METHODS`.
     exposures: none unless both the direct and the indirect method are there.
     systematic: none without positions, or where they cannot be tested.
-    plausibility: mistakes in the ground points.
     mistyped: control points that contradict the others; systematic errors were looked for without them.
     """
 
@@ -123,7 +122,7 @@ def check_block(
         block,
         tuple(judged),
         tuple(refused),
-        _exposures(tuple(judged)),
+        _exposures({one.found.method: one.found for one in judged}),
         systematic,
         apart,
         plausibility,
@@ -186,8 +185,7 @@ def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | No
         return None, None
 
 
-def _exposures(judged: tuple[Judged, ...]) -> ExposureDifference | None:
-    by_method = {one.found.method: one.found for one in judged}
+def _exposures(by_method: dict[Method, Georeferenced]) -> ExposureDifference | None:
     if "direct" not in by_method or "indirect" not in by_method:
         return None
     return exposure_difference(by_method["direct"].exposures, by_method["indirect"].exposures)

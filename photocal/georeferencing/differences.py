@@ -58,7 +58,6 @@ class Differences:
     """Computed minus surveyed coordinates of the ground points of one role.
 
     d (n, 3): m.
-    xyz (n, 3): surveyed, m.
     product_sigma (n, 3): predicted standard deviation of the computed coordinates, m.
     covariance (n, 3, 3): predicted for d: of product and survey together; of a fitted point, of its residual.
     w (n, 3): d over its predicted standard deviation; NaN where that is zero.

@@ -111,9 +111,7 @@ def joint_covariance(calibration: Calibration, common: int) -> Floats:
 class DirectOrientation:
     """Exterior orientation that no image observation has touched.
 
-    known (n,): images that have one.
     rotation (n, 3, 3): object to camera axes.
-    centre (n, 3): m.
     covariance (n, 6, 6): of a small turn in camera axes (rad) and of the centre (m), from each exposure's own
         errors.
     by_common (n, 6, k): derivative with respect to the common values of the mounting.

@@ -66,11 +66,8 @@ class Experiment:
 class Run:
     """One run.
 
-    check: at the check points; None when the run failed.
-    bias: in X, Y, Z; empty with fewer than two check points.
     without_trend: RMSE after the mean of biased components is removed, m.
     variance_factor: chi-squared over degrees of freedom; NaN when the run failed.
-    failure: why it failed; empty otherwise.
     residuals_px (2,): root mean square of all image residuals in x and y.
     exposures: against the reference, the block adjusted with all its surveyed points as control.
     points: control and check points; xyz (n, 3): their coordinates by this run, m.

@@ -39,7 +39,6 @@ class Separation:
 
     sigma (k,): standard deviation when all are free, in m, rad, s and the camera's unit; the prior of 1 m, 1
         degree, 0.1 s, 1 % of c is included.
-    correlation (k, k).
     groups: names that are not separated from each other; a single name is not determined at all.
     """
 
@@ -132,7 +131,6 @@ class Estimate:
 
     unit: m, deg, s, mm or px.
     correction: estimated less given.
-    sigma: a priori.
     significant: at 0.1 %, two-sided.
     """
 

@@ -51,7 +51,7 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
         listed += heights_all_equal(points, name)
     listed += control_in_few_images(control.names, pairs, "control")
     listed += control_in_few_images(check.names, pairs, "check")
-    ground = _joined(control, check)
+    ground = GroundPoints(control.names + check.names, np.vstack([control.xyz_m, check.xyz_m]))
     if not len(ground.names):
         return tuple(listed)
     place = _place_findings(block, ground)
@@ -67,10 +67,6 @@ def _of_role(block: Block, role: Role) -> GroundPoints:
     return GroundPoints(tuple(block.points.names[j] for j in mine), block.points.values[mine])
 
 
-def _joined(a: GroundPoints, b: GroundPoints) -> GroundPoints:
-    return GroundPoints(a.names + b.names, np.vstack([a.xyz_m, b.xyz_m]))
-
-
 def _metric(block: Block) -> bool:
     if block.frame == "local":
         return True
@@ -83,13 +79,9 @@ def _metric(block: Block) -> bool:
         return False
 
 
-def _exposures(block: Block) -> Floats:
-    """Places of the exposures: observed antenna positions, else the centres of images.csv."""
-    return block.positions.values if len(block.positions.image) else block.images.values[:, 3:]
-
-
 def _place_findings(block: Block, ground: GroundPoints) -> tuple[Finding, ...]:
-    exposures = _exposures(block)
+    # Observed antenna positions, else the centres of images.csv.
+    exposures = block.positions.values if len(block.positions.image) else block.images.values[:, 3:]
     exposures = exposures[np.isfinite(exposures).all(axis=1)]
     if not len(exposures):
         return ()

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.mounting import NO_MOUNTING, STRIPS, Attitudes, Mounting, Positions, body_to_camera
 from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import Block, ObjectPoints
@@ -32,6 +31,9 @@ def in_local_frame(block: Block) -> Block:
     turn = nearest_rotation(by_image)
     values[:, :3] = angles_from_matrix(matrix_from_angles(values[:, :3]) @ np.swapaxes(turn, 1, 2))
     values[:, 3:] = frame.to_local(values[:, 3:])
+    # Velocities along other axes; rates are about those of the camera.
+    motion = block.images.motion.copy()
+    motion[:, :3] = np.einsum("nab,nb->na", by_image, motion[:, :3])
     positions = block.positions
     if len(positions.image):
         by_given = frame.derivative(positions.values)
@@ -45,15 +47,10 @@ def in_local_frame(block: Block) -> Block:
         block,
         frame="local",
         height="local",
-        images=replace(block.images, values=values, motion=_turned(block.images.motion, by_image)),
+        images=replace(block.images, values=values, motion=motion),
         points=_points(block.points, frame),
         positions=positions,
     )
-
-
-def _turned(motion: Floats, by_given: Floats) -> Floats:
-    """Velocities along other axes; rates are about those of the camera."""
-    return np.hstack([np.einsum("nab,nb->na", by_given, motion[:, :3]), motion[:, 3:]])
 
 
 def _points(points: ObjectPoints, frame: Frame) -> ObjectPoints:
@@ -107,8 +104,6 @@ def as_mounted(block: Block) -> Block:
 
 def with_attitude_angles(block: Block) -> Block:
     """Return the block with start angles of the images from their attitudes, where there are any."""
-    from photocal.geometry.rotation import angles_from_matrix
-
     if not len(block.attitudes.image):
         return block
     matrix = body_to_camera(block.mounting, block.mounting.values)

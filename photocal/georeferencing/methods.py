@@ -33,8 +33,6 @@ METHODS: tuple[Method, ...] = ("direct", "integrated", "indirect")
 class ImageResiduals:
     """Residuals summed up by image, px.
 
-    rays (n,).
-    rms (n, 2).
     largest (n,): largest absolute standardised residual.
     """
 
@@ -48,12 +46,8 @@ class Georeferenced:
     """Ground points as one method gives them.
 
     label: what it is, with everything that a reader must know.
-    points (n,): ground points of the block.
-    xyz (n, 3): m.
-    covariance (n, 3, 3).
     fitted (n,): whether the point's surveyed coordinates took part.
     exposures (images, 6): omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
-    solution: the adjustment; None for direct georeferencing.
     joint: covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for
         direct georeferencing, and for more of them than `_MOST_JOINT`.
     """
@@ -303,10 +297,7 @@ def _by_image(count: int, image: Integers, residuals: Floats, standardised: Floa
 
 @dataclass(frozen=True)
 class Degradation:
-    """Noise that is added to an adjusted exterior orientation.
-
-    position_m, attitude_rad: standard deviations of X, Y, Z and of omega, phi, kappa.
-    """
+    """Noise that is added to an adjusted exterior orientation."""
 
     position_m: float
     attitude_rad: float

@@ -25,8 +25,6 @@ _ENOUGH_M = 1e-7
 class Intersected:
     """Points intersected from given exterior orientations.
 
-    points (n,): of the block.
-    xyz (n, 3): m.
     covariance (n, 3, 3): from the image observations, the orientations, the mounting and the interior
         orientation.
     rays (r,): rows of the block's observations that took part.

@@ -58,7 +58,6 @@ _STATED = 2.0
 class Hypothesis:
     """One fault of the table, its values freed.
 
-    gain: by which v'Pv falls.
     factor: variance factor that is left, by which gains are judged where it is above 1.
     f, critical: gain / unknowns over that, and its limit.
     moved, on_c: what it moves positions and principal distances by, in their standard deviations.

@@ -24,9 +24,6 @@ from photocal.results.folder import read_result
 class LensTables:
     """Cameras as the kernels take them.
 
-    values (cameras, 20).
-    optics (cameras, 14).
-    pitch, size (cameras, 2).
     limit (cameras,): largest distance of an ideal image point from the principal point that the camera can
         record.
     """

@@ -84,7 +84,6 @@ IMAGE_MEMORY = 800_000_000
 class Tile:
     """A finished piece.
 
-    pixels (bands, rows, columns).
     chosen (rows, columns): image of each cell; -1 for none.
     """
 

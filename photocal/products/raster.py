@@ -60,7 +60,7 @@ def describe(path: Path) -> RasterFile:
             source.height,
             source.count,
             str(source.dtypes[0]),
-            _six(source.transform),
+            tuple(source.transform)[:6],
             source.crs.to_wkt() if source.crs else "",
             _height_kind(source),
         )
@@ -83,11 +83,6 @@ def opened(path: Path) -> Iterator[Any]:
         raise InputMalformedError(
             f"cannot be read as a raster ({reason})", where=path, remedy="is the file whole?"
         ) from failure
-
-
-def _six(affine: Any) -> Transform:
-    a, b, c, d, e, f = tuple(affine)[:6]
-    return (a, b, c, d, e, f)
 
 
 def _height_kind(source: Any) -> str:

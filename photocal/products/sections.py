@@ -87,7 +87,6 @@ CORRELATIONS = ("rXY", "rXZ", "rYZ")
 class RingPoints:
     """Points on the shell of a tank.
 
-    section, point: names; points of the same section form a ring.
     values (n, 3): two horizontal coordinates and the height, m.
     covariance (n, 3, 3): m2, in the same order.
     axes: names of the three coordinates.
@@ -104,7 +103,6 @@ class RingPoints:
 class Section:
     """One ring.
 
-    height: mean height of its points, m.
     covariance (2, 2): of radius and height, m2.
     """
 
@@ -121,7 +119,6 @@ class Tank:
 
     cylinder: through all points: its axis shows the tilt; None where the points fix none.
     tilt, tilt_sigma: of that axis against the vertical, radians; NaN without cylinder.
-    radius, radius_sigma: mean of the sections, m.
     between: from the lowest to the highest section; None for a single one.
     """
 

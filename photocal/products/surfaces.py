@@ -26,8 +26,6 @@ class Adjusted:
     covariance (u, u): of the steps of the parameters, with the a priori variance factor 1.
     residuals (n, d): adjusted minus measured, m.
     influence (u, n, d): derivative of the parameters to each coordinate of each point.
-    chi_squared: weighted sum of the squared residuals.
-    degrees_of_freedom: conditions less parameters.
     """
 
     state: Floats
@@ -105,8 +103,6 @@ def _inverse(normal: Floats, what: str) -> Floats:
 class Circle:
     """A circle in a plane.
 
-    center (2,): m.
-    radius: m.
     covariance (3, 3): of centre and radius, m2, a priori.
     radial (n,): distance of each measured point from the circle, outwards positive, m.
     direction (n,): of each measured point from the centre, from the first axis towards the second, radians.
@@ -126,7 +122,6 @@ class Cylinder:
 
     point (3,): point of the axis beside the centroid of the measured points, m.
     axis (3,): unit vector; the largest of its components is positive.
-    radius: m.
     point_covariance, axis_covariance (3, 3): A priori; singular along the axis.
     radius_sigma: m, a priori.
     radial (n,): distance of each measured point from the cylinder, outwards positive, m.

@@ -20,7 +20,6 @@ class Grid:
     """Cells of an orthophoto, rows from north to south.
 
     west, north: corner of the first cell, m.
-    cell: size of a cell, m.
     """
 
     west: float
@@ -142,7 +141,6 @@ _STRIP = 64
 class TerrainPoints:
     """Points on the terrain.
 
-    xyz (n, 3): m.
     line (n,): contour of each point, in the order along it; -1 for a point of its own.
     """
 

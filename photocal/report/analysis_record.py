@@ -82,7 +82,7 @@ def analyse_run(
     source = block_of_run(folder, result, block, Path.cwd())
     read = read_any_block(source.path)
     assembly = network_of(read, result)
-    checks, start = _checks(read, assembly), state_of(assembly, result)
+    checks, start = checks_of(read, assembly), state_of(assembly, result)
     outcome = analyse_network(assembly.network, checks, alpha, threshold, done, draws, start)
     outcome = replace(
         outcome,
@@ -94,7 +94,8 @@ def analyse_run(
     return outcome
 
 
-def _checks(block: Block, assembly: NetworkOfBlock) -> Checks:
+def checks_of(block: Block, assembly: NetworkOfBlock) -> Checks:
+    """Surveyed coordinates of the check points in the frame of the network."""
     check = np.flatnonzero(block.points.of_role("check")[assembly.points])
     return Checks(check, assembly.frame.to_local(block.points.values[assembly.points[check]]))
 

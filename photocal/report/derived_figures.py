@@ -28,7 +28,6 @@ class Limit:
     """One figure and what it may not exceed; None where it is not determined.
 
     key: "image_x", "image_y", "planimetric" or "altimetric".
-    value, limit: the root mean square error and its limit.
     """
 
     key: str
@@ -218,10 +217,8 @@ NADIR_DEG = 30.0
 class DerivedFigures:
     """What is known of one camera and its flight; None is not determined.
 
-    pixel_mm, focal_mm: pixel size and calibrated principal distance, mm.
     height_m, gsd_cm, base_m: flying height over the object points, ground sampling distance, air base.
     computed: which of those three were computed rather than given.
-    dz_cm: expected altimetric accuracy.
     """
 
     camera_id: str
@@ -339,7 +336,6 @@ IMAGES = 1000
 class NetworkShape:
     """Two figures of a network.
 
-    convergence_deg: largest angle between two optical axes.
     depth_spread: distances of the points along the axes: 95th less 5th percentile over the median.
     """
 

@@ -72,7 +72,6 @@ def columns(say: Catalogue, section: str, *heads: str) -> tuple[Column, ...]:
 class Table:
     """A table with its caption above and its note beneath.
 
-    note: explanation beneath, may be empty.
     dense: whether it has so many columns that small type is needed.
     widths: shares of the width for each column of text that wraps; empty for columns as wide as their
         content.
@@ -91,8 +90,6 @@ class Figure:
     """A picture.
 
     name: short name, unique within the document.
-    caption: what it shows, printed beneath.
-    alternative: what it shows, in words, for those who cannot see it.
     """
 
     name: str
@@ -134,7 +131,6 @@ class Document:
     """A whole report.
 
     language: code of its language, as HTML wants it.
-    facts: date, client and such, beneath the title.
     words: the few words that the renderers need themselves (page, table, figure ...).
     """
 

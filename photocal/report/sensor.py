@@ -19,9 +19,7 @@ _PRISM = ("S1", "S2", "S3", "S4")
 class RadialProfile:
     """Radial displacement over the radius, all in the unit of the camera, shape (n,).
 
-    radius: distance from the principal point.
     displacement: measured less ideal radius: positive outwards.
-    sigma: its standard deviation from the covariance of the radial coefficients.
     decentering: largest displacement by P1 to P4 at that radius.
     """
 

@@ -168,10 +168,7 @@ class RejectedRay:
 class AdjustedPoints:
     """Object points of the network.
 
-    role: control, check or tie.
     values (n, 3): X, Y, Z in the block's coordinates, m.
-    covariance (n, 3, 3).
-    rays (n,): how many observations each has.
     """
 
     names: tuple[str, ...]
@@ -190,7 +187,6 @@ class AdjustedPoints:
 class Residuals:
     """Image observations and their residuals (computed minus measured), in unit and axes of the observations.
 
-    image, point (n,).
     measured, residual (n, 2): NaN residuals where an observation took no part.
     redundancy, standardised (n, 2): redundancy numbers (0 to 1) and standardised residuals; NaN where nothing
         else checks one.

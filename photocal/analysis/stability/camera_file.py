@@ -85,13 +85,8 @@ class _File(Table):
 class CameraFile:
     """What a comparison was asked for.
 
-    calibrations: the calibrations in the order of the file.
-    grid_step_px: distance of the grid points, px.
-    thresholds_px: limits of likeness, px.
-    terrains: grounds for the single photo resection.
     terrains_each: random grounds of each kind.
     seed: of the random grounds and of the distributions.
-    printed: figures printed elsewhere.
     """
 
     calibrations: tuple[Calibration, ...]
@@ -125,7 +120,9 @@ def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
         for one in file.published
         for a, b, value in one.values
     )
-    return _asked(tuple(_calibration(one, path) for one in file.camera), printed, file.comparison, path)
+    made = [(make_camera(one, path), one) for one in file.camera]
+    calibrations = (Calibration(own, _uncertainty(one, own, f"{path}, camera {one.id}")) for own, one in made)
+    return _asked(tuple(calibrations), printed, file.comparison, path)
 
 
 def of_cameras(cameras: Sequence[Camera], path: Path) -> CameraFile:
@@ -172,11 +169,6 @@ def _ours(entry: Any, path: Path) -> Any:
     made = brown_from_pix4d(given.id, given.size_px, pitch, given.parameters.model_dump())
     values = {name: made.value(name) for name in made.lens.names}
     return {**entry, "model": made.model, "pitch_mm": pitch, "size_px": given.size_px, "parameters": values}
-
-
-def _calibration(one: _Camera, path: Path) -> Calibration:
-    made = make_camera(one, path)
-    return Calibration(made, _uncertainty(one, made, f"{path}, camera {one.id}"))
 
 
 def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:

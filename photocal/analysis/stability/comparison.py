@@ -29,8 +29,6 @@ PROBABILITY = 0.95
 class Figure:
     """How much two calibrations differ, by one method.
 
-    method, definition, source: as in `Method`.
-    value_px: the figure, px.
     sigma_px: its standard deviation from the covariances of both calibrations.
     noise_px: what it stays below in 95 of 100 cases when both are the same camera.
     p_value: probability of so large a figure when both are the same camera.
@@ -52,11 +50,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Pair:
-    """All figures of one pair of calibrations.
-
-    first, second: names of the calibrations: set I and set II.
-    figures: one for each method and definition.
-    """
+    """All figures of one pair of calibrations."""
 
     first: str
     second: str
@@ -201,8 +195,6 @@ def _check(calibrations: tuple[Calibration, ...]) -> None:
 class Printed:
     """A figure printed elsewhere for a pair of these calibrations.
 
-    method, definition: how it was computed, as in `Method`.
-    first, second: the calibrations.
     value_px, tolerance_px: the printed figure and how far the recomputed one may be from it.
     """
 
@@ -216,11 +208,7 @@ class Printed:
 
 @dataclass(frozen=True)
 class Followed:
-    """Whether a printed figure follows from the parameters.
-
-    printed: the printed figure.
-    computed_px: the figure from the parameters.
-    """
+    """Whether a printed figure follows from the parameters."""
 
     printed: Printed
     computed_px: float

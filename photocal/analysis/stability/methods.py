@@ -19,7 +19,6 @@ from photocal.geometry.rotation import matrix_from_angles
 class Calibration:
     """One calibration of a camera.
 
-    camera: its model and parameter values.
     uncertainty: the estimated parameters with their covariance, in the unit of the camera; None when unknown.
     """
 
@@ -37,7 +36,6 @@ class View:
     """Where a calibration places pixels: the ideal image of its rays.
 
     ideal (n, 2): image coordinates free of distortion, from the principal point, x right, y up, px.
-    c: principal distance, px.
     """
 
     ideal: Floats
@@ -86,17 +84,14 @@ def sensitivity(calibration: Calibration, pixels: Floats) -> tuple[Floats, Float
     factor = known.sigmas[:, None] * vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
     ideal, c = [], []
     for name, sigma in zip(known.names, known.sigmas, strict=True):
-        at = PARAMETERS.index(name)
-        above, below = (view(_shifted(calibration.camera, at, sign * sigma), pixels) for sign in (1.0, -1.0))
+        step = sigma * np.eye(len(PARAMETERS))[PARAMETERS.index(name)]
+        above, below = (
+            view(calibration.camera.with_values(calibration.camera.values + sign * step), pixels)
+            for sign in (1.0, -1.0)
+        )
         ideal.append((above.ideal - below.ideal) / (2.0 * sigma))
         c.append((above.c - below.c) / (2.0 * sigma))
     return np.tensordot(factor.T, np.array(ideal), axes=1), factor.T @ np.array(c)
-
-
-def _shifted(camera: Camera, at: int, by: float) -> Camera:
-    values = camera.values.copy()
-    values[at] += by
-    return camera.with_values(values)
 
 
 Misfit = Callable[[View, View, Floats], Floats]

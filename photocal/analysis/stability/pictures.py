@@ -161,7 +161,7 @@ def draw(
     from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
     from matplotlib.figure import Figure as Canvas
 
-    kinds = pairs[0].figures
+    kinds, of_pair = pairs[0].figures, {(pair.first, pair.second): pair for pair in pairs}
     columns = min(4, len(kinds))
     rows = -(-len(kinds) // columns)
     size = max(2.6, 0.42 * len(names) + 1.2)
@@ -177,8 +177,7 @@ def draw(
         matrix = matrix_of(pairs, names, k)
         shown = axes.imshow(matrix, cmap=colours, norm=norm)
         for i, j in zip(*np.nonzero(np.isfinite(matrix)), strict=True):
-            different = _pair(pairs, names[j], names[i]).figures[k].different
-            mark = "*" if different else ""
+            mark = "*" if of_pair[names[j], names[i]].figures[k].different else ""
             axes.text(j, i, f"{matrix[i, j]:.2f}{mark}", ha="center", va="center", fontsize=7)
         axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
         axes.set_yticks(range(len(names)), names, fontsize=7)
@@ -187,7 +186,3 @@ def draw(
     bar.set_ticks(bounds[:-1])
     canvas.suptitle("Difference of calibrations (* beyond the noise of both)", fontsize=9)
     canvas.savefig(path, dpi=120, format=ending)
-
-
-def _pair(pairs: tuple[Pair, ...], first: str, second: str) -> Pair:
-    return next(pair for pair in pairs if (pair.first, pair.second) == (first, second))

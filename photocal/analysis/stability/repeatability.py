@@ -181,7 +181,6 @@ LEVEL = 0.05
 class Moved:
     """How a head differs between two calibrations.
 
-    first, second: the calibrations.
     differences, sigma: second less first of what is estimated in both, by name (`adjustment.rig.OF_HEAD`;
         deg, m, s); turns are about the axes of the head.
     p_value: of so large a difference when nothing has changed, with all covariances.

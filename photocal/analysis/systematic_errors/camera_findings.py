@@ -31,7 +31,8 @@ def of_round(one: Round) -> Finding:
     change = float(one.before.solution.cameras[at, 0] - one.after.solution.cameras[at, 0])
     sigma_c = float(np.sqrt(one.before.solution.camera_covariance[at, 0, 0]))
     left = _left_px(one)
-    felt = abs(change) >= SMALL_SIGMAS * sigma_c > 0.0 or _points_moved(one) >= SMALL_MOVE
+    moved = _in_sigmas(one.before, one.after.solution.points - one.before.solution.points)
+    felt = abs(change) >= SMALL_SIGMAS * sigma_c > 0.0 or moved >= SMALL_MOVE
     ground = ground_effect(one.before, at, change)
     figure, unit = _figure(parameter, camera)
     figures: dict[str, Figure] = {
@@ -76,11 +77,6 @@ def _left_px(one: Round) -> float:
     mine = one.before.network.exposures.camera[one.before.network.rays.image] == at
     change = (one.after.solution.residuals - one.before.solution.residuals)[mine]
     return float(np.linalg.norm(change / one.before.network.cameras[at].pitch, axis=1).max(initial=0.0))
-
-
-def _points_moved(one: Round) -> float:
-    """By how many standard deviations the error moves object points, root mean square."""
-    return _in_sigmas(one.before, one.after.solution.points - one.before.solution.points)
 
 
 def _in_sigmas(fitted: Fit, moved: Floats) -> float:

@@ -129,7 +129,6 @@ class Candidate:
 
     kind: "y-scale", "shear", "radial", "decentring", "rolling-shutter", "c-drift" or "c-step".
     parameter: the term of the camera model that is missing, or the first image after a step; else empty.
-    camera: the camera concerned.
     displacement (n, 2): what must be added to the measured image plane coordinates for an amount of 1; zero
         for rays of other cameras. It is a function of the computed coordinates: of the measured ones, a field
         that shrinks the image would shrink the errors of measurement, too, and explain something in every
@@ -255,9 +254,7 @@ def _per_interval(centres: Floats) -> Floats | None:
 class ExtraParameter:
     """Outcome of the test of one candidate.
 
-    candidate: what was tested.
     amount, sigma: estimate and a priori standard deviation, in the unit of the candidate.
-    fall: by how much the sum of squares falls with it.
     statistic, p_value: F = fall over the variance that remains, and its probability without the error.
     effect_px: largest displacement of a ray, px.
     by_images: the same probability by how the images differ, to first order; too small for few of them, see

@@ -13,9 +13,6 @@ from drivers.arrays import Flags, Floats, Integers
 class VarianceComponent:
     """Scatter of one group of observations.
 
-    name: image, camera or axis.
-    observations: number of observations.
-    redundancy: sum of their redundancy numbers.
     ratio: standard deviation found over the one that was assumed.
     p_value: two-sided probability of so different a scatter from that of all others, already multiplied by
         the number of groups.
@@ -66,9 +63,6 @@ class AssumedSigma:
     """Standard deviation of the image coordinates, assumed and found.
 
     assumed, found: in the unit of the image plane.
-    rms: root mean square of the residuals, in the same unit.
-    lower, upper: confidence interval of the one that was found.
-    redundancy: what it rests on.
     p_value: two-sided probability of the residuals if the assumption holds.
     """
 
@@ -109,15 +103,12 @@ RAYS_PER_CELL = 20
 class ResidualMap:
     """Mean residuals on a grid of cells over the sensor.
 
-    columns_px, rows_px: borders of the cells, px.
-    count (rows, columns): rays in each cell.
     mean_px (rows, columns, 2): mean residual (computed minus measured), column to the right and row down, px;
         NaN in empty cells.
     p_value (rows, columns): probability of so large a mean of standardised residuals without a systematic
         part.
     significant (rows, columns): cells below the level, shared among all cells.
     global_statistic, global_p_value: chi-squared of all cells together, and its probability.
-    cells: number of cells that were tested.
     """
 
     columns_px: Floats

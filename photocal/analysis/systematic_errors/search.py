@@ -68,11 +68,7 @@ STEP_ADVANTAGE = 6.0
 
 @dataclass(frozen=True)
 class Round:
-    """One error that was found and corrected.
-
-    parameter: the error with its total amount.
-    before, after: the network without and with the correction.
-    """
+    """One error that was found and corrected."""
 
     parameter: ExtraParameter
     before: Fit
@@ -187,9 +183,9 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
 
 def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> Iterator[ExtraParameter]:
     """Test every candidate that was not yet found; give the significant ones, the worst first."""
-    tested = []
+    tested, known = [], {(one.kind, one.name, one.camera) for one in found}
     for candidate in candidates(last.network, last.state, last.computed):
-        if any(_same(candidate, one) for one in found):
+        if (candidate.kind, candidate.name, candidate.camera) in known:
             continue
         outcome = estimated_amount(last, candidate)
         # Rows are read one after the other, never backwards: that would be something else.
@@ -256,10 +252,6 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
         if other is None or other.p_value >= level:
             return None
     return Round(replace(outcome, alike=worst.alike, tested=worst.tested), before, after)
-
-
-def _same(one: Candidate, other: Candidate) -> bool:
-    return (one.kind, one.name, one.camera) == (other.kind, other.name, other.camera)
 
 
 def _groups(last: Fit, sigma: AssumedSigma) -> tuple[GroupTest, ...]:

@@ -255,8 +255,6 @@ MOST_JOINT = 12
 class ImageShift:
     """Scale and principal point of one image against its camera.
 
-    image: the image.
-    scale: relative difference of scale, dimensionless.
     shift_px (2,): shift of the principal point to the right and up, px.
     effect_px: largest displacement of a ray that the other unknowns do not take up, px.
     p_value: probability without such a difference, already multiplied by the number of images.
