@@ -117,12 +117,6 @@ def combined_rmse(*components: Moments) -> float:
     return math.sqrt(sum(component.rmse_m**2 for component in components))
 
 
-def moments_from_rmse_and_t(rmse_m: float, t: float, n: int) -> Moments:
-    """Recover mean and standard deviation from a published RMSE and Student statistic."""
-    std = rmse_m * math.sqrt(n / (t**2 + n - 1))
-    return Moments(n, t * std / math.sqrt(n), std)
-
-
 # Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
 # exponentially and this many suffice for axis ratios down to about 1:100.
 _DIRECTIONS = 2048

@@ -385,7 +385,7 @@ def _surveyed(points: ObjectPoints, rows: Integers) -> list[parts.Row]:
 
 
 def _write_camera(element: Element, own: Camera) -> None:
-    value, _ = to_dbat(own, lens_model(own))
+    value = to_dbat(own, lens_model(own))
     lists = {key: [value[name] for name in _SWITCHES[key][: _count(own, key)]] for key in ("K", "P")}
     texts = {
         "name": own.id,

@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.exchange.source import Line, number, read_lines
 from photocal.geometry.camera import PARAMETERS, Affinity, Camera, Model, camera
@@ -66,7 +65,7 @@ class Row:
         return values
 
 
-def read_rows(path: Path, layout: str, allowed: tuple[str, ...], separator: str = ",") -> Iterator[Row]:
+def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[Row]:
     """Read the rows of a table whose columns a format names."""
     fields = [field.strip() for field in layout.split(",")]
     for field in fields:
@@ -77,14 +76,13 @@ def read_rows(path: Path, layout: str, allowed: tuple[str, ...], separator: str 
                 remedy=f"use {', '.join(allowed)}",
             )
     for line in read_lines(path):
-        cells = [cell.strip() for cell in line.text.split(separator)]
+        cells = [cell.strip() for cell in line.text.split(",")]
         if len(cells) != len(fields):
-            comma = len(cells) > len(fields) and separator == ","
             raise InputMalformedError(
                 f"has {len(cells)} cells where the format {layout!r} has {len(fields)}",
                 where=line.place,
                 remedy="write decimal points, not commas"
-                if comma
+                if len(cells) > len(fields)
                 else "complete the row, or is the file cut?",
             )
         row: dict[str, str] = {}
@@ -171,24 +169,17 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
     return replace(found, distortion_at="measured")
 
 
-def to_dbat(
-    own: Camera, lens_model: int, covariance: Floats | None = None
-) -> tuple[dict[str, float], Floats]:
-    """Turn a camera's parameters into DBAT's, with their covariance."""
+def to_dbat(own: Camera, lens_model: int) -> dict[str, float]:
+    """Turn a camera's parameters into DBAT's."""
     width, height = np.array(own.size_px) * own.pitch
     index = [PARAMETERS.index(name) for name in OURS]
     sign = np.array([1.0, 1, -1, 1, 1, -1, -1, -1, -1, -1, -1])
     vector = own.values[index] * sign
     vector[1] += width / 2
     vector[2] += height / 2
-    jacobian = np.diag(sign)
     if lens_model == 5:
-        # px' = (1 + as) px
-        jacobian[1, 1], jacobian[1, 3] = 1 + vector[3], vector[1]
         vector[1] *= 1 + vector[3]
-    given = np.zeros((len(PARAMETERS),) * 2) if covariance is None else covariance
-    values = {name: float(value) for name, value in zip(NAMES, vector, strict=True)}
-    return values, jacobian @ given[np.ix_(index, index)] @ jacobian.T
+    return dict(zip(NAMES, vector.tolist(), strict=True))
 
 
 def to_column_row(x: float, y: float) -> tuple[float, float]:

@@ -57,22 +57,23 @@ def topocentric(origin: Origin) -> ToGeographic:
     return turn
 
 
-def write_geojson(path: Path, given: Reconstruction, to_geographic: ToGeographic) -> None:
+def write_geojson(path: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
     """Write exposures, footprints and points."""
-    found = [
+    listed = [
         {"type": "Feature", "geometry": geometry, "properties": properties}
-        for geometry, properties in features(given, to_geographic)
+        for geometry, properties in features(*located(given, choices))
     ]
-    content = {"type": "FeatureCollection", "features": found}
+    content = {"type": "FeatureCollection", "features": listed}
     path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8", newline="\n")
+    return ()
 
 
-def write_kml(path: Path, given: Reconstruction, to_geographic: ToGeographic) -> None:
-    """Write exposures, footprints and points; parameters as of `write_geojson`."""
+def write_kml(path: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+    """Write exposures, footprints and points."""
     root = Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = SubElement(root, "Document")
     folders: dict[str, Element] = {}
-    for geometry, properties in features(given, to_geographic):
+    for geometry, properties in features(*located(given, choices)):
         kind = properties["kind"]
         if kind not in folders:
             folders[kind] = SubElement(document, "Folder")
@@ -84,6 +85,7 @@ def write_kml(path: Path, given: Reconstruction, to_geographic: ToGeographic) ->
             SubElement(SubElement(data, "Data", name=key), "value").text = str(value)
         _kml_geometry(place, geometry)
     write_xml(path, root)
+    return ()
 
 
 def footprints(given: Reconstruction, height_m: float) -> Floats:
@@ -155,18 +157,6 @@ def _kml_geometry(place: Element, geometry: dict[str, Any]) -> None:
     ring = SubElement(SubElement(SubElement(place, "Polygon"), "outerBoundaryIs"), "LinearRing")
     corners = geometry["coordinates"][0]
     SubElement(ring, "coordinates").text = " ".join(f"{x!r},{y!r}" for x, y in corners)
-
-
-def export_geojson(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
-    """One collection of features."""
-    write_geojson(folder / "block.geojson", *located(given, choices))
-    return ()
-
-
-def export_kml(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
-    """One document."""
-    write_kml(folder / "block.kml", *located(given, choices))
-    return ()
 
 
 def located(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, ToGeographic]:

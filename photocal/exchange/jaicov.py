@@ -42,14 +42,14 @@ Bar = tuple[str, str, float, float]
 _A_PRIORI = re.compile(rb"S0 apriori:\s*([0-9.eE+-]+)")
 
 
-def read_jaicov(path: Path, sigma_mm: float | None = None, *, switched_off: bool = False) -> Block:
+def read_jaicov(path: Path, sigma_mm: float | None = None) -> Block:
     """Read a JAICOV project."""
     files = {suffix: path.with_suffix(suffix) for suffix in SUFFIXES}
     sigma = _a_priori(path.with_suffix(".htm")) if sigma_mm is None else sigma_mm
     cameras = _cameras(read_lines(files[".ior"]), files[".ior"])
     names, which, poses = _orientations(read_lines(files[".eor"]), [own.id for own in cameras])
     points, xyz = _objects(read_lines(files[".obc"]))
-    marks = _marks(read_lines(files[".phc"]), set(names), set(points), sigma, switched_off)
+    marks = _marks(read_lines(files[".phc"]), set(names), set(points), sigma)
     bars = files[".phc"].with_suffix(".scale")
     scale = read_scale_bars(bars) if bars.exists() else ()
     # The report is an input where it tells the standard deviation.
@@ -172,20 +172,15 @@ def _objects(lines: list[Line]) -> tuple[list[str], Floats]:
     return names, np.array(xyz).reshape(-1, 3)
 
 
-def _marks(
-    lines: list[Line], images: set[str], points: set[str], sigma: float, switched_off: bool
-) -> list[parts.Mark]:
+def _marks(lines: list[Line], images: set[str], points: set[str], sigma: float) -> list[parts.Mark]:
     marks = []
-    seen: set[tuple[str, str]] = set()
     for line in lines:
         cells = line.text.split()
         if len(cells) != 11:
             raise InputMalformedError(
                 f"has {len(cells)} values where an image point has 11", where=line.place, remedy="is it cut?"
             )
-        used = cells[9] == "1" or (switched_off and (cells[0], cells[1]) not in seen)
-        if used and cells[0] in images and cells[1] in points:
-            seen.add((cells[0], cells[1]))
+        if cells[9] == "1" and cells[0] in images and cells[1] in points:
             x, y = number(cells[2], line.place, "x"), number(cells[3], line.place, "y")
             marks.append(parts.Mark(cells[0], cells[1], x, y, (sigma, sigma), line.place))
     return marks

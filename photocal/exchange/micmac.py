@@ -10,7 +10,6 @@ residuals in its own <Verif> tables.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
@@ -41,22 +40,7 @@ CONVENTION = "eConvApero_DistM2C"
 PLACEHOLDER = 1.0
 
 
-@dataclass(frozen=True)
-class Orientation:
-    """Exterior orientation of one image.
-
-    pose (6,): omega, phi, kappa in radians, X, Y, Z.
-    calibration: file of its interior orientation, without folders.
-    image_points, ground_points (n, 2): points that MicMac gives for checking: column, row and X, Y, Z.
-    """
-
-    pose: Floats
-    calibration: str
-    image_points: Floats
-    ground_points: Floats
-
-
-def read_calibration(path: Path, camera_id: str = "") -> Camera:
+def read_calibration(path: Path) -> Camera:
     """Read a calibration (AutoCal_...xml) with radial distortion or Fraser's model."""
     given = child(read_xml(path), "CalibrationInternConique", path)
     _require_convention(given, path)
@@ -72,13 +56,11 @@ def read_calibration(path: Path, camera_id: str = "") -> Camera:
     if len(models) != 1:
         raise InputMalformedError("has several distortions, one after the other", where=path)
     values |= _distortion(models[0], place, path)
-    return camera(
-        camera_id or path.stem, "brown-ideal", "px", (width, height), (1.0, 1.0), values, affinity="additive"
-    )
+    return camera(path.stem, "brown-ideal", "px", (width, height), (1.0, 1.0), values, affinity="additive")
 
 
-def read_orientation(path: Path) -> Orientation:
-    """Read an orientation (Orientation-IMAGE.xml)."""
+def read_orientation(path: Path) -> tuple[Floats, str]:
+    """Read an orientation (Orientation-IMAGE.xml): omega, phi, kappa, X, Y, Z, and its calibration's file."""
     given = child(read_xml(path), "OrientationConique", path)
     outer = child(given, "Externe", path)
     _require_convention(outer, path)
@@ -86,13 +68,8 @@ def read_orientation(path: Path) -> Orientation:
     if not np.allclose(axes @ axes.T, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0:
         raise InputMalformedError("its rotation is no rotation matrix", where=path)
     centre = np.array(_vector(outer, "Centre", path, 3))
-    checks = given.findall("Verif/Appuis")
-    return Orientation(
-        from_vision(axes.T, -axes.T @ centre),
-        text_of(given, "FileInterne", path).replace("\\", "/").rsplit("/", 1)[-1],
-        np.array([_vector(check, "Im", path, 2) for check in checks]).reshape(-1, 2),
-        np.array([_vector(check, "Ter", path, 3) for check in checks]).reshape(-1, 3),
-    )
+    calibration = text_of(given, "FileInterne", path).replace("\\", "/").rsplit("/", 1)[-1]
+    return from_vision(axes.T, -axes.T @ centre), calibration
 
 
 def read_ground_points(path: Path) -> tuple[parts.PointEntry, ...]:
@@ -143,7 +120,7 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
     found = {name: read_orientation(path) for name, path in files.items() if path.exists()}
     if not found:
         raise InputMalformedError("has no orientation of a measured image", where=orientations)
-    calibrations = list(dict.fromkeys(own.calibration for own in found.values()))
+    calibrations = list(dict.fromkeys(name for _, name in found.values()))
     cameras = tuple(read_calibration(orientations / name) for name in calibrations)
     used = [mark for mark in marks if mark.image in found]
     read = [
@@ -152,11 +129,8 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
         *(files[name] for name in found),
         *(orientations / name for name in calibrations),
     ]
-    shots = parts.images(
-        list(found),
-        [calibrations.index(own.calibration) for own in found.values()],
-        np.array([own.pose for own in found.values()]),
-    )
+    which = [calibrations.index(name) for _, name in found.values()]
+    shots = parts.images(list(found), which, np.array([pose for pose, _ in found.values()]))
     return parts.block(points.stem, cameras, shots, ground, used, [fingerprint(path) for path in read])
 
 

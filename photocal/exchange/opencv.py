@@ -36,7 +36,7 @@ _OTHERS: dict[Model, tuple[str, ...]] = {name: MODELS[name].terms for name in ("
 COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
 
 
-def read_opencv(path: Path, camera_id: str = "") -> Camera:
+def read_opencv(path: Path) -> Camera:
     """Read a calibration."""
     entries = _entries(path)
     matrix = _matrix(entries, MATRICES, path)
@@ -57,7 +57,7 @@ def read_opencv(path: Path, camera_id: str = "") -> Camera:
     focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     size = image_size(width, height, path)
     pinhole = Pinhole(size, *focal_and_centre, **values, fisheye=fisheye)
-    own = from_pinhole(pinhole, camera_id or path.stem, path)
+    own = from_pinhole(pinhole, path.stem, path)
     free = {"c", "x0", "y0", "B1", *(own.lens.terms if own.lens.relative else _TERMS)}
     return replace(own, estimated=np.array([name in free for name in PARAMETERS]))
 

@@ -238,7 +238,7 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
     pinholes = [pinhole for pinhole, _ in made]
     for own, pinhole in zip(given.cameras, pinholes, strict=True):
         require_one_focal_length(pinhole, own.id, "an OPF project")
-    contents = {
+    contents: dict[str, dict[str, Any]] = {
         "scene-reference-frame": {
             "crs": {"definition": LOCAL_CRS},
             "base_to_canonical": {"scale": [1.0, 1.0, 1.0], "shift": [0.0, 0.0, 0.0], "swap_xy": False},

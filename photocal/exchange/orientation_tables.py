@@ -26,28 +26,25 @@ from photocal.geometry.rotation import matrix_from_angles
 _CIRCLE: dict[Angle, float] = {"deg": 360.0, "gon": 400.0}
 
 
-def read_angles(path: Path, unit: Angle) -> tuple[tuple[str, ...], Floats]:
-    """Read a table of X, Y, Z, omega, phi, kappa."""
-    names, values = _table(path, 6)
-    angles = values[:, 3:] * (2 * np.pi / _CIRCLE[unit])
-    if len(angles) and np.abs(angles).max() > 2 * np.pi + 1e-9:
-        raise InputMalformedError(
-            f"has angles of more than a circle in {unit}", where=path, remedy="name their unit: deg or gon"
-        )
-    return names, np.hstack([angles, values[:, :3]])
-
-
 def write_angles(path: Path, names: Sequence[str], poses: Floats, unit: Angle) -> None:
-    """Write a table of X, Y, Z, omega, phi, kappa; the inverse of `read_angles`."""
+    """Write a table of X, Y, Z, omega, phi, kappa."""
     turned = np.hstack([poses[:, 3:], poses[:, :3] * (_CIRCLE[unit] / (2 * np.pi))])
     _write(path, f"# image X Y Z [m] omega phi kappa [{unit}]", names, turned)
 
 
 def read_matrices(path: Path) -> tuple[tuple[str, ...], Floats]:
-    """Read a table of X, Y, Z and rotation matrices; result as of `read_angles`."""
-    names, values = _table(path, 12)
+    """Read names and orientations of a table of X, Y, Z and rotation matrices."""
+    names, rows = [], []
+    for line in read_lines(path):
+        cells = line.text.split(maxsplit=1)
+        rows.append(numbers(cells[1] if len(cells) > 1 else "", line.place, "exterior orientation", 12))
+        names.append(cells[0])
+    if not names:
+        raise InputMalformedError("has no exterior orientation", where=path)
+    require_unique(names, "image", path)
+    values = np.array(rows)
     to_object = values[:, 3:].reshape(-1, 3, 3)
-    return names, poses_of_matrices(values[:, :3], np.swapaxes(to_object, -1, -2), names, path)
+    return tuple(names), poses_of_matrices(values[:, :3], np.swapaxes(to_object, -1, -2), names, path)
 
 
 def write_matrices(path: Path, names: Sequence[str], poses: Floats) -> None:
@@ -55,18 +52,6 @@ def write_matrices(path: Path, names: Sequence[str], poses: Floats) -> None:
     to_object = np.swapaxes(matrix_from_angles(poses[:, :3]), -1, -2).reshape(-1, 9)
     rows = np.hstack([poses[:, 3:], to_object])
     _write(path, "# image X Y Z [m] rotation matrix camera to object, by rows", names, rows)
-
-
-def _table(path: Path, count: int) -> tuple[tuple[str, ...], Floats]:
-    names, rows = [], []
-    for line in read_lines(path):
-        cells = line.text.split(maxsplit=1)
-        rows.append(numbers(cells[1] if len(cells) > 1 else "", line.place, "exterior orientation", count))
-        names.append(cells[0])
-    if not names:
-        raise InputMalformedError("has no exterior orientation", where=path)
-    require_unique(names, "image", path)
-    return tuple(names), np.array(rows).reshape(-1, count)
 
 
 def _write(path: Path, head: str, names: Sequence[str], values: Floats) -> None:

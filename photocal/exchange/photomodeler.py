@@ -181,22 +181,7 @@ def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
     }
 
 
-def read_positions(path: Path) -> dict[str, tuple[Floats, float]]:
-    """Read a table of camera positions: image, X, Y, Z, standard deviation of each coordinate."""
-    rows = list(read_rows(path, "label,x,y,z,sxyz", ("label", "x", "y", "z", "sxyz")))
-    parts.require_unique([row.name("label") for row in rows], "image", path)
-    return {
-        row.name("label"): (np.array([row.value(axis) for axis in "xyz"]), row.sigma()[0]) for row in rows
-    }
-
-
-def block_from_export(
-    export: Export,
-    control: dict[str, tuple[Floats, Floats]],
-    *,
-    positions: dict[str, tuple[Floats, float]] | None = None,
-    own_camera: Camera | None = None,
-) -> Block:
+def block_from_export(export: Export, control: dict[str, tuple[Floats, Floats]]) -> Block:
     """Make a block from an export and a table of control points."""
     place = export.file.path
     shift = _shift(export, control, place)
@@ -218,24 +203,16 @@ def block_from_export(
     ]
     values = np.array([photo.pose for photo in export.photos])
     values[:, 3:] += shift
-    sigma = np.full(values.shape, np.inf)
-    for name, (xyz, accuracy) in (positions or {}).items():
-        if name not in names:
-            raise InputMalformedError(f"position of image {name}, which is not in the export", where=place)
-        values[names.index(name), 3:] = xyz
-        sigma[names.index(name), 3:] = accuracy
     interiors = list(dict.fromkeys(photo.interior for photo in export.photos))
     cameras = tuple(
         _camera(export, interior, f"camera{k}", place) for k, interior in enumerate(interiors, start=1)
     )
     which = [interiors.index(photo.interior) for photo in export.photos]
-    if own_camera is not None:
-        cameras, which = (own_camera,), [0] * len(names)
-    shots = parts.images(names, which, values, sigma)
+    shots = parts.images(names, which, values)
     return parts.block(export.title or place, cameras, shots, points, export.marks, [export.file])
 
 
-def read_photomodeler(export: Path, control: Path | None = None, positions: Path | None = None) -> Block:
+def read_photomodeler(export: Path, control: Path | None = None) -> Block:
     """Read an export with its table of control points."""
     content = read_export(export)
     if control is None and content.control:
@@ -244,13 +221,10 @@ def read_photomodeler(export: Path, control: Path | None = None, positions: Path
             where=export,
             remedy="put a table id,name,X,Y,Z,sX,sY,sZ beside it as " + control_beside(export).name,
         )
-    block = block_from_export(
-        content,
-        {} if control is None else read_control(control),
-        positions=None if positions is None else read_positions(positions),
-    )
-    tables = tuple(fingerprint(path) for path in (control, positions) if path is not None)
-    return replace(block, inputs=block.inputs + tables)
+    if control is None:
+        return block_from_export(content, {})
+    block = block_from_export(content, read_control(control))
+    return replace(block, inputs=(*block.inputs, fingerprint(control)))
 
 
 def control_beside(export: Path) -> Path:

@@ -26,7 +26,8 @@ from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 FLIP = np.diag([1.0, -1.0, -1.0])
 # Beyond every focal length, coefficient and coordinate in use.
 LARGEST = 1e9
-_TERMS = ("K1", "K2", "K3", "P1", "P2")
+# Our terms by theirs: sign (y is up here and down there: p1 and p2 change places), and power of c.
+_SHARED = {f"K{n}": (f"k{n}", 1, 2 * n) for n in (1, 2, 3)} | {"P1": ("p2", 1, 1), "P2": ("p1", -1, 1)}
 # Of the rational lens and its thin prism, and k4 of a fisheye; y is down there.
 _MORE = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")
 _SIGN = {"s3": -1, "s4": -1}
@@ -72,12 +73,7 @@ def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
         "c": c,
         "x0": given.cx - (given.size_px[0] - 1) / 2,
         "y0": (given.size_px[1] - 1) / 2 - given.cy,
-        "K1": given.k1 / size**2,
-        "K2": given.k2 / size**4,
-        "K3": given.k3 / size**6,
-        # y is up here and down there: p1 and p2 change places, and one its sign.
-        "P1": given.p2 / size,
-        "P2": -given.p1 / size,
+        **{ours: s * getattr(given, theirs) / size**p for ours, (theirs, s, p) in _SHARED.items()},
         "B1": given.fx / given.fy - 1,
     }
     # Of Brown's lens these are zero.
@@ -105,7 +101,7 @@ def to_pinhole(
     require_no_skew(own, program)
     flat, others = in_pixels(own), others or {}
     model: Model = "equidistant" if flat.lens.angular else flat.model
-    terms = others.get(model, _TERMS)
+    terms = others.get(model, tuple(_SHARED))
     # A camera without affinity keeps fx = fy.
     terms = (*terms, "B1") if flat.value("B1") else terms
     conversion = converted(flat, model if model in others else "brown-ideal", "after", terms)
@@ -118,11 +114,7 @@ def to_pinhole(
         c,
         same.value("x0") + (same.size_px[0] - 1) / 2,
         (same.size_px[1] - 1) / 2 - same.value("y0"),
-        same.value("K1") * size**2,
-        same.value("K2") * size**4,
-        same.value("K3") * size**6,
-        -same.value("P2") * size,
-        same.value("P1") * size,
+        **{theirs: s * same.value(ours) * size**p for ours, (theirs, s, p) in _SHARED.items()},
         **{name: _SIGN.get(name, 1) * same.value(name.upper()) for name in _MORE},
         fisheye=fisheye,
     ), conversion

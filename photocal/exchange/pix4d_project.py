@@ -37,7 +37,7 @@ _SENSOR = re.compile(r"#Focal Length mm assuming a sensor width of ([0-9.eE+-]+)
 _KEYS = ("F", "Px", "Py", "K1", "K2", "K3", "T1", "T2")
 
 
-def read_pix4d(path: Path, size_px: tuple[int, int], camera_id: str = "") -> Camera:
+def read_pix4d(path: Path, size_px: tuple[int, int]) -> Camera:
     """Read a .cam file with one camera."""
     lines = read_lines(path, comment="")
     heads = [line for line in lines if line.text.startswith(HEAD)]
@@ -64,19 +64,9 @@ def read_pix4d(path: Path, size_px: tuple[int, int], camera_id: str = "") -> Cam
             remedy="give the size of the images of this camera",
         )
     pixel = width / size_px[0]
-    pinhole = Pinhole(
-        size_px,
-        value["F"] / pixel,
-        value["F"] / pixel,
-        value["Px"] / pixel - 0.5,
-        value["Py"] / pixel - 0.5,
-        value["K1"],
-        value["K2"],
-        value["K3"],
-        value["T1"],
-        value["T2"],
-    )
-    return from_pinhole(pinhole, camera_id or path.stem, path)
+    f, cx, cy = value["F"] / pixel, value["Px"] / pixel - 0.5, value["Py"] / pixel - 0.5
+    k1, k2, k3, t1, t2 = (value[key] for key in _KEYS[3:])
+    return from_pinhole(Pinhole(size_px, f, f, cx, cy, k1, k2, k3, t1, t2), path.stem, path)
 
 
 def write_pix4d(path: Path, own: Camera) -> Conversion:

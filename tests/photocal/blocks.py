@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from photocal.block.model import Block
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import result_json
 from tests.photocal import networks
@@ -184,3 +186,14 @@ estimate = ["c"]
 def adjusted_json(*source: Any, **choices: Any) -> dict[str, Any]:
     """Adjust a block folder into a run folder; content of its `result.json`."""
     return result_json(adjust_block(*source, **choices))
+
+
+def with_positions(block: Block, path: Path) -> Block:
+    """Observe the positions of images that a table has: image, X, Y, Z and the sigma of each, m."""
+    values, sigma = block.images.values.copy(), block.images.sigma.copy()
+    for line in path.read_text().splitlines():
+        if line.strip() and not line.startswith("#"):
+            name, *cells = (cell.strip() for cell in line.split(","))
+            k = block.images.names.index(name)
+            values[k, 3:], sigma[k, 3:] = [float(cell) for cell in cells[:3]], float(cells[3])
+    return replace(block, images=replace(block.images, values=values, sigma=sigma))

@@ -12,7 +12,6 @@ from photocal.accuracy.classes import component_sigma
 from photocal.accuracy.statistics import (
     Moments,
     bias_test,
-    moments_from_rmse_and_t,
     normality_test,
     precision_quantile,
     precision_test,
@@ -81,6 +80,12 @@ def test_statistics_of_the_ixus220_study_to_three_decimals(published: Published)
         chi = precision_test(figures[key], sigma, 0.90).chi_squared
         assert chi == pytest.approx(float(row["chi2_from_table5"]), abs=6e-4)
         assert abs(bias_test(figures[key], 0.90).t) == pytest.approx(float(row["t_from_table5"]), abs=6e-4)
+
+
+def moments_from_rmse_and_t(rmse_m: float, t: float, n: int) -> Moments:
+    """Mean and standard deviation behind a published RMSE and Student statistic."""
+    std = rmse_m * math.sqrt(n / (t**2 + n - 1))
+    return Moments(n, t * std / math.sqrt(n), std)
 
 
 def test_canon_elph_critical_value_and_all_42_values_of_table_24(published: Published) -> None:

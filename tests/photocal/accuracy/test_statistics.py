@@ -16,7 +16,6 @@ from photocal.accuracy.statistics import (
     length_statistics,
     lengths,
     moments,
-    moments_from_rmse_and_t,
     spread,
 )
 
@@ -98,12 +97,6 @@ def test_tank_root_mean_square_of_test_16(published: Published) -> None:
     assert length_statistics(np.array([float(r["residual_m"]) for r in rows])).rms_m == pytest.approx(
         0.0440, abs=5e-5
     )
-
-
-def test_moments_from_published_rmse_and_t() -> None:
-    figures = moments_from_rmse_and_t(1.753, -5.692, 9)
-    assert figures.rmse_m == pytest.approx(1.753, rel=1e-12)
-    assert figures.mean_m * math.sqrt(9) / figures.std_m == pytest.approx(-5.692, rel=1e-12)
 
 
 @given(values)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from photocal.exchange.geographic import footprints, topocentric, write_geojson, write_geopackage, write_kml
-from photocal.exchange.reconstruction import Origin, Reconstruction
+from photocal.exchange.reconstruction import Choices, Origin, Reconstruction
 from photocal.geometry.camera import PARAMETERS
 
 
@@ -60,9 +60,9 @@ def test_footprint_of_a_vertical_image(vision: Reconstruction) -> None:
 
 
 def test_geojson_and_kml(tmp_path: Path, vision: Reconstruction) -> None:
-    turn = topocentric(Origin(47.3, 8.6, 450.0))
-    write_geojson(tmp_path / "b.geojson", vision, turn)
-    write_kml(tmp_path / "b.kml", vision, turn)
+    choices = Choices(origin=Origin(47.3, 8.6, 450.0))
+    write_geojson(tmp_path / "b.geojson", vision, choices)
+    write_kml(tmp_path / "b.kml", vision, choices)
     content = json.loads((tmp_path / "b.geojson").read_text())
     kinds = [feature["properties"]["kind"] for feature in content["features"]]
     assert kinds.count("exposure") == kinds.count("footprint") == 6

@@ -30,9 +30,8 @@ from photocal.exchange.ground_points import (
 )
 from photocal.exchange.jaicov import read_scale_bars
 from photocal.exchange.micmac import read_measures
-from photocal.exchange.orientation_tables import read_angles, write_angles
+from photocal.exchange.orientation_tables import read_matrices, write_matrices
 from photocal.exchange.parts import PointEntry
-from photocal.exchange.photomodeler import read_positions
 from photocal.exchange.pix4d_project import read_pix4d, write_pix4d
 from photocal.exchange.reconstruction import Choices, of_result
 from photocal.exchange.reference_table import read_references, write_references
@@ -101,19 +100,14 @@ CASES = [of_format(form.name) for form in FORMATS if form.read is not None] + [
         lambda folder: read_references(folder / "r.csv"),
     ),
     Case(
-        "angles",
-        lambda folder: write_angles(folder / "a.txt", ("a", "b"), ANGLES, "deg"),
-        lambda folder: read_angles(folder / "a.txt", "deg"),
+        "matrices",
+        lambda folder: write_matrices(folder / "a.txt", ("a", "b"), ANGLES),
+        lambda folder: read_matrices(folder / "a.txt"),
     ),
     Case(
         "pix4d",
         lambda folder: write_pix4d(folder / "c.cam", PLAIN),
         lambda folder: read_pix4d(folder / "c.cam", (3060, 2036)),
-    ),
-    Case(
-        "positions",
-        text("p.txt", "a.jpg, 1.5, 2.5, 3.5, 0.25\n"),
-        lambda folder: read_positions(folder / "p.txt"),
     ),
     Case(
         "scale-bars",

@@ -10,7 +10,6 @@ import pytest
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.orientation_tables import (
-    read_angles,
     read_inpho,
     read_matrices,
     write_angles,
@@ -23,15 +22,16 @@ from photocal.geometry.distortion import undistorted
 
 
 @pytest.mark.parametrize("unit", ["deg", "gon"])
-def test_angles_round_trip(tmp_path: Path, vision: Reconstruction, unit: Literal["deg", "gon"]) -> None:
+def test_angles_are_in_their_unit(
+    tmp_path: Path, vision: Reconstruction, unit: Literal["deg", "gon"]
+) -> None:
     path = tmp_path / "ori.txt"
     write_angles(path, vision.image_names, vision.poses, unit)
-    names, poses = read_angles(path, unit)
-    assert names == vision.image_names
-    np.testing.assert_allclose(poses, vision.poses, rtol=1e-12)
-    first = [float(cell) for cell in path.read_text().splitlines()[1].split()[4:]]
-    circle = 360 if unit == "deg" else 400
-    np.testing.assert_allclose(np.array(first) / circle, vision.poses[0, :3] / (2 * np.pi), rtol=1e-12)
+    rows = [line.split() for line in path.read_text().splitlines()[1:]]
+    assert tuple(row[0] for row in rows) == vision.image_names
+    values, circle = np.array([row[1:] for row in rows], float), 360 if unit == "deg" else 400
+    np.testing.assert_allclose(values[:, :3], vision.poses[:, 3:], rtol=1e-12)
+    np.testing.assert_allclose(values[:, 3:] / circle, vision.poses[:, :3] / (2 * np.pi), rtol=1e-12)
 
 
 def test_matrices_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
@@ -79,15 +79,14 @@ def test_inpho_project_of_another_hand(tmp_path: Path) -> None:
 def test_bad_tables(tmp_path: Path) -> None:
     path = tmp_path / "ori.txt"
     for text, message in (
-        ("a 1 2 3 390 0 0\n", "name their unit"),
-        ("a 1 2 3 0 0\n", "5 values where 6"),
-        ("a 1 2 3 0 0 0\na 1 2 3 0 0 0\n", "listed twice"),
-        ("a 1 2 3 0 0,5 0\n", "decimal comma"),
+        ("a 1 2 3 0 0\n", "5 values where 12"),
+        ("a 1 2 3 1 0 0 0 1 0 0 0 1\na 1 2 3 1 0 0 0 1 0 0 0 1\n", "listed twice"),
+        ("a 1 2 3 1 0 0,5 0 1 0 0 0 1\n", "decimal comma"),
         ("# nothing\n", "no exterior orientation"),
     ):
         path.write_text(text)
         with pytest.raises(InputMalformedError, match=message):
-            read_angles(path, "deg")
+            read_matrices(path)
     path.write_text("a 0 0 0 1 0 0 0 1 0 0 0 2\n")
     with pytest.raises(InputMalformedError, match="no rotation"):
         read_matrices(path)

@@ -11,10 +11,11 @@ import pytest
 from photocal.accuracy.standard import Question
 from photocal.exchange.formats import read_foreign_block
 from photocal.exchange.micmac import read_micmac
-from photocal.exchange.photomodeler import block_from_export, read_control, read_export, read_positions
+from photocal.exchange.photomodeler import block_from_export, read_control, read_export
 from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.differences import differences
 from photocal.georeferencing.methods import Degradation, of_method, with_roles
+from tests.photocal.blocks import with_positions
 
 pytestmark = pytest.mark.shared
 
@@ -49,10 +50,9 @@ def test_sxb_indirect_as_in_dbat(sxb: Path) -> None:
 
 
 def test_sxb_integrated_with_camera_positions(sxb: Path) -> None:
-    positions = read_positions(sxb / "ref" / "fake-camera-positions.txt")
     export = read_export(sxb / "pmexports" / "wsmart-with-orient-pmexport.txt")
     control = read_control(sxb / "ref" / "ctrlpts-weighted.txt")
-    block = block_from_export(export, control, positions=positions)
+    block = with_positions(block_from_export(export, control), sxb / "ref" / "fake-camera-positions.txt")
     index = {name: k for k, name in enumerate(block.points.names)}
     held = np.array([k for k in np.flatnonzero(block.points.of_role("control")) if k not in _of(index)])
     block = with_roles(block, held)

@@ -13,7 +13,8 @@ import pytest
 
 from photocal.block.model import Block
 from photocal.exchange.formats import read_foreign_block
-from photocal.exchange.photomodeler import block_from_export, read_control, read_export, read_positions
+from photocal.exchange.photomodeler import block_from_export, read_control, read_export
+from tests.photocal.blocks import with_positions
 
 pytestmark = pytest.mark.shared
 
@@ -81,10 +82,11 @@ def test_set_up_with_check_points(folder: Path, dbat_report: Any, adjusted: Any)
 def test_positions_as_observations(
     folder: Path, prior: str, redundancy: int, dbat_report: Any, adjusted: Any
 ) -> None:
-    positions = read_positions(folder / "ref" / "fake-camera-positions.txt") if prior == "prior-eo" else None
     export = read_export(folder / "pmexports" / "wsmart-with-orient-pmexport.txt")
     control = read_control(folder / "ref" / "ctrlpts-weighted.txt")
-    block = block_from_export(export, control, positions=positions)
+    block = block_from_export(export, control)
+    if prior == "prior-eo":
+        block = with_positions(block, folder / "ref" / "fake-camera-positions.txt")
     report = dbat_report(folder / "dbatreports" / f"sxb-{prior}-dbatreport.txt")
     assert report.redundancy == redundancy
     same_as_printed(block, report, adjusted, stopped_short=prior == "prior-eo")

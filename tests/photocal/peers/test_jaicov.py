@@ -101,8 +101,3 @@ def test_correlations(found: Any, listing: str) -> None:
             assert sign * correlation == pytest.approx(float(cell), abs=0.01)
             compared += 1
     assert compared == 28
-
-
-def test_switched_off_observations(example: Path) -> None:
-    # 256 are switched off; in two images point 1097 was measured twice.
-    assert len(read_jaicov(example, switched_off=True).observations.image) == 9972 + 256 - 2
