@@ -66,7 +66,7 @@ def compile_all() -> None:
         "photocal.adjustment.compile as part; part.compile_unusual()",
         "photocal.adjustment.compile as part; part.compile_shaking()",
         "photocal.adjustment.compile as part; part.compile_usual()",
-        "photocal.measurement.compile as part; part.compile_kernels()",
+        "photocal.measurement.patch_kernel as part; part.compile_kernels()",
         "drivers.scan as part; part.compile_search()",
     )
     running = [subprocess.Popen([sys.executable, "-c", f"import {part}"]) for part in parts]  # noqa: S603

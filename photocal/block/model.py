@@ -165,6 +165,16 @@ class Observations:
         columns = ("image", "point", "values", "sigma")
         return replace(self, **{name: getattr(self, name)[chosen] for name in columns})
 
+    def plus(self, image: Integers, point: Integers, values: Floats, sigma: Floats) -> Observations:
+        """Add observations behind these."""
+        return replace(
+            self,
+            image=np.concatenate([self.image, image]),
+            point=np.concatenate([self.point, point]),
+            values=np.vstack([self.values, values]),
+            sigma=np.vstack([self.sigma, sigma]),
+        )
+
 
 @dataclass(frozen=True)
 class FiducialFit:

@@ -55,7 +55,6 @@ class ImageFacts:
     make, model, serial: of the camera; empty when not given.
     focal_mm, focal_35mm: focal length, and its equivalent for a frame of 36 mm by 24 mm; NaN when not given.
     taken: time of the camera's own clock, without zone ("2016-06-23T16:31:59"); empty when not given.
-    gps_utc: UTC of the position, ISO 8601; empty when not given.
     latitude_deg, longitude_deg: WGS 84; NaN when not given.
     altitude_m: as written; EXIF calls it "above sea level", drones write anything. NaN when not given.
     relative_altitude_m: above the take-off point (XMP); NaN when not given.
@@ -82,7 +81,6 @@ class ImageFacts:
     focal_mm: float = math.nan
     focal_35mm: float = math.nan
     taken: str = ""
-    gps_utc: str = ""
     latitude_deg: float = math.nan
     longitude_deg: float = math.nan
     altitude_m: float = math.nan
@@ -131,7 +129,6 @@ def read_facts(path: Path) -> ImageFacts:
         _positive(exif.get(0x920A)),
         _positive(exif.get(0xA405)),
         _taken(_text(exif.get(0x9003)) or _text(main.get(0x0132)), _text(exif.get(0x9291))),
-        _gps_time(gps),
         _angle(gps.get(2), _text(gps.get(1)), "S", 90.0),
         _angle(gps.get(4), _text(gps.get(3)), "W", 180.0),
         _altitude(gps, xmp),
@@ -274,14 +271,3 @@ def _taken(stamp: str, fraction: str) -> str:
         return ""
     year, month, day, clock = found.groups()
     return f"{year}-{month}-{day}T{clock}" + (f".{fraction}" if fraction.isdigit() else "")
-
-
-def _gps_time(gps: Mapping[int, Any]) -> str:
-    date = re.match(r"(\d{4})[:-](\d\d)[:-](\d\d)", _text(gps.get(29)))
-    try:
-        hour, minute, second = (_number(part) for part in gps.get(7, ()))
-    except (TypeError, ValueError):
-        return ""
-    if not date or not math.isfinite(hour + minute + second):
-        return ""
-    return f"{'-'.join(date.groups())}T{int(hour):02}:{int(minute):02}:{second:06.3f}Z"

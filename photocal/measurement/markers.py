@@ -151,12 +151,6 @@ VERSION = 3
 COMMON_PX = 0.02
 
 
-@dataclass(frozen=True)
-class _Task:
-    source: Source
-    dictionary: str
-
-
 def find_coded_targets(
     sources: Sequence[Source],
     dictionary_name: str,
@@ -167,7 +161,7 @@ def find_coded_targets(
     """Find coded targets in images."""
     dictionary(dictionary_name)
     marks, strangers = [], []
-    tasks = (_Task(source, dictionary_name) for source in sources)
+    tasks = ((source, dictionary_name) for source in sources)
     for source, found in zip(sources, run_tasks(_find, tasks, processes), strict=True):
         for code, x, y, sx, sy in found.tolist():
             name = names.get(str(int(code)))
@@ -180,11 +174,13 @@ def find_coded_targets(
     return tuple(marks), tuple(strangers)
 
 
-def _find(task: _Task) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _find(task: tuple[Source, str]) -> Floats:
+    source, dictionary_name = task
+
     def make() -> Arrays:
-        found = find_markers(read_grey(task.source.path), task.dictionary)
+        found = find_markers(read_grey(source.path), dictionary_name)
         rows = [(m.identity, m.centre.column, m.centre.row, *m.centre.sigma) for m in found]
         return {"targets": np.array(rows, dtype=float).reshape(-1, 5)}
 
-    key = combined_key(VERSION, "coded targets", task.source.key, task.dictionary)
-    return np.asarray(cached(task.source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
+    key = combined_key(VERSION, "coded targets", source.key, dictionary_name)
+    return np.asarray(cached(source.cache, key, ("targets",), make)["targets"], dtype=np.float64)

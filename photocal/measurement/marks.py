@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.arrays import Integers
-from photocal.block.model import Block, Observations
+from photocal.block.model import Block
 from photocal.block.table import read_table, refuse
 from photocal.exchange.parts import Mark
 
@@ -48,16 +48,9 @@ def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, 
         else:
             unknown.append(mark)
     keys = np.array(list(rows), dtype=np.int64).reshape(-1, 2)
-    seen = block.observations
-    observations = Observations(
-        "px",
-        "pixel",
-        np.concatenate([seen.image, keys[:, 0]]),
-        np.concatenate([seen.point, keys[:, 1]]),
-        np.vstack([seen.values, np.array([(m.x, m.y) for m in rows.values()]).reshape(-1, 2)]),
-        np.vstack([seen.sigma, np.array([m.sigma for m in rows.values()]).reshape(-1, 2)]),
-    )
-    return replace(block, observations=observations), tuple(unknown)
+    xy = np.array([(m.x, m.y) for m in rows.values()]).reshape(-1, 2)
+    sigma = np.array([m.sigma for m in rows.values()]).reshape(-1, 2)
+    return replace(block, observations=block.observations.plus(*keys.T, xy, sigma)), tuple(unknown)
 
 
 def _cells(names: tuple[Integers, Sequence[str]]) -> list[str]:

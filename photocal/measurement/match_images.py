@@ -119,19 +119,12 @@ class MatchingPlan:
     matches: MatchSettings = field(default_factory=MatchSettings)
 
 
-@dataclass(frozen=True)
-class _Image:
-    path: Path
-    key: str
-    plan: MatchingPlan
-
-
 def detect_all(
     paths: Sequence[Path], plan: MatchingPlan, done: Callable[[float], None]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Detect the features of all images into the cache."""
     keys, reasons = [], []
-    images = (_Image(path, combined_key(FEATURES, digest(path), plan.features), plan) for path in paths)
+    images = ((path, combined_key(FEATURES, digest(path), plan.features), plan) for path in paths)
     for key, reason in run_tasks(_detect_one, images, plan.processes):
         keys.append(key)
         reasons.append(reason)
@@ -153,18 +146,20 @@ def match_all(
     return join_tracks(features, pairs, matches), np.array([len(m) for m in matches], dtype=np.int64)
 
 
-def _detect_one(image: _Image) -> tuple[str, str]:
+def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
+    path, key, plan = image
+
     def make() -> Arrays:
-        found = detect(as_eight_bit(read_grey(image.path)), image.plan.features)
+        found = detect(as_eight_bit(read_grey(path)), plan.features)
         return {"pixels": found.pixels, "scale": found.scale, "descriptors": found.descriptors}
 
     try:
-        cached(image.plan.cache, image.key, _NAMES, make)
+        cached(plan.cache, key, _NAMES, make)
     except PhotocalError as refusal:
-        if refusal.where != str(image.path):
+        if refusal.where != str(path):
             raise
         return "", refusal.what
-    return image.key, ""
+    return key, ""
 
 
 def _match_one(task: tuple[str, str, MatchingPlan]) -> Integers:

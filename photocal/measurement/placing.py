@@ -91,7 +91,9 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     block = replace(block, cameras=_cameras(block.cameras, model))
     move, determined = _placing(model, control, given, _position_sigma(block, given))
     if not determined:
-        block = replace(block, datum="free", images=_unobserved(block))
+        block = replace(
+            block, datum="free", images=replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
+        )
         findings.append(Finding("block-not-placed", "doubtful"))
     model = _moved(model, move)
     unreached = "its tie points do not orient it to the other images"
@@ -226,10 +228,6 @@ def _together(model: Model, more: Model, own: Flags) -> Model:
         rotation=np.where(own[:, None, None], more.rotation, model.rotation),
         centre=np.where(own[:, None], more.centre, model.centre),
     )
-
-
-def _unobserved(block: Block) -> Images:
-    return replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
 
 
 def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[Floats, Floats, list[Finding]]:

@@ -87,7 +87,7 @@ def refine(
     for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes)):
         patches[(own == k) & inside] = cut
         done(1)
-    found = [_Found.none()]
+    found = []
     jobs = ((sources[k], part, patches[part.track]) for k in images for part in [rays.some(rays.image == k)])
     for result in run_tasks(_match_image, jobs, processes):
         found.append(result)
@@ -130,19 +130,6 @@ def refine_reduced(
 
 def _halved(size: tuple[int, int], level: int) -> tuple[int, int]:
     return max(1, round(size[0] / 2**level)), max(1, round(size[1] / 2**level))
-
-
-@dataclass(frozen=True)
-class _Found:
-    track: Integers
-    image: Integers
-    pixels: Floats
-    sigma: Floats
-
-    @staticmethod
-    def none() -> _Found:
-        nothing = np.zeros(0, dtype=np.int64)
-        return _Found(nothing, nothing, np.zeros((0, 2)), np.zeros(0))
 
 
 def _reference_rays(views: OrientedImages, tracks: Tracks, points: Floats) -> Integers:
@@ -248,10 +235,11 @@ def _cut_patches(task: tuple[Source, Floats]) -> Floats32:
     return np.asarray(cached(source.cache, key, ("patches",), make)["patches"], dtype=np.float32)
 
 
-def _match_image(task: tuple[Source, _Rays, Floats32]) -> _Found:
+def _match_image(task: tuple[Source, _Rays, Floats32]) -> Tracks:
+    """Rays that were matched, with their sigmas as scale."""
     source, rays, patches = task
     if not len(rays.track):
-        return _Found.none()
+        return Tracks(rays.track, rays.image, rays.place, np.zeros(0))
 
     def make() -> Arrays:
         return _matched(_smoothed(source), rays, patches)
@@ -261,7 +249,7 @@ def _match_image(task: tuple[Source, _Rays, Floats32]) -> _Found:
     )
     held = cached(source.cache, key, ("index", "pixels", "sigma"), make)
     index = held["index"]
-    return _Found(rays.track[index], rays.image[index], held["pixels"], held["sigma"])
+    return Tracks(rays.track[index], rays.image[index], held["pixels"], held["sigma"])
 
 
 def _matched(image: Floats32, rays: _Rays, patches: Floats32) -> Arrays:
@@ -275,11 +263,11 @@ def _matched(image: Floats32, rays: _Rays, patches: Floats32) -> Arrays:
     return {"index": np.flatnonzero(good), "pixels": found[good], "sigma": sigma[good]}
 
 
-def _joined(found: list[_Found], kept: Integers, own: Integers, middle: Floats, conflicts: int) -> Tracks:
+def _joined(found: list[Tracks], kept: Integers, own: Integers, middle: Floats, conflicts: int) -> Tracks:
     track = np.concatenate([kept, *(f.track for f in found)])
     image = np.concatenate([own, *(f.image for f in found)])
     pixels = np.concatenate([middle, *(f.pixels for f in found)])
-    sigma = np.concatenate([np.full(len(kept), np.nan), *(f.sigma for f in found)])
+    sigma = np.concatenate([np.full(len(kept), np.nan), *(f.scale for f in found)])
     # The reference ray is as sure as its matches: their median.
     order = np.lexsort((sigma, track))
     matched = np.bincount(track, minlength=int(track.max(initial=-1)) + 1) - 1

@@ -14,75 +14,43 @@ from photocal.measurement.patterns import FLAT
 from photocal.measurement.template import Template, Window, cut_window, fit_template
 
 
-def disc_centre(
+def round_centre(
     grey: Grey,
     approximate: tuple[float, float],
     semi_axes: tuple[float, float],
     direction: float = 0.0,
     bend: Floats = FLAT,
     margin: float | None = None,
+    hole: float = 0.0,
 ) -> Centre | None:
-    """Centre of a filled circle in perspective."""
-    window = _round_window(grey, approximate, semi_axes, direction, margin)
-    if window is None:
-        return None
-    start, sizes = _round_start(window, approximate, semi_axes, direction, (0.0, 0.6))
-    if not np.isfinite(start).all():
-        return None
-    fit = fit_template(window, partial(patterns.disc, bend=bend), start, sizes)
-    if fit is None:
-        return None
-    outline = _axes(fit.parameters[2:5])
-    if not _alike(outline, semi_axes):
-        return None
-    farthest = max(semi_axes) / 2 + 1
-    shape = np.r_[outline, fit.parameters[5]]
-    return accepted(window, fit, abs(fit.parameters[7]), approximate, farthest, shape)
+    """Centre of a filled circle in perspective; with a hole, a part of its size, of a ring.
 
-
-def ring_centre(
-    grey: Grey,
-    approximate: tuple[float, float],
-    semi_axes: tuple[float, float],
-    direction: float = 0.0,
-    hole: float = 0.5,
-    bend: Floats = FLAT,
-    margin: float | None = None,
-) -> Centre | None:
-    """Centre of a ring between two concentric circles, in perspective."""
-    window = _round_window(grey, approximate, semi_axes, direction, margin)
-    if window is None:
-        return None
-    start, sizes = _round_start(window, approximate, semi_axes, direction, (hole, 1.0))
-    if not np.isfinite(start).all():
-        return None
-    start, sizes = np.insert(start, 5, hole), np.insert(sizes, 5, 0.1)
-    fit = fit_template(window, partial(patterns.ring, bend=bend), start, sizes)
-    if fit is None:
-        return None
-    outline = _axes(fit.parameters[2:5])
-    if not (_alike(outline, semi_axes) and 0.05 < fit.parameters[5] < 0.95):
-        return None
-    farthest = max(semi_axes) * (1 - hole) / 2 + 1
-    shape = np.r_[outline, fit.parameters[5:7]]
-    return accepted(window, fit, abs(fit.parameters[8]), approximate, farthest, shape)
-
-
-def _round_window(
-    grey: Grey,
-    approximate: tuple[float, float],
-    semi_axes: tuple[float, float],
-    direction: float,
-    margin: float | None,
-) -> Window | None:
+    margin: even ground around it that may be used, px; None: as much as a window of the usual size has.
+    """
     longest = max(semi_axes)
-    beside = max(3.0, 0.35 * longest) if margin is None else margin
-    window = cut_window(grey, approximate, longest + beside)
-    if window is None or margin is None:
-        return window
-    x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
-    outline = np.array([x, y, *_extent(semi_axes, direction)])
-    return window.where(patterns.inside_circle(outline, window.x, window.y) >= -margin)
+    window = cut_window(grey, approximate, longest + (max(3.0, 0.35 * longest) if margin is None else margin))
+    if window is not None and margin is not None:
+        x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
+        outline = np.array([x, y, *_extent(semi_axes, direction)])
+        window = window.where(patterns.inside_circle(outline, window.x, window.y) >= -margin)
+    if window is None:
+        return None
+    filled = (hole, 1.0) if hole else (0.0, 0.6)
+    start, sizes = _round_start(window, approximate, semi_axes, direction, filled)
+    if not np.isfinite(start).all():
+        return None
+    if hole:
+        start, sizes = np.insert(start, 5, hole), np.insert(sizes, 5, 0.1)
+    template = partial(patterns.ring if hole else patterns.disc, bend=bend)
+    fit = fit_template(window, template, start, sizes)
+    if fit is None:
+        return None
+    outline = _axes(fit.parameters[2:5])
+    if not _alike(outline, semi_axes) or (hole and not 0.05 < fit.parameters[5] < 0.95):
+        return None
+    farthest = longest * (1 - hole) / 2 + 1
+    shape = np.r_[outline, fit.parameters[5:-2]]
+    return accepted(window, fit, abs(fit.parameters[-1]), approximate, farthest, shape)
 
 
 def _round_start(

@@ -137,10 +137,7 @@ def position_sigma(
 
 
 def without_images(block: Block, gone: Flags) -> Block:
-    """Take images out of a block, with their observations and the cameras of no other image; points stay.
-
-    gone (images,).
-    """
+    """Take images out of a block, with their observations and the cameras of no other image; points stay."""
     keep = np.flatnonzero(~gone)
     images, seen = block.images, block.observations
     place = np.full(len(gone), -1)
@@ -151,7 +148,7 @@ def without_images(block: Block, gone: Flags) -> Block:
         block,
         cameras=tuple(block.cameras[k] for k in cameras),
         images=replace(images.some(keep), camera=camera.astype(np.int64)),
-        observations=replace(_some(seen, left), image=place[seen.image[left]]),
+        observations=replace(seen.only(left), image=place[seen.image[left]]),
     )
 
 
@@ -159,10 +156,4 @@ def without_single_rays(block: Block) -> Block:
     """Take out what is measured in one image only: of a free block it determines nothing."""
     seen = block.observations
     count = np.bincount(seen.point, minlength=len(block.points.names))
-    return replace(block, observations=_some(seen, count[seen.point] > 1))
-
-
-def _some(seen: Observations, kept: Flags) -> Observations:
-    return replace(
-        seen, image=seen.image[kept], point=seen.point[kept], values=seen.values[kept], sigma=seen.sigma[kept]
-    )
+    return replace(block, observations=seen.only(count[seen.point] > 1))

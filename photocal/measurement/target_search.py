@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from drivers.arrays import Floats
 from photocal.measurement.centre import Centre, Look
 from photocal.measurement.image_file import Grey
-from photocal.measurement.round_targets import cross_centre, disc_centre, ring_centre, saddle_centre
+from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
 
 Place = tuple[float, float]
 
@@ -44,11 +44,11 @@ def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tu
     inverse = np.linalg.inv(covariance + 1e-6 * np.eye(2))
     found: list[tuple[float, Centre]] = []
     for start, turn in _worth_a_fit(grey, place, covariance, look):
-        centre = _FITS[look.kind](grey, start, look)
+        centre = _fitted(grey, start, look)
         if centre is not None:
             # A window that is laid around the centre has the same of the ground on all sides.
-            centre = _FITS[look.kind](grey, (centre.column, centre.row), look)
-        if centre is None or not (_clear(centre, look) and _AGREES[look.kind](centre, look)):
+            centre = _fitted(grey, (centre.column, centre.row), look)
+        if centre is None or not (_clear(centre, look) and _agrees(centre, look)):
             continue
         away = np.array([centre.column - place[0], centre.row - place[1]])
         likeness = _likeness(grey, centre, look, turn)
@@ -56,14 +56,11 @@ def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tu
             found.append((likeness, centre))
     kept: list[Centre] = []
     for _, centre in sorted(found, key=lambda one: -one[0]):
-        if all(not same_target(centre, other, look.size) for other in kept):
+        if all(
+            np.hypot(centre.column - other.column, centre.row - other.row) >= look.size / 3 for other in kept
+        ):
             kept.append(centre)
     return tuple(kept)
-
-
-def same_target(one: Centre, other: Centre, size: float) -> bool:
-    """Whether two centres are of one target of a size, px."""
-    return bool(np.hypot(one.column - other.column, one.row - other.row) < size / 3)
 
 
 def _worth_a_fit(grey: Grey, place: Place, covariance: Floats, look: Look) -> Iterator[tuple[Place, float]]:
@@ -132,21 +129,24 @@ def _likeness(grey: Grey, centre: Centre, look: Look, turn: float) -> float:
     return abs(float(np.corrcoef(ideal[covered], seen[covered])[0, 1]))
 
 
-def _disc(grey: Grey, place: Place, look: Look) -> Centre | None:
-    return disc_centre(grey, place, look.semi_axes, look.direction, look.bend, look.margin)
+def _fitted(grey: Grey, place: Place, look: Look) -> Centre | None:
+    if look.kind == "cross":
+        size = 2 * _CROSS * look.semi_axes[1]
+        return cross_centre(grey, place, size, look.part * look.size, look.bend)
+    if look.kind == "hourglass":
+        return saddle_centre(grey, place, _HOURGLASS * look.semi_axes[1])
+    hole = look.part if look.kind == "ring" else 0.0
+    return round_centre(grey, place, look.semi_axes, look.direction, look.bend, look.margin, hole)
 
 
-def _ring(grey: Grey, place: Place, look: Look) -> Centre | None:
-    return ring_centre(grey, place, look.semi_axes, look.direction, look.part, look.bend, look.margin)
-
-
-def _cross(grey: Grey, place: Place, look: Look) -> Centre | None:
-    size = 2 * _CROSS * look.semi_axes[1]
-    return cross_centre(grey, place, size, look.part * look.size, look.bend)
-
-
-def _saddle(grey: Grey, place: Place, look: Look) -> Centre | None:
-    return saddle_centre(grey, place, _HOURGLASS * look.semi_axes[1])
+def _agrees(centre: Centre, look: Look) -> bool:
+    """Whether what was fitted has the form and the size of the target."""
+    if look.kind in ("disc", "ring"):
+        hollow = look.kind == "disc" or abs(centre.shape[3] / look.part - 1) <= _PART
+        return _round(centre, look) and bool(hollow)
+    wide = look.part * look.size
+    broad = look.kind == "hourglass" or abs(centre.shape[2] - wide) <= _PART * wide + _SIZE_PX
+    return _square(centre, look) and bool(broad)
 
 
 def _round(centre: Centre, look: Look) -> bool:
@@ -158,30 +158,7 @@ def _round(centre: Centre, look: Look) -> bool:
     return bool(even and (np.abs(radii - 1) <= _SIZE + _SIZE_PX / look.semi_axes[1]).all())
 
 
-def _ring_agrees(centre: Centre, look: Look) -> bool:
-    return _round(centre, look) and abs(centre.shape[3] / look.part - 1) <= _PART
-
-
 def _square(centre: Centre, look: Look) -> bool:
     """Whether two lines are perpendicular in the target's plane."""
     first, second = (look.in_plane(float(angle)) for angle in centre.shape[:2])
     return bool(abs(np.cos(first - second)) <= np.sin(_ANGLE))
-
-
-def _cross_agrees(centre: Centre, look: Look) -> bool:
-    wide = look.part * look.size
-    return _square(centre, look) and abs(centre.shape[2] - wide) <= _PART * wide + _SIZE_PX
-
-
-_FITS: dict[str, Callable[[Grey, Place, Look], Centre | None]] = {
-    "disc": _disc,
-    "ring": _ring,
-    "cross": _cross,
-    "hourglass": _saddle,
-}
-_AGREES: dict[str, Callable[[Centre, Look], bool]] = {
-    "disc": _round,
-    "ring": _ring_agrees,
-    "cross": _cross_agrees,
-    "hourglass": _square,
-}

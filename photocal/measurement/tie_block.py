@@ -26,7 +26,7 @@ LEAST_SPREAD = 0.005
 
 def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Block:
     """Add tie points behind the points that a block has."""
-    known, seen = block.points, block.observations
+    known = block.points
     count = tracks.count
     return replace(
         block,
@@ -37,12 +37,8 @@ def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Bl
             np.concatenate([known.role, np.full(count, TIE)]),
             None if known.cross is None else np.vstack([known.cross, np.zeros((count, 3))]),
         ),
-        observations=replace(
-            seen,
-            image=np.concatenate([seen.image, tracks.image]),
-            point=np.concatenate([seen.point, tracks.track + len(known.names)]),
-            values=np.vstack([seen.values, tracks.pixels]),
-            sigma=np.vstack([seen.sigma, np.column_stack([sigma, sigma])]),
+        observations=block.observations.plus(
+            tracks.image, tracks.track + len(known.names), tracks.pixels, np.column_stack([sigma, sigma])
         ),
     )
 
@@ -54,12 +50,7 @@ def marked_control(block: Block) -> Integers:
 
 
 def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> Floats:
-    """Intersect the rays of tracks in the oriented images of a block.
-
-    least_spread: of a point's rays from their mean, rad.
-    returns (tracks.count, 3): in the block's frame; NaN where the rays do not meet, or only behind a camera,
-        or are almost parallel.
-    """
+    """Intersect the rays of tracks, (tracks.count, 3); NaN where they do not meet before, or hardly spread."""
     frame = block_frame(block)
     views = views_of(block, frame)
     points = intersected(views, tracks)
@@ -117,12 +108,7 @@ def misses(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
 
 
 def spread(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
-    """Largest angle of a point's rays from their mean, rad, shape (tracks.count,).
-
-    points (tracks.count, 3).
-
-    returns: NaN for points without coordinates.
-    """
+    """Largest angle of a point's rays from their mean, rad, (tracks.count,); NaN without coordinates."""
     towards = views.station[tracks.image] - points[tracks.track]
     towards = towards / np.linalg.norm(towards, axis=1)[:, None]
     mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])

@@ -130,25 +130,12 @@ def block_of_marks(
 
 def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
     """Keep some images, points and rays of a block."""
-    points, seen = block.points, block.observations
-    i, j = np.cumsum(image) - 1, np.cumsum(point) - 1
+    i, j, seen = np.cumsum(image) - 1, np.cumsum(point) - 1, block.observations.only(ray)
     return replace(
         block,
         images=block.images.some(np.flatnonzero(image)),
-        points=ObjectPoints(
-            tuple(n for n, kept in zip(points.names, point, strict=True) if kept),
-            points.values[point],
-            points.sigma[point],
-            points.role[point],
-            None if points.cross is None else points.cross[point],
-        ),
-        observations=replace(
-            seen,
-            image=i[seen.image[ray]],
-            point=j[seen.point[ray]],
-            values=seen.values[ray],
-            sigma=seen.sigma[ray],
-        ),
+        points=block.points.only(point),
+        observations=replace(seen, image=i[seen.image], point=j[seen.point]),
     )
 
 

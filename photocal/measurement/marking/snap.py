@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -13,8 +13,8 @@ from drivers.arrays import Floats
 from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
 from photocal.measurement.markers import find_markers
-from photocal.measurement.patterns import FLAT
-from photocal.measurement.round_targets import cross_centre, disc_centre, ring_centre, saddle_centre
+from photocal.measurement.patterns import FLAT, HOLE
+from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
 
 Kind = Literal["cross", "hourglass", "circle", "ring", "code"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -107,17 +107,16 @@ def snap(
 
 def _fitted(kind: Kind, grey: Grey, start: tuple[float, float], size: float, bend: Floats) -> Centre | None:
     """Fit a kind of target, and again in a window that is laid around it, as large as it is."""
-    rough = _FITS[kind](grey, start, size, bend)
+    rough = _fit(kind, grey, start, size, bend)
     if rough is None:
         return None
     place = (rough.column, rough.row)
     if kind not in ("circle", "ring"):
-        return _FITS[kind](grey, place, size, bend)
+        return _fit(kind, grey, place, size, bend)
     a, b, direction = (float(value) for value in rough.shape[:3])
     margin = max(_BESIDE_PX, _BESIDE * (a + b))
-    if kind == "circle":
-        return disc_centre(grey, place, (a, b), direction, bend, margin)
-    return ring_centre(grey, place, (a, b), direction, float(rough.shape[3]), bend, margin)
+    hole = float(rough.shape[3]) if kind == "ring" else 0.0
+    return round_centre(grey, place, (a, b), direction, bend, margin, hole)
 
 
 def _sharp(kind: Kind, centre: Centre, size: float) -> bool:
@@ -169,29 +168,13 @@ def _good(centre: Centre, place: tuple[float, float], reach: float) -> bool:
     return near and clear and max(centre.sigma) <= COARSEST_PX
 
 
-def _cross(grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:
-    return cross_centre(grey, place, size, bend=bend)
-
-
-def _saddle(grey: Grey, place: tuple[float, float], size: float, _: Floats) -> Centre | None:
-    # Straight lines stay straight.
-    return saddle_centre(grey, place, size / 2)
-
-
-def _disc(grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:
-    return disc_centre(grey, place, (size / 2, size / 2), bend=bend)
-
-
-def _ring(grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:
-    return ring_centre(grey, place, (size / 2, size / 2), bend=bend)
-
-
-_FITS: dict[Kind, Callable[[Grey, tuple[float, float], float, Floats], Centre | None]] = {
-    "cross": _cross,
-    "hourglass": _saddle,
-    "circle": _disc,
-    "ring": _ring,
-}
+def _fit(kind: Kind, grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:
+    if kind == "cross":
+        return cross_centre(grey, place, size, bend=bend)
+    if kind == "hourglass":
+        # Straight lines stay straight.
+        return saddle_centre(grey, place, size / 2)
+    return round_centre(grey, place, (size / 2, size / 2), bend=bend, hole=HOLE if kind == "ring" else 0.0)
 
 
 def _codes(

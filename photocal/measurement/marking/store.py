@@ -26,10 +26,6 @@ class Change:
     before: Mark | None
     after: Mark | None
 
-    def reversed(self) -> Change:
-        """Give the change that takes this one back."""
-        return Change(self.key, self.after, self.before)
-
 
 class MarkStore:
     """The marks of a file, with the changes that were made here.
@@ -95,7 +91,8 @@ class MarkStore:
             self._refresh()
             if not source:
                 return None
-            change = source[-1].reversed()
+            last = source[-1]
+            change = Change(last.key, last.after, last.before)
             self._apply(change)
             source.pop()
             target.append(change)

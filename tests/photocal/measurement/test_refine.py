@@ -13,8 +13,7 @@ from PIL import Image
 
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.compile import compile_kernels
-from photocal.measurement.patch_kernel import match_patches
+from photocal.measurement.patch_kernel import compile_kernels, match_patches
 from photocal.measurement.refine import Source, refine, refine_reduced
 from photocal.measurement.tie_block import intersected, misses
 from photocal.measurement.tracks import Tracks, of_images, without_twins

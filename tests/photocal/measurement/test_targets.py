@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from photocal.measurement.boards import find_board, parse_board
 from photocal.measurement.markers import find_markers
-from photocal.measurement.round_targets import cross_centre, disc_centre, saddle_centre
+from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
 from photocal.measurement.target_shapes import coded_target, plain_target, sheets_pdf
 
 # Rendered finely, for the renderer puts edges on whole pixels, and taken together as a sensor does.
@@ -92,8 +92,8 @@ def test_plain_targets(tmp_path: Path, photocal: Callable[..., Answer]) -> None:
         for kind in ("disc", "ring", "cross", "hourglass")
     }
     centres = {
-        "disc": disc_centre(pages["disc"], near, (reach, reach)),
-        "ring": disc_centre(pages["ring"], near, (reach / 2, reach / 2)),
+        "disc": round_centre(pages["disc"], near, (reach, reach)),
+        "ring": round_centre(pages["ring"], near, (reach / 2, reach / 2)),
         "cross": cross_centre(pages["cross"], near, 2 * reach),
         "hourglass": saddle_centre(pages["hourglass"], near, 0.6 * reach),
     }
