@@ -50,7 +50,8 @@ def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, 
     keys = np.array(list(rows), dtype=np.int64).reshape(-1, 2)
     xy = np.array([(m.x, m.y) for m in rows.values()]).reshape(-1, 2)
     sigma = np.array([m.sigma for m in rows.values()]).reshape(-1, 2)
-    return replace(block, observations=block.observations.plus(*keys.T, xy, sigma)), tuple(unknown)
+    seen = block.observations.plus(keys[:, 0], keys[:, 1], xy, sigma)
+    return replace(block, observations=seen), tuple(unknown)
 
 
 def _cells(names: tuple[Integers, Sequence[str]]) -> list[str]:

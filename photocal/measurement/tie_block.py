@@ -50,7 +50,7 @@ def marked_control(block: Block) -> Integers:
 
 
 def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> Floats:
-    """Intersect the rays of tracks, (tracks.count, 3); NaN where they do not meet before, or hardly spread."""
+    """Intersect the rays of tracks, (tracks.count, 3); NaN where they do not meet ahead, or spread."""
     frame = block_frame(block)
     views = views_of(block, frame)
     points = intersected(views, tracks)
