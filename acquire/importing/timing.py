@@ -52,11 +52,9 @@ def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, Integers]]:
 
 
 def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Iterator[tuple[Batch, Integers]]:
-    """Yield batches with the receiver's own UTC, since there is no time of receipt.
-
-    Each frame has the last time that was told before it; what comes before the first time has that one.
-    Times never go back.
-    """
+    """Yield batches with the receiver's own UTC, since there is no time of receipt."""
+    # Each frame has the last time that was told before it; what comes before the first time has that one.
+    # Times never go back.
     waiting: list[Batch] = []
     last = -1
     for batch in batches:
@@ -90,11 +88,9 @@ def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Iterator[t
 def since_boot(
     batches: Iterable[Batch], definitions: Definitions, boot: BootTime
 ) -> Iterator[tuple[Batch, Integers]]:
-    """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt.
-
-    Records without a time have the last one; what comes before the first has the time of the start. Times
-    never go back.
-    """
+    """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt."""
+    # Records without a time have the last one; what comes before the first has the time of the start. Times
+    # never go back.
     last = boot.utc_ns
     for batch in batches:
         definitions.learn(batch)

@@ -24,11 +24,9 @@ _REFUSAL = b"HTTP/1.1 401 Unauthorized\r\nContent-Length: 0\r\nConnection: close
 
 
 def hidden_host() -> str:
-    """Return an address of this computer alone that no page can guess.
-
-    All of 127.0.0.0/8 is this computer (RFC 1122, 3.2.1.3): with its port an address among 2^39. Programs of
-    this computer can look it up; those may read the recording anyway.
-    """
+    """Return an address of this computer alone that no page can guess."""
+    # All of 127.0.0.0/8 is this computer (RFC 1122, 3.2.1.3): with its port an address among 2^39. Programs
+    # of this computer can look it up; those may read the recording anyway.
     return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
 
 

@@ -182,10 +182,8 @@ class LogFiles:
         return []
 
     def make_safe(self) -> list[Told]:
-        """Write everything, let the disk make it safe, and begin the next file when it is time.
-
-        See `end_chunk`. Whether the disk has it is known by the next call, or later where the disk is slow.
-        """
+        """Write everything, let the disk make it safe, and begin the next file when it is time."""
+        # See `end_chunk`. Whether the disk has it is known by the next call, or later where the disk is slow.
         told = self.end_chunk()
         if self._again_ns is not None:
             return told

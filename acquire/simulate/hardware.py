@@ -83,10 +83,8 @@ def on_pty(device: Device) -> Iterator[str]:
 
 @contextlib.contextmanager
 def on_tcp(device: Device, host: str = "127.0.0.1", port: int = 0) -> Iterator[int]:
-    """Let a device speak to whoever connects, one after the other; yields the port.
-
-    A connection is told to the device as bytes of no length.
-    """
+    """Let a device speak to whoever connects, one after the other; yields the port."""
+    # A connection is told to the device as bytes of no length.
     server = socket.create_server((host, port))
     stop = threading.Event()
     start = time.monotonic()

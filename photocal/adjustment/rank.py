@@ -189,10 +189,8 @@ def _loaded(problem: Problem, named: Sequence[Unknown | None], null: Floats) -> 
 
 
 def _null_vectors(named: Sequence[Unknown | None], null: Floats, scale: Floats) -> tuple[str, ...]:
-    """Print what may change together without changing any observation, a line for each null vector.
-
-    The basis is turned so that each vector moves one leading unknown by 1 and not those of the others.
-    """
+    """Print what may change together without changing any observation, a line for each null vector."""
+    # The basis is turned so that each vector moves one leading unknown by 1 and not those of the others.
     loads = null * np.array([one is not None for one in named])[:, None]
     _, _, order = qr(loads.T, mode="economic", pivoting=True)
     leading = np.sort(order[: null.shape[1]])

@@ -120,10 +120,8 @@ def _settled(
 
 
 def _where_they_meet(before: tuple[float, float] | None, now: tuple[float, float]) -> float:
-    """Readout to give next, from those that were given and found: where both are the same, by the secant.
-
-    A larger one gives gusts more room, and may be found smaller by more than it was larger.
-    """
+    """Readout to give next, from those that were given and found: where both are the same, by the secant."""
+    # A larger one gives gusts more room, and may be found smaller by more than it was larger.
     given, found = now
     if before is None or given == before[0]:
         return found

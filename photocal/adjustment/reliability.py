@@ -65,11 +65,9 @@ def minimal_detectable_bias(sigma: Floats, redundancy: Floats, delta0: float) ->
 
 
 def external_reliability(redundancy: Floats, delta0: float) -> Floats:
-    """Largest effect of an undetected error on any function of the unknowns, in its standard deviations.
-
-    delta_bar = delta0 sqrt((1 - r) / r) (Foerstner 1979, eq. for the sensitivity of uncorrelated
-    observations); infinite where r is 0.
-    """
+    """Largest effect of an undetected error on any function of the unknowns, in its standard deviations."""
+    # delta_bar = delta0 sqrt((1 - r) / r) (Foerstner 1979, eq. for the sensitivity of uncorrelated
+    # observations); infinite where r is 0.
     r = _checked(redundancy)
     return np.asarray(np.where(r > 0, delta0 * np.sqrt(np.maximum(1 - redundancy, 0.0)) / np.sqrt(r), np.inf))
 
@@ -108,10 +106,8 @@ def reliability(
 
 
 def _control_reliability(network: Network, solution: Solution, delta0: float) -> tuple[Floats, Floats]:
-    """Minimal detectable bias and delta_bar of observed point coordinates with full weight matrices.
-
-    With P the weights, a bias in coordinate i shifts the test by sqrt((P Qvv P)_ii) of it.
-    """
+    """Minimal detectable bias and delta_bar of observed point coordinates with full weight matrices."""
+    # With P the weights, a bias in coordinate i shifts the test by sqrt((P Qvv P)_ii) of it.
     weight = network.points.weight
     own = np.diagonal(weight, axis1=1, axis2=2)
     adjusted = np.einsum("nab,nbc,ncd->nad", weight, solution.point_covariance, weight)
@@ -124,10 +120,8 @@ def _control_reliability(network: Network, solution: Solution, delta0: float) ->
 
 
 def _direction_of_c(at: Factored, camera: int) -> tuple[Floats, Floats]:
-    """Column of the covariance that belongs to a principal distance: reduced part and points.
-
-    Zero when it is held.
-    """
+    """Column of the covariance that belongs to a principal distance: reduced part and points."""
+    # Zero when it is held.
     layout = at.problem.layout
     active, columns = layout.camera_columns[camera]
     right, points = np.zeros(layout.size), np.zeros_like(at.state.points)

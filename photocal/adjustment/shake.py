@@ -143,10 +143,8 @@ def _local(
 
 
 def _shakes(local: _Local) -> float:
-    """Probability of a camera at rest: F of what the images have each for itself.
-
-    What all have alike is the lens. Object points as known make the test a cautious one.
-    """
+    """Probability of a camera at rest: F of what the images have each for itself."""
+    # What all have alike is the lens. Object points as known make the test a cautious one.
     alone = np.linalg.solve(local.matrix, local.pull[:, :, None])[:, :, 0]
     together = np.linalg.solve(local.matrix.sum(axis=0), local.pull.sum(axis=0))
     fall = np.sum(local.pull * alone) - local.pull.sum(axis=0) @ together

@@ -213,10 +213,7 @@ def _with_known_readout(keys: CameraKeys, place: str, own: Camera) -> Camera:
 
 
 def known_readout(make_and_model: str, size_px: tuple[int, int]) -> tuple[float, float]:
-    """Readout of a known camera and its sigma, s.
-
-    raises ConfigurationError: when nothing is known of it at this size.
-    """
+    """Readout of a known camera and its sigma, s."""
     table = tomllib.loads(resources.files("photocal.block").joinpath("readouts.toml").read_text("utf-8"))
     known = table["ms"].get(make_and_model.lower())
     if isinstance(known, list):

@@ -66,9 +66,5 @@ class Setup(Table):
 
 
 def read_setup(path: Path) -> Setup:
-    """Read and check `block.toml`.
-
-    raises InputNotFoundError: when there is no such file.
-    raises ConfigurationError: for what is not TOML, an unknown key, a missing one, or an impossible value.
-    """
+    """Read and check `block.toml`."""
     return read_toml(path, Setup)

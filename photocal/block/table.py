@@ -260,11 +260,9 @@ def _cut(path: Path, message: str) -> InputMalformedError:
 
 
 def _refuse_cut_end(table: Table) -> None:
-    """Refuse a table that seems cut inside its last cell.
-
-    Without a final line end the last number may have lost digits. That is taken for granted when it has
-    fewer decimals, or fewer digits, than every other number of its column, or ends where no number ends.
-    """
+    """Refuse a table that seems cut inside its last cell."""
+    # Without a final line end the last number may have lost digits. That is taken for granted when it has
+    # fewer decimals, or fewer digits, than every other number of its column, or ends where no number ends.
     with table.path.open("rb") as text:
         text.seek(-min(2, table.path.stat().st_size), 2)
         if text.read(2).rstrip(b"\0")[-1:] in b"\r\n":

@@ -92,11 +92,9 @@ def _look(task: tuple[Path, MatchingPlan]) -> Look:
 
 
 def _softness(grey: NDArray[np.uint8]) -> float:
-    """Inverse of the usual spatial frequency in the direction where it is lowest, median over tiles.
-
-    A wave of frequency w has differences over one and two pixels with the ratio of squares 2 (1 + cos w), of
-    which tan^2(w/2) follows.
-    """
+    """Inverse of the usual spatial frequency in the direction where it is lowest, median over tiles."""
+    # A wave of frequency w has differences over one and two pixels with the ratio of squares 2 (1 + cos w),
+    # of which tan^2(w/2) follows.
     height, width = grey.shape
     found = []
     for row in np.linspace(0, max(height - _TILE, 0), _TILES).astype(int):

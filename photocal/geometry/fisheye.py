@@ -61,10 +61,8 @@ def equidistant(
 def pix4d_fisheye(
     cameras: Floats, k: int, u: float, v: float, w: float, by_q: Floats, by_camera: Floats, depth: Floats
 ) -> tuple[float, float]:
-    """Project to c pi/2 (t + K1 t^2 + K2 t^3 + K3 t^4) at the angle t in right angles.
-
-    K1 to K3 are Pix4D's p2, p3, p4, and c pi/2 its C (Strecha et al. 2015).
-    """
+    """Project to c pi/2 (t + K1 t^2 + K2 t^3 + K3 t^4) at the angle t in right angles."""
+    # K1 to K3 are Pix4D's p2, p3, p4, and c pi/2 its C (Strecha et al. 2015).
     t = np.arctan2(np.sqrt(u * u + v * v), -w) / _RIGHT
     p2, p3, p4 = cameras[k, _K1], cameras[k, _K1 + 1], cameras[k, _K1 + 2]
     f = _RIGHT * t * (1.0 + t * (p2 + t * (p3 + t * p4)))

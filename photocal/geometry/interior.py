@@ -118,10 +118,8 @@ def _affine(readings: Floats, known: Floats) -> Floats:
 
 
 def _mirrored(readings: Floats, known: Floats) -> bool:
-    """Whether a reflection brings the marks closer to their known places than a rotation.
-
-    The sign of the determinant of the products of both systems decides (Kabsch 1976).
-    """
+    """Whether a reflection brings the marks closer to their known places than a rotation."""
+    # The sign of the determinant of the products of both systems decides (Kabsch 1976).
     return bool(np.linalg.det(known.T @ readings) < 0)
 
 

@@ -284,10 +284,8 @@ def ray_residual(
 
 @inlined
 def vary_with_distance(cameras: Floats, k: int, focus: float, g: float, w: float, room: Scratch) -> None:
-    """Add what the distortion's dependence on c and on the object's distance gives to the derivatives.
-
-    g = (1 - c/s) / (1 - c/s'), the ratio of the image scales at focus s and object distance s' = -w.
-    """
+    """Add what the distortion's dependence on c and on the object's distance gives to the derivatives."""
+    # g = (1 - c/s) / (1 - c/s'), the ratio of the image scales at focus s and object distance s' = -w.
     by_q, by_camera = room.by_q, room.by_camera
     c, depth = cameras[k, _C], -MM * w
     near = 1.0 - c / depth

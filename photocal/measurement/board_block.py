@@ -138,11 +138,9 @@ def _block(facts: Sequence[ImageFacts], views: Sequence[BoardView], board: Board
 
 
 def plane_principal_distance(flat: Sequence[Floats], planes: Sequence[Floats]) -> float | None:
-    """Principal distance from views of a flat object, the principal point in the middle.
-
-    Each homography H of the plane gives two linear equations in 1/c^2: its first two columns are images of
-    orthogonal unit vectors (Zhang 2000, eq. 3 and 4).
-    """
+    """Principal distance from views of a flat object, the principal point in the middle."""
+    # Each homography H of the plane gives two linear equations in 1/c^2: its first two columns are images of
+    # orthogonal unit vectors (Zhang 2000, eq. 3 and 4).
     import cv2
 
     rows, right = [], []

@@ -84,14 +84,12 @@ def accepted(
 
 
 def ground_bend(camera: Camera, rotation: Floats, pixel: Floats) -> Floats:
-    """Bend of level ground about a place: what takes a target's middle out of that of its picture.
-
-    The centre of the ellipse that shows a circle is not where the circle's centre is seen: perspective and
-    distortion move it by a part of the target's size squared. To the second order an offset d in the image
-    belongs to the offset A^-1 (d + b(d, d)) on the ground, with A the affine part and b the bend. A picture
-    that is drawn with this bend has its centre where the target has its own (for perspective alone this is
-    the correction of Ahn, Warnecke and Kotowski 1999, up to the third order).
-    """
+    """Bend of level ground about a place: what takes a target's middle out of that of its picture."""
+    # The centre of the ellipse that shows a circle is not where the circle's centre is seen: perspective and
+    # distortion move it by a part of the target's size squared. To the second order an offset d in the image
+    # belongs to the offset A^-1 (d + b(d, d)) on the ground, with A the affine part and b the bend. A picture
+    # that is drawn with this bend has its centre where the target has its own (for perspective alone this is
+    # the correction of Ahn, Warnecke and Kotowski 1999, up to the third order).
     ideal = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixel + _AROUND))
     ray = np.column_stack([ideal, np.full(len(ideal), -camera.value("c"))]) @ rotation
     ground = ray[:, :2] / ray[:, 2:]

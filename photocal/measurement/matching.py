@@ -136,10 +136,8 @@ def mutual_matches(
     ratio: float,
     windows: Iterable[Window] | None = None,
 ) -> Integers:
-    """Features that are each other's nearest, clearly before the second nearest (Lowe 2004).
-
-    Descriptors are compared by the Hellinger kernel (Arandjelovic and Zisserman 2012).
-    """
+    """Features that are each other's nearest, clearly before the second nearest (Lowe 2004)."""
+    # Descriptors are compared by the Hellinger kernel (Arandjelovic and Zisserman 2012).
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     a, b = _rooted(first), _rooted(second)

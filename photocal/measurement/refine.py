@@ -149,10 +149,8 @@ def _directions(views: OrientedImages, image: Integers, xyz: Floats) -> Floats:
 def _anchors(
     views: OrientedImages, tracks: Tracks, points: Floats, reference: Integers, middle: Floats
 ) -> tuple[Floats, Floats]:
-    """Points of the surface that the reference image shows in the middle of a pixel, and axes on it.
-
-    The surface at a track is taken as square to the mean direction to its images.
-    """
+    """Points of the surface that the reference image shows in the middle of a pixel, and axes on it."""
+    # The surface at a track is taken as square to the mean direction to its images.
     towards = _directions(views, tracks.image, points[tracks.track])
     normal = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
     normal = normal / np.linalg.norm(normal, axis=1)[:, None]

@@ -60,10 +60,8 @@ def _round_start(
     direction: float,
     filled: tuple[float, float],
 ) -> tuple[Floats, Floats]:
-    """Parameters of a disc to start from, and their sizes; NaN where a part of the picture has no pixel.
-
-    `filled` tells between which parts of the radius the picture is inside.
-    """
+    """Parameters of a disc to start from, and their sizes; NaN where a part of the picture has no pixel."""
+    # `filled` tells between which parts of the radius the picture is inside.
     x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
     outline = np.array([x, y, *_extent(semi_axes, direction)])
     depth = patterns.inside_circle(outline, window.x, window.y)

@@ -128,12 +128,10 @@ def fit_template(window: Window, template: Template, start: Floats, sizes: Float
 
 
 def odd_variance(window: Window, fit: Fit, middle: Floats) -> float:
-    """Variance of the grey values that can move the centre of a target.
-
-    Targets look the same when turned by half a turn, so what is left of the grey values and looks the same,
-    too, such as a plate's edge all around or corners that are rounder than drawn, does not move their centre:
-    only the odd part does, grey values less those across the centre.
-    """
+    """Variance of the grey values that can move the centre of a target."""
+    # Targets look the same when turned by half a turn, so what is left of the grey values and looks the same,
+    # too, such as a plate's edge all around or corners that are rounder than drawn, does not move their
+    # centre: only the odd part does, grey values less those across the centre.
     x, y = window.x.astype(np.int64), window.y.astype(np.int64)
     # To half a pixel: noise does not mind, and other remains are smooth.
     u, v = np.round(2 * middle).astype(np.int64)

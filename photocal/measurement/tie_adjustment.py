@@ -214,10 +214,8 @@ def _state(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:
 
 
 def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, Block, Solved]:
-    """Adjust at last, without the tie points whose rays turn out not to meet.
-
-    Few of them are wrong themselves; when many do not meet, positions or control may keep them apart.
-    """
+    """Adjust at last, without the tie points whose rays turn out not to meet."""
+    # Few of them are wrong themselves; when many do not meet, positions or control may keep them apart.
     solved = _solved
     while True:
         try:

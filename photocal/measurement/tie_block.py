@@ -147,11 +147,9 @@ _SEEN = 0.05
 
 
 def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats) -> Floats:
-    """Sigma of a coordinate for each ray: that of its class, times a factor of its image.
-
-    Height, light and blur make images differently sharp; with one sigma for all, those that are worse would
-    weigh too much, and what depends on them would seem surer than it is.
-    """
+    """Sigma of a coordinate for each ray: that of its class, times a factor of its image."""
+    # Height, light and blur make images differently sharp; with one sigma for all, those that are worse would
+    # weigh too much, and what depends on them would seem surer than it is.
     images = int(image.max(initial=-1)) + 1
     seen = redundancy > _SEEN
     count = np.bincount(image[seen], minlength=images)

@@ -10,10 +10,7 @@ from drivers.errors import ConfigurationError, InputMalformedError, reading
 
 
 def read_antennas(path: Path) -> tuple[str, ...]:
-    """Read the names (type and radome) of the receiver antennas whose models an ANTEX file has.
-
-    raises InputNotFoundError, InputMalformedError: when it cannot be read, or is no ANTEX file.
-    """
+    """Read the names (type and radome) of the receiver antennas whose models an ANTEX file has."""
     with reading(path, "name an ANTEX file, such as igs20.atx of the IGS"):
         lines = path.read_text(encoding="latin-1").splitlines()
     if not any(line[60:].startswith("ANTEX VERSION") for line in lines[:5]):
@@ -52,10 +49,7 @@ def _name(lines: list[str]) -> str | None:
 
 
 def antenna_named(antennas: Sequence[str], name: str, path: Path) -> str:
-    """Give the name of an antenna's model; without its radome where the file knows it with NONE only.
-
-    raises ConfigurationError: when the file has none of that name; says which are alike.
-    """
+    """Give the name of an antenna's model; without its radome where the file knows it with NONE only."""
     wanted = " ".join(name.split())
     for key in (wanted, f"{wanted} NONE", f"{wanted.split(' ')[0]} NONE" if wanted else ""):
         if key in antennas:

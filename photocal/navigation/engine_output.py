@@ -169,10 +169,8 @@ class SatelliteResiduals:
 
 
 def read_satellite_residuals(path: Path) -> SatelliteResiduals:
-    """Read the satellites that were used from a status file (RTKLIB manual 2.4.2, appendix B.2).
-
-    A file that the engine did not write tells of none.
-    """
+    """Read the satellites that were used from a status file (RTKLIB manual 2.4.2, appendix B.2)."""
+    # A file that the engine did not write tells of none.
     rows: list[list[str]] = []
     if not path.exists():
         return _sights(rows)
@@ -223,12 +221,10 @@ def shift_by_zenith_delay(satellites: SatelliteResiduals) -> Floats:
 
 
 def correlation_time_s(satellites: SatelliteResiduals) -> float:
-    """Return how long errors of the phases last: the integral of their autocorrelation.
-
-    The mean over a time T of errors with the variance s^2 has the variance 2 s^2 t / T with this time t
-    (Sokal 1997, eq. 2.20). Residuals are taken less the mean of their system and frequency at each epoch,
-    which removes the reference satellite; what correlates the positions' errors is the same multipath.
-    """
+    """Return how long errors of the phases last: the integral of their autocorrelation."""
+    # The mean over a time T of errors with the variance s^2 has the variance 2 s^2 t / T with this time t
+    # (Sokal 1997, eq. 2.20). Residuals are taken less the mean of their system and frequency at each epoch,
+    # which removes the reference satellite; what correlates the positions' errors is the same multipath.
     epochs, at = np.unique(satellites.time.ns, return_inverse=True)
     if len(epochs) < _LEAST_EPOCHS:
         return float("nan")

@@ -64,10 +64,8 @@ class Events:
         return len(self.time)
 
     def delayed(self, delay_s: float, sigma_s: float = 0.0) -> Events:
-        """Return the exposures themselves, `delay_s` after what was noted (trigger, cable, shutter).
-
-        `sigma_s` is the standard deviation of the delay from exposure to exposure.
-        """
+        """Return the exposures themselves, `delay_s` after what was noted (trigger, cable, shutter)."""
+        # `sigma_s` is the standard deviation of the delay from exposure to exposure.
         shift = round(delay_s * 1e9)
         return replace(
             self,

@@ -104,10 +104,8 @@ def _steps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats) -> tuple
 
 
 def _jumps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats, sigma: float) -> Flags:
-    """Tell which fixes stand off the path that their neighbours and the velocities give.
-
-    Of the two sides of a jump the shorter run of fixes is the doubtful one.
-    """
+    """Tell which fixes stand off the path that their neighbours and the velocities give."""
+    # Of the two sides of a jump the shorter run of fixes is the doubtful one.
     step, seconds, pair = _steps(time, here, fixed, velocity)
     # The mean of two velocities, and a manoeuvre of 1 m/s^2 within the step.
     limit = _JUMP_SIGMAS * (sigma * seconds / np.sqrt(2) + 0.02) + seconds**2 / 8

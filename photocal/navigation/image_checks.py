@@ -143,11 +143,9 @@ _SIGMAS = 3.0
 
 
 def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: Rig) -> list[PairRotation]:
-    """Compare relative rotations of every image and its follower; the frame of the block does not matter.
-
-    An adjustment of many images knows rotations better than two images over flat ground do, whose tilt and
-    shift can hardly be told apart.
-    """
+    """Compare relative rotations of every image and its follower; the frame of the block does not matter."""
+    # An adjustment of many images knows rotations better than two images over flat ground do, whose tilt and
+    # shift can hardly be told apart.
     recorded = orientations(exposures, rig).rotation
     place = places_of(exposures)
     rows = _common(exposures, oriented)
@@ -165,11 +163,9 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
 
 
 def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) -> Finding:
-    """Return the constant turn between recorded attitudes and the camera as a check.
-
-    The block is turned into east, north, up by its positions (a similarity); the median of what is left is
-    taken about each camera axis, images that are stored turned taken upright.
-    """
+    """Return the constant turn between recorded attitudes and the camera as a check."""
+    # The block is turned into east, north, up by its positions (a similarity); the median of what is left is
+    # taken about each camera axis, images that are stored turned taken upright.
     rows = _common(exposures, oriented)
     place = places_of(exposures)
     if len(rows) < _LEAST or not np.isfinite(place[rows]).all():

@@ -97,10 +97,8 @@ def match(
 
 
 def _add_late(predicted: Floats, y: Floats, of_image: Integers, mutual: Flags, reach: float) -> None:
-    """Pair, in place, images and events that are left over and have nobody else within a wider reach.
-
-    Cameras stamp a picture late now and then, by far more than they usually scatter; never early.
-    """
+    """Pair, in place, images and events that are left over and have nobody else within a wider reach."""
+    # Cameras stamp a picture late now and then, by far more than they usually scatter; never early.
     half = reach / 2
     free = np.setdiff1d(np.arange(len(y)), of_image[of_image >= 0])
     lone = np.flatnonzero(of_image < 0)

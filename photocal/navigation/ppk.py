@@ -30,11 +30,9 @@ _ROUNDING_M = 0.005
 def between_directions(
     combined: EngineSolution, forward: EngineSolution, backward: EngineSolution
 ) -> tuple[EngineSolution, Flags]:
-    """Replace combined positions that lie apart from both directions.
-
-    The engine now and then inverts a covariance that has lost its digits; its combination is then up to some
-    decimetres off although both directions agree.
-    """
+    """Replace combined positions that lie apart from both directions."""
+    # The engine now and then inverts a covariance that has lost its digits; its combination is then up to
+    # some decimetres off although both directions agree.
     origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
     here, fore, back = (s.offsets(origin) for s in (combined, forward, backward))
     f, b = forward.at(combined.time), backward.at(combined.time)

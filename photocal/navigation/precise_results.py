@@ -158,11 +158,7 @@ class PreciseResult:
 
 
 def read_precise_result(path: Path) -> PreciseResult:
-    """Read the result of a service: the summary (.sum) of CSRS-PPP, or SINEX of a single site.
-
-    raises InputNotFoundError, InputMalformedError: when it cannot be read, or is neither.
-    raises ConfigurationError: when a SINEX file has several sites.
-    """
+    """Read the result of a service: the summary (.sum) of CSRS-PPP, or SINEX of a single site."""
     lines = _lines(path)
     try:
         if any(line.startswith("POS CRD") for line in lines):

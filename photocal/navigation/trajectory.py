@@ -60,11 +60,9 @@ class Trajectory(Geodetic):
 
 
 def covariance_cells(covariance_m2: Floats) -> list[str]:
-    """Return se, sn, su (standard deviations, m) and sen, seu, snu of one epoch.
-
-    The last three are roots of the covariances with the covariances' signs, in metres, as RTKLIB writes
-    them (RTKLIB manual 2.4.2, appendix B.1).
-    """
+    """Return se, sn, su (standard deviations, m) and sen, seu, snu of one epoch."""
+    # The last three are roots of the covariances with the covariances' signs, in metres, as RTKLIB writes
+    # them (RTKLIB manual 2.4.2, appendix B.1).
     c = covariance_m2
     roots = [np.sign(c[i, j]) * np.sqrt(abs(c[i, j])) for i, j in ((0, 1), (0, 2), (1, 2))]
     return [f"{v:.5f}" for v in (*np.sqrt(np.diag(c)), *roots)]
@@ -261,10 +259,8 @@ def _hermite(
     gap: Floats,
     u: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return position and velocity of the cubic through two positions with two velocities.
-
-    Where a velocity is missing the chord takes its place (Fritsch and Carlson 1980, eq. 2).
-    """
+    """Return position and velocity of the cubic through two positions with two velocities."""
+    # Where a velocity is missing the chord takes its place (Fritsch and Carlson 1980, eq. 2).
     p0, p1 = local[before], local[after]
     chord = (p1 - p0) / gap[:, None]
     v0 = np.where(np.isfinite(velocity[before]), velocity[before], chord)

@@ -95,12 +95,10 @@ class DelayLapse:
 def remaining_lapse(
     lat_deg: float, height_m: float, day_of_year: float, weather: Weather | None = None
 ) -> DelayLapse:
-    """Return what the engine leaves of the fall of the zenith delay with height.
-
-    Over a difference in height the zenith delay changes by the refractivity of the air between (Davis et al.
-    1985, eq. 1). The engine's model of differential positions is Saastamoinen's (1972) for dry air in the
-    standard atmosphere.
-    """
+    """Return what the engine leaves of the fall of the zenith delay with height."""
+    # Over a difference in height the zenith delay changes by the refractivity of the air between (Davis et
+    # al. 1985, eq. 1). The engine's model of differential positions is Saastamoinen's (1972) for dry air in
+    # the standard atmosphere.
     if weather is None:
         pressure, kelvin, vapour = climate(lat_deg, height_m, day_of_year)
         vapour_share, dry_share, source = _CLIMATE_VAPOUR, _CLIMATE_DRY, "climate of latitude and season"
@@ -117,10 +115,8 @@ def remaining_lapse(
 
 
 def climate(lat_deg: float, height_m: float, day_of_year: float) -> tuple[float, float, float]:
-    """Return the mean pressure (hPa), temperature (K) and vapour pressure (hPa) of a place and season.
-
-    Profiles of RTCA DO-229D, A.4.2.4.
-    """
+    """Return the mean pressure (hPa), temperature (K) and vapour pressure (hPa) of a place and season."""
+    # Profiles of RTCA DO-229D, A.4.2.4.
     season = np.cos(2 * np.pi * (day_of_year - _COLDEST_DAY["north" if lat_deg >= 0 else "south"]) / 365.25)
     lat = abs(lat_deg)
     mean, swing = (

@@ -77,10 +77,8 @@ class _Received:
 
 
 def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks | None = None) -> VehicleTrack:
-    """Read positions, attitudes and clocks of the autopilot from a flight log.
-
-    Raw MAVLink frames go first; what was imported from an autopilot's own log stands in decoded topics.
-    """
+    """Read positions, attitudes and clocks of the autopilot from a flight log."""
+    # Raw MAVLink frames go first; what was imported from an autopilot's own log stands in decoded topics.
     found = _received(log, link)
     if not any(received.fields for received in found.values()):
         return _of_topics(log, link or "vehicle")
@@ -247,12 +245,10 @@ def told_mounting(log: FlightLog, link: str) -> Mounting:
 
 
 def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats]:
-    """Return the autopilot's time at moments of the recording computer's clock, and its sigma (s).
-
-    By TIMESYNC exchanges where there are some. Else: between two messages that arrived around a moment the
-    autopilot's clock is taken to run evenly: so an uneven playback does no harm beyond the distance of the
-    messages.
-    """
+    """Return the autopilot's time at moments of the recording computer's clock, and its sigma (s)."""
+    # By TIMESYNC exchanges where there are some. Else: between two messages that arrived around a moment the
+    # autopilot's clock is taken to run evenly: so an uneven playback does no harm beyond the distance of the
+    # messages.
     if track.sync is not None and track.clock is not None and not track.sync.host_of_boot.played_back:
         boot, sigma = track.sync.boot(host.ns)
         utc, more = track.clock.utc(boot, host.ns)

@@ -91,10 +91,8 @@ class Atmosphere:
         return np.asarray(LIGHT_M_S * (5e-9 + day))
 
     def troposphere_m(self, sight: Sight) -> Floats:
-        """Return the delay of all signals, float64 (n,).
-
-        Zenith delays by Saastamoinen (1972) in the standard atmosphere; mapped by Chao (1974), dry and wet.
-        """
+        """Return the delay of all signals, float64 (n,)."""
+        # Zenith delays by Saastamoinen (1972) in the standard atmosphere; mapped by Chao (1974), dry and wet.
         kelvin = 273.15 + self.settings.temperature_c - 6.5e-3 * sight.height_m
         pressure = 1013.25 * (1 - 2.2557e-5 * sight.height_m) ** 5.2568
         humidity = self.settings.relative_humidity

@@ -299,11 +299,9 @@ def _ever_up(satellite: Satellite, epochs: _Epochs, mask: float) -> bool:
 
 
 def group_delay_s(satellite: Satellite, number: int) -> float:
-    """Return how much later than the broadcast clock says a code leaves the satellite.
-
-    The clock of GPS belongs to the ionosphere-free combination of L1 and L2, that of Galileo's I/NAV to that
-    of E1 and E5b (IS-GPS-200N, 20.3.3.3.3.2; Galileo OS SIS ICD 2.1, 5.1.5).
-    """
+    """Return how much later than the broadcast clock says a code leaves the satellite."""
+    # The clock of GPS belongs to the ionosphere-free combination of L1 and L2, that of Galileo's I/NAV to
+    # that of E1 and E5b (IS-GPS-200N, 20.3.3.3.3.2; Galileo OS SIS ICD 2.1, 5.1.5).
     signal = SIGNALS[satellite.system][number]
     delay = satellite.truth.value("tgd" if satellite.system == GPS else "bgd_e5b")
     return delay * on(signal.frequency_hz)

@@ -95,11 +95,9 @@ class Camera(Table):
         return np.stack([across, down], axis=-1)
 
     def certificate_terms(self, unit: str) -> dict[str, float]:
-        """Give the same camera as `brown-ideal`, affinity `after`, y up from the middle of the image.
-
-        With x = c u and y = -c v the radial term k1 r^2 becomes K1 = k1 / c^2; of the tangential ones p2
-        belongs to x in OpenCV and P1 does so here, and the turned y axis changes the sign of p1.
-        """
+        """Give the same camera as `brown-ideal`, affinity `after`, y up from the middle of the image."""
+        # With x = c u and y = -c v the radial term k1 r^2 becomes K1 = k1 / c^2; of the tangential ones p2
+        # belongs to x in OpenCV and P1 does so here, and the turned y axis changes the sign of p1.
         scale = self.pitch_mm if unit == "mm" else 1.0
         c = self.fy * scale
         return {

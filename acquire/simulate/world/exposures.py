@@ -79,19 +79,15 @@ def antenna_at(motion: Motion, rig: Rig, time_s: Floats) -> Floats:
 
 
 def antenna_velocity(motion: Motion, rig: Rig, time_s: Floats, step_s: float = 1e-3) -> Floats:
-    """Give velocities of the antenna by central differences, shape (n, 3).
-
-    Over 1 ms the third derivative of a motion of 60 Hz and millimetres leaves an error far below 1 mm/s.
-    """
+    """Give velocities of the antenna by central differences, shape (n, 3)."""
+    # Over 1 ms the third derivative of a motion of 60 Hz and millimetres leaves an error far below 1 mm/s.
     after, before = (antenna_at(motion, rig, time_s + side * step_s) for side in (1.0, -1.0))
     return np.asarray((after - before) / (2 * step_s))
 
 
 def omega_phi_kappa(rotation: Floats) -> Floats:
-    """Give omega, phi, kappa (rad) of M = R3(kappa) R2(phi) R1(omega), shape (n, 3).
-
-    Source: Kraus (2007), Photogrammetry, section 4.1.
-    """
+    """Give omega, phi, kappa (rad) of M = R3(kappa) R2(phi) R1(omega), shape (n, 3)."""
+    # Source: Kraus (2007), Photogrammetry, section 4.1.
     m = rotation
     phi = np.arcsin(np.clip(m[:, 2, 0], -1, 1))
     omega = np.arctan2(-m[:, 2, 1], m[:, 2, 2])

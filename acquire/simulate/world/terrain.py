@@ -95,11 +95,9 @@ class Terrain:
 
 
 def make_terrain(given: configuration.Terrain, half_m: float, random: np.random.Generator) -> Terrain:
-    """Draw a surface.
-
-    White noise filtered to a power spectrum k^-exponent below the longest wave (spectral synthesis; Saupe
-    1988, in The Science of Fractal Images, section 2.5). Waves shorter than four steps are left out.
-    """
+    """Draw a surface."""
+    # White noise filtered to a power spectrum k^-exponent below the longest wave (spectral synthesis; Saupe
+    # 1988, in The Science of Fractal Images, section 2.5). Waves shorter than four steps are left out.
     reach = half_m + 20.0
     count = 2 * int(np.ceil(reach / STEP_M)) + 1
     # Drawn on twice the square: the transform repeats, the square must not.

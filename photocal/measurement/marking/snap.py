@@ -68,11 +68,9 @@ def snap(
     dictionaries: tuple[str, ...] = DICTIONARIES,
     bend: Floats = FLAT,
 ) -> Snapped | None:
-    """Find the centre of the target at a place.
-
-    All kinds and sizes are fitted; of those whose picture fits, the one that determines the centre best
-    is taken.
-    """
+    """Find the centre of the target at a place."""
+    # All kinds and sizes are fitted; of those whose picture fits, the one that determines the centre best is
+    # taken.
     if "code" in kinds:
         # A code is proven by its bits; its border alone could pass for something else.
         codes = [c for c in _codes(grey, place, reach, dictionaries) if _good(c, place, reach)]
