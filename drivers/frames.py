@@ -37,7 +37,6 @@ class Wire(IntEnum):
 class Frame:
     """One intact frame.
 
-    wire: its protocol.
     kind: what it carries: the MAVLink message id; UBX class * 256 + id; the RTCM3 message number; the letters
         of the NMEA sentence formatter as a big-endian number.
     data: the complete frame, from its first start byte to its checksum (or signature).

@@ -31,7 +31,6 @@ LONGEST_CHUNK, LONGEST_RECORD = 64 << 20, 256 << 20
 class Messages:
     """Messages of one channel in one chunk, in the order of the file.
 
-    channel: the channel.
     payloads (n,): the messages.
     log_ns, publish_ns (n,): time of receipt and of the device, UTC, nanoseconds since 1970.
     sequence (n,): their numbers.
@@ -60,7 +59,6 @@ class LogReader:
 
     A log that is still being written is read by iterating again: it goes on where it ended before.
 
-    path: the file.
     metadata: tables by name.
     attachments: attached files by name.
     complete: whether the file ended with its footer.

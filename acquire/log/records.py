@@ -55,7 +55,6 @@ class Channel:
     """A channel of the log.
 
     topic: its topic; several channels may share one.
-    encoding: message encoding.
     schema: none for raw frames.
     metadata: what is true of every message of the channel, such as the kind of its heights.
     """
@@ -73,7 +72,6 @@ class Channel:
 class Pieces:
     """Payloads of messages as they lie in one buffer.
 
-    data: the buffer.
     start, length (n,): where each payload lies, bytes.
     """
 

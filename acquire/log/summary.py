@@ -100,7 +100,6 @@ _LISTED_GAPS = 20
 class LinkSummary:
     """What came over one link.
 
-    name: the link.
     dialect: names of MAVLink messages.
     """
 

@@ -113,7 +113,6 @@ class LogFiles:
 
     begin: writes to each file what stands at its beginning.
     clock_ns: the clock of the host, UTC nanoseconds since 1970.
-    make: makes a new file.
     """
 
     def __init__(

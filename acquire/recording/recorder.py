@@ -44,7 +44,6 @@ class Host:
     clock_ns: UTC, nanoseconds since 1970.
     steady_s: A clock that never jumps, seconds.
     free_bytes: free space where a folder lies.
-    make: makes a new file.
     """
 
     clock_ns: Callable[[], int] = time.time_ns

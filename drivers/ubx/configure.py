@@ -54,8 +54,6 @@ def read_version(payload: bytes) -> Version:
 class Step:
     """One request of a configuration.
 
-    what: in words.
-    frame: what is sent.
     kind: message that ACK-ACK or ACK-NAK will name.
     poll: what asks for the setting afterwards.
     expected: settings that the answer must hold, by key (generation 9) or message (generation 8).

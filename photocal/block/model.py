@@ -33,7 +33,6 @@ class InputFile:
     """A file that was read, so that it can be recognised again.
 
     path: relative to the block folder.
-    bytes: its size.
     """
 
     path: str

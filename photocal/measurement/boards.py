@@ -24,8 +24,6 @@ _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX = 2.5, 11.0
 class Board:
     """A flat board of squares.
 
-    columns, rows: number of squares.
-    square_m: side of a square, m.
     marker: side of a ChArUco marker over that of a square.
     dictionary: of the ChArUco markers.
     """

@@ -36,7 +36,6 @@ class Sighted:
     facts: of the images that can be used.
     pairs (k, 2).
     rule: by which the pairs were chosen.
-    left_out: images that cannot be used, with the reason.
     """
 
     facts: tuple[ImageFacts, ...]

@@ -57,8 +57,6 @@ class Oriented:
     """A block oriented by tie points.
 
     verified: all tracks that fit the final orientation, before they were thinned.
-    left_out: images that could not be oriented, with the reason.
-    findings: what was found wrong, and what was done about it.
     """
 
     adjusted: Adjusted
@@ -81,7 +79,6 @@ class First:
     """Images oriented by tracks of features.
 
     kept: which of the images these are.
-    left_out, findings: as in `Oriented`.
     """
 
     adjusted: Adjusted

@@ -72,8 +72,6 @@ def motion_while_read(velocity: Floats, records: Sequence[Floats], readout: Floa
 def turns_while_read(record: Floats, readout: float) -> Floats:
     """Motion of an image by a record: its rate, then Legendre polynomials of the line from degree 2.
 
-    record: see `recorded_turns`.
-    readout: s.
     returns (18,): rad/s, of what the camera sees, as `block.model.Images.motion` has them.
     """
     line = np.linspace(-0.5, 0.5, 101)

@@ -46,7 +46,6 @@ Shape = Disc | Outline
 class Sheet:
     """A target on a page.
 
-    title: what it is, for the reader.
     shapes: one drawn over the other.
     size_mm: width and height of the target without its white margin.
     margin_mm: white space that it needs around it.

@@ -41,8 +41,6 @@ class Adjusted:
     start: the same without tie points: cameras as adjusted, the images that kept their hold.
     tracks: the tie points that are left, in the order of the block.
     values (images, 6): adjusted exterior orientations in the block's frame, of the observed ones too.
-    rejected: rays that were taken out.
-    left_out: images that lost their hold, with the reason.
     """
 
     block: Block

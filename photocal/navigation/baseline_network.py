@@ -22,7 +22,6 @@ class Baseline:
     """A vector from one mark to another.
 
     name: session or file, for messages.
-    start, end: marks.
     vector_m (3,): Earth-centred axes, from mark to mark (antenna heights removed).
     covariance_m2 (3, 3): Earth-centred axes.
     """
@@ -47,11 +46,9 @@ class Mark:
 class Blunder:
     """A baseline that was left out.
 
-    name, start, end: which.
     component: ``height``, ``east`` or ``north``; an error of height alone is mostly that of an antenna
         height.
     size_m: estimated error with its sign, start to end.
-    size_sigma_m: its standard deviation.
     test: normalised residual; rejected above `CRITICAL`.
     """
 
@@ -68,7 +65,6 @@ class Blunder:
 class NetworkSolution:
     """Adjusted marks.
 
-    names: marks.
     xyz_m (n, 3): Earth-centred positions.
     covariance_m2 (3 n, 3 n): full covariance, a priori variance of unit weight.
     residuals_m (m, 3): adjusted less measured, east, north, up, of the baselines used.
@@ -79,8 +75,6 @@ class NetworkSolution:
         north and up does to the east, north and up of every mark when it is not found (Baarda 1968): Q A' P e
         times the error. Infinite where nothing checks it.
     distortion (m, 3): its length in units of the marks' covariance, the root of dx' Q^-1 dx.
-    used: baselines used.
-    blunders: baselines left out, worst first.
     sigma0_squared: A posteriori variance of unit weight; NaN without redundancy.
     """
 

@@ -25,10 +25,8 @@ class ClockSegment:
     first_ns, last_ns: first and last reading of the device's clock.
     origin_ns: reading of the reference at `first_ns`; whole nanoseconds, so that nothing is lost.
     offset_s, rate: correction of the origin, and seconds of the reference per second of the device.
-    offset_sigma_s, rate_sigma: their standard deviations.
     correlation: between the two.
     scatter_s: robust standard deviation of one reading.
-    readings: number of readings in the stretch.
     """
 
     first_ns: int

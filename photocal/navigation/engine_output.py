@@ -22,7 +22,6 @@ _LEAST_SIGMA_M = 1e-4
 class EngineSolution(Geodetic):
     """Positions of one run of the engine.
 
-    time: epochs.
     lat_deg, lon_deg, height_m (n,): geodetic position, ellipsoidal height.
     quality (n,): 1 fixed, 2 float, 5 single, as the engine numbers them.
     satellites (n,): number used.
@@ -150,7 +149,6 @@ _WINDOW = 5.0
 class SatelliteResiduals:
     """Satellites used by the engine, one row per epoch, satellite and frequency.
 
-    time: epochs, increasing.
     satellite: such as ``G05``.
     frequency (n,): 1 or 2.
     azimuth, elevation (n,): radians.

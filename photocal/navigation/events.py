@@ -35,7 +35,6 @@ class Events:
     """Exposures in the order of time.
 
     source: what noted them, for example ``TIM-TM2 rising of rover``.
-    time: when.
     number (n,): the device's own count.
     accuracy_s (n,): accuracy of the time that the device claims; 0 where it claims none.
     remarks: what is odd: jumps of the counter, edges without a time.
@@ -229,7 +228,6 @@ _STATUS = {50: "fixed", 34: "float"}
 class CameraEventList:
     """Events with the position that the vehicle computed in flight.
 
-    events: the moments (GPS time).
     offset_enu_m (n, 3): from the antenna's phase centre to the camera's sensor, east, north, up.
     lat_deg, lon_deg, height_m (n,): position of the camera as the vehicle computed it (the maker: after
         compensation of the offset), ellipsoidal height.

@@ -30,12 +30,8 @@ _LATE_ATTITUDE_S = 0.05
 class Evidence:
     """What checks may use.
 
-    rig: as given.
     events: those used, with the delay.
     others: other events of the logs.
-    antenna: at the antenna.
-    trajectory: of PPK.
-    ppk: figures of PPK.
     """
 
     rig: Rig

@@ -290,8 +290,6 @@ def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str,
 def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | None) -> dict[str, Any]:
     """Write tables, GeoPackage and plot; return the figures with the frame of `images.csv`.
 
-    rig: camera axes and boresight.
-    crs: system of `images.csv`; without: local.
     raises ConfigurationError: when the kind of the heights does not allow that system.
     """
     figures = dict(run.figures)

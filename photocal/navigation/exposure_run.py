@@ -46,7 +46,6 @@ from photocal.project import Project
 class Choices:
     """What a person asked for.
 
-    sources: for the trajectory.
     images: folder of images, or a table of their names and times.
     mrk: event list of the vehicle, instead of the events of the log.
     edge: ``rising`` or ``falling``.
@@ -76,11 +75,6 @@ class ExposureRun:
 
     antenna: at the antenna, event and delay.
     exposures: at the camera: lever arm and time offset of the rig applied.
-    trajectory: of PPK.
-    cameras: images and events.
-    images: what was read of the images.
-    checks: what was checked, and how.
-    figures: ready for JSON.
     """
 
     antenna: Exposures

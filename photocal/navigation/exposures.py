@@ -23,7 +23,6 @@ from photocal.navigation.trajectory import LARGEST_GAP_S, Placed
 class Exposures:
     """One row per event.
 
-    time: moments of exposure.
     number (n,): count of the device.
     placed: position (of the camera, once `at_camera` was applied), velocity, covariance, status.
     attitude: of the body that carries the camera, with the effect of errors of the time in the covariance.

@@ -30,7 +30,6 @@ class Judgement:
     """The combined solution with its final status, and why epochs lost their fix.
 
     solution: same positions; quality and covariance as judged.
-    demoted: by reason.
     float_factor (3,): factor on the engine's float sigmas (east, north, up).
     separation_m (n, 3): forward minus backward; NaN where one of them has no position.
     directions (n, 2): quality of forward and backward, 0 where there is no position.

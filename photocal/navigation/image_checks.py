@@ -215,11 +215,7 @@ def _inflation(error: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class TieMatching:
-    """How tie points of the images are found.
-
-    plan: cache, processes, settings.
-    progress: shows a bar for a title and an amount of work.
-    """
+    """How tie points of the images are found."""
 
     plan: MatchingPlan
     progress: Progress

@@ -21,13 +21,11 @@ _IN_NAME = pattern(r"(\d{14})(\d{2})Z$")
 class ImageMetadata:
     """One image.
 
-    name: file name.
     camera: maker, model and serial number as far as they are told.
     time_s: seconds since 1970 by the camera's (or the file name's) clock, time zone unknown.
     resolution_s: 1 where only whole seconds are told.
     from_name: whether the time is that of the recording computer in the file name (UTC).
     facts: what else the file says; None for a row of a table.
-    path: the file.
     """
 
     name: str

@@ -27,7 +27,6 @@ class Matching:
     unmatched_images, unmatched_events: indices of the rest.
     ambiguous_images: of the unmatched images those with several possible events.
     offset_s, drift: event time = image time + offset + drift * (image time - first image time).
-    offset_sigma_s, drift_sigma: their standard deviations.
     scatter_s: robust standard deviation of the residuals.
     residual_s (n,): event less predicted time of each pair.
     """

@@ -62,7 +62,6 @@ class Explanation:
     value, sigma (k,): seconds (exposures later than stamped), or metres in body axes (true less given).
     axes: for swapped axes: what the lever arm should read.
     gain: by which the criterion of Schwarz falls.
-    p: probability of the F test.
     """
 
     name: str
@@ -82,10 +81,8 @@ class Explanation:
 class PositionComparison:
     """What a comparison shows.
 
-    n: exposures used.
     rms_m (3,): differences after removing what is unknown between the systems, east, north, up.
     shift_m (3,): mean of theirs less ours.
-    best: the best significant one.
     same: others that explain as much.
     detectable_s: time offset that would be found with 80 % power; infinite when the flight cannot show one.
     exchange: exchanged axes that explain most of what the best one explains.

@@ -75,11 +75,8 @@ _SYSTEMS = "GREJC"
 class Inputs:
     """What a PPK run starts from.
 
-    rover, base: observations.
-    navigation: RINEX navigation files.
     base_m (3,): Earth-centred position of the base's antenna reference point (or mark, with an antenna
         height).
-    base_source: where the position stands.
     base_sigma_m (3,): its standard deviations, east, north, up; None: nobody stated them.
     weather: measured at the base; None: that of the climate.
     """
@@ -97,17 +94,10 @@ class Inputs:
 class PpkResult:
     """A judged trajectory with all that its summary tells.
 
-    inputs: where it came from.
-    options: how it was computed.
-    mode: ``kinematic`` or ``static``.
-    engine: name of the engine.
     combined: the engine's own positions, quality and sigmas.
-    judgement: of a kinematic run.
-    trajectory: the result.
     base_off_code_m (3,): the base's position less its own code solution, east, north, up.
     base_gaps_s: begin and length of the gaps of the base within the rover's time, longest first.
     replaced: epochs at which the engine's combination lay apart from both directions.
-    common: of all positions.
     """
 
     inputs: Inputs
@@ -188,7 +178,6 @@ def process(
 ) -> PpkResult:
     """Compute and judge the trajectory.
 
-    inputs: observations, ephemerides and the base's position.
     raises IllPosedError: without overlap, with too few epochs, without ephemerides, or with a wrong position
         of the base.
     """

@@ -39,7 +39,6 @@ class Sources:
     rover_antenna_m, base_antenna_m: antenna reference point above the mark; None: as the RINEX header has it.
     base_sigma_m (3,): standard deviations of the base's coordinates, east, north, up; goes before what a
         survey-in says.
-    weather: measured at the base.
     """
 
     log: FlightLog = field(default_factory=FlightLog)

@@ -24,8 +24,6 @@ _EPHEMERIS = pattern(r"(?:[GRECJIS][ \d]\d|[ \d]\d) +\d{2,4} +\d{1,2} +\d{1,2} "
 class ObservationFile:
     """A RINEX observation file.
 
-    path: the file.
-    time: its epochs.
     systems: letters of the satellite systems (G GPS, R GLONASS, E Galileo, J QZSS, C BeiDou).
     bands: digits of the carrier bands with phases.
     antenna, antenna_m: its type with radome, empty where not told, and its reference point above the mark.

@@ -31,10 +31,8 @@ _NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
 class ReceiverRecording:
     """Frames of one link of a flight log that bear on its position.
 
-    link: name of the link.
     ubx, rtcm: RXM-RAWX with a time and at least one signal, and RXM-SFRBX; all RTCM 3 frames.
     epochs, empty_epochs, untimed_epochs: RXM-RAWX used, without signals, and of week 0.
-    ephemeris_frames: RXM-SFRBX and RTCM ephemerides.
     announced_m (3,): Earth-centred positions in RTCM 1005/1006.
     surveyed_m (3,): mean of a survey-in that is valid.
     surveyed_sigma_m: its accuracy as the receiver states it, in space.

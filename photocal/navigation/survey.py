@@ -38,10 +38,8 @@ class KnownMark(Table):
 class MeasuredBaseline(Table):
     """A session between two marks; files relative to the set-up file.
 
-    name: of the session.
     start, end: marks of base and rover.
     base, rover: RINEX observations, or flight logs (MCAP) with raw frames.
-    base_link, rover_link: links of flight logs.
     nav: RINEX navigation files, beside the ephemerides that logs recorded.
     products: precise orbits and clocks (SP3, CLK) that take the place of broadcast ones.
     base_antenna_m, rover_antenna_m: heights of the antenna reference points above the marks.

@@ -112,7 +112,6 @@ class VehicleClocks:
 
     clock: UTC of its time since boot.
     sync: its time since boot against the recording computer's clock.
-    compared: all that were compared.
     told: whether the autopilot itself told UTC (SYSTEM_TIME).
     """
 

@@ -38,12 +38,10 @@ class Geodetic(Columns):
 class Trajectory(Geodetic):
     """Positions of the rover's antenna reference point.
 
-    time: epochs, increasing.
     lat_deg, lon_deg, height_m (n,): geodetic position, ellipsoidal height.
     status: ``fixed``, ``float`` or ``single``.
     covariance_m2 (n, 3, 3): east, north, up.
     velocity_m_s (n, 3): east, north, up from Doppler; NaN where it is not known.
-    velocity_sigma_m_s: standard deviation of each component.
     """
 
     time: GpsTime
@@ -158,7 +156,6 @@ class Placed(Geodetic):
 class LeftOut(Columns):
     """Fixes that were left out and interpolated from their neighbours.
 
-    time: their epochs.
     error_m (n, 3): measured less interpolated, east, north, up.
     gap_s (n,): distance of the neighbours.
     """

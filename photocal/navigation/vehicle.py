@@ -37,7 +37,6 @@ class VehicleTrack:
     """Positions and attitudes of the first autopilot of a log, in the order of its own clock.
 
     position_time: by the autopilot's clock, never by arrival.
-    position_host: arrival of the positions.
     lat_deg, lon_deg, height_msl_m (n,): height above sea level as the autopilot computes it.
     attitude: rotations; of ATTITUDE and ATTITUDE_QUATERNION the one with more messages.
     clock_sigma_s: standard deviation of the autopilot's UTC.

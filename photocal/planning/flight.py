@@ -32,7 +32,6 @@ class Strip:
     """One straight line with exposures at equal distances.
 
     exposures_m (k, 2): east and north of the exposures in flying order, m.
-    height_m: height above the ground of the area, m.
     """
 
     exposures_m: Floats
@@ -124,11 +123,9 @@ IMAGE_SIGMA_PX = 0.5
 class Wish:
     """What is asked of a flight.
 
-    height_m: height above the ground of the area, m.
     forward_overlap, side_overlap: shares of the footprint, 0 to below 1.
     along: side of the image that lies along the flight line: "rows" flies with the image width across.
     azimuth_rad: flying direction, clockwise from north, rad; None takes the one with the fewest strips.
-    cross_strips: whether strips at right angles are added.
     second_height_m: height above ground of the cross strips, m; it separates principal distance and flying
         height.
     """

@@ -23,7 +23,6 @@ class Frame:
     """Camera frame for planning.
 
     pixel_m: pixel pitch, m, the same in both directions.
-    columns, rows: image size, px.
     """
 
     focal_m: float
@@ -41,11 +40,7 @@ class Frame:
 
 
 def scale_denominator(gsd_m: float, pixel_m: float) -> float:
-    """Give the photo scale that has a ground sample distance (canon-elph study, equation 31).
-
-    gsd_m: ground sample distance, m.
-    returns: denominator of the photo scale.
-    """
+    """Give the photo scale that has a ground sample distance (canon-elph study, equation 31)."""
     return gsd_m / pixel_m
 
 

@@ -21,10 +21,6 @@ from drivers.gnsstime import SECOND_NS
 class Session:
     """What two receivers measured.
 
-    span_gps_ns: start and stop.
-    sky: what the messages say.
-    satellites: the sky.
-    rover, base: the receivers.
     announced_m (3,): what the base says where it is, earth-centred: the truth but for the fault.
     """
 

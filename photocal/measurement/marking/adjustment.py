@@ -45,7 +45,6 @@ class Adjusted:
 
     orientation: improved where images took part.
     sigma0: A posteriori standard deviation of unit weight; None without redundancy.
-    left_out: images whose marks do not suffice, with the reason.
     """
 
     residuals: tuple[Residual, ...]

@@ -58,10 +58,7 @@ class _Click(_Place):
 
 
 class MarkingService:
-    """What lies on the table: the scene, its marks, and what the last adjustment found.
-
-    cache: where tiles are kept.
-    """
+    """What lies on the table: the scene, its marks, and what the last adjustment found."""
 
     def __init__(self, scene: Scene, store: MarkStore, cache: Path) -> None:
         self._scene, self._store, self._tiles = scene, store, Tiles(cache)

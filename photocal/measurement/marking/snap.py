@@ -50,8 +50,6 @@ class Snapped:
     """A centre that was found.
 
     x, y: column and row, px; the centre of the upper-left pixel is (0, 0).
-    sigma: px.
-    kind: what the target is.
     """
 
     x: float

@@ -61,7 +61,6 @@ def coarsest_level(size_px: tuple[int, int]) -> int:
 class Tiles:
     """Tiles of pictures, on disk once they were made.
 
-    cache: folder in which they are kept.
     most_bytes: that tiles of all projects may have on disk together.
     """
 
