@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult, VectorResult
+from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult, VectorResult, findings
 from photocal.accuracy.classes import (
     AdmittedSize,
     ClassDecision,
@@ -21,7 +21,6 @@ from photocal.accuracy.classes import (
     value_class_text,
 )
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN
-from photocal.accuracy.findings import findings
 from photocal.accuracy.standard import scale_text, size_text
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, plain

@@ -115,7 +115,7 @@ def ortho(
             f"patterns alias; {pixel:.2g} m cells show all that the images do"
         )
     if compare is not None and displacement is not None:
-        from photocal.products.displacement import draw_displacement
+        from photocal.products.ortho_job import draw_displacement
 
         other = oriented(block, compare)[2].only(list(files))
         south, east = grid.north - grid.rows * grid.cell, grid.west + grid.columns * grid.cell

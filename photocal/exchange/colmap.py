@@ -9,27 +9,19 @@ documentation, "Output format" and "Camera models".
 
 from __future__ import annotations
 
-from dataclasses import replace
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drivers.arrays import Floats
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block
-from photocal.exchange.colmap_files import (
-    MODELS,
-    NO_POINT,
-    NUMBERS,
-    Content,
-    Lens,
-    Shot,
-    read_binary_model,
-    read_text_model,
-    write_binary_model,
-    write_text_model,
-)
-from photocal.exchange.parts import whole_numbers
+from photocal.exchange.parts import digits, require_no_blanks, whole_numbers
 from photocal.exchange.pinhole import (
     LARGEST,
     Pinhole,
@@ -42,8 +34,309 @@ from photocal.exchange.pinhole import (
 )
 from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
 from photocal.exchange.rigs import of_colmap
+from photocal.exchange.source import Line, image_size, numbers, read_text, require_readable, whole
 from photocal.geometry.camera import PARAMETERS, Camera, Model
 from photocal.geometry.conversion import Conversion
+
+# Name and parameters of each model by COLMAP's number.
+MODELS: dict[int, tuple[str, tuple[str, ...]]] = {
+    0: ("SIMPLE_PINHOLE", ("f", "cx", "cy")),
+    1: ("PINHOLE", ("fx", "fy", "cx", "cy")),
+    2: ("SIMPLE_RADIAL", ("f", "cx", "cy", "k1")),
+    3: ("RADIAL", ("f", "cx", "cy", "k1", "k2")),
+    4: ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
+    5: ("OPENCV_FISHEYE", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+    6: ("FULL_OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+    8: ("SIMPLE_RADIAL_FISHEYE", ("f", "cx", "cy", "k1")),
+    9: ("RADIAL_FISHEYE", ("f", "cx", "cy", "k1", "k2")),
+}
+NUMBERS = {name: number for number, (name, _) in MODELS.items()}
+LARGEST_KEY = 1 << 62
+# Key of a mark that belongs to no point.
+NO_POINT = -1
+
+
+@dataclass(frozen=True)
+class Lens:
+    """One camera."""
+
+    key: int
+    model: str
+    size_px: tuple[int, int]
+    parameters: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One image.
+
+    quaternion, translation: from object to camera axes.
+    points (n,): keys of the points, or `NO_POINT`.
+    """
+
+    key: int
+    quaternion: tuple[float, ...]
+    translation: tuple[float, ...]
+    lens: int
+    name: str
+    marks: Floats
+    points: Integers
+
+
+@dataclass(frozen=True)
+class Content:
+    """A whole model.
+
+    errors (n,): mean reprojection error of each point, px.
+    tracks (rays, 2): image key and position of the mark in that image, for each point.
+    """
+
+    lenses: tuple[Lens, ...]
+    shots: tuple[Shot, ...]
+    keys: Integers
+    xyz: Floats
+    errors: Floats
+    tracks: tuple[Integers, ...]
+
+
+# Number, place, reprojection error and track of a point.
+Point = tuple[int, Sequence[float], float, Integers]
+
+
+def content_of(lenses: Iterable[Lens], shots: Iterable[Shot], points: Iterable[Point]) -> Content:
+    """Put a model together."""
+    rows = list(points)
+    return Content(
+        tuple(lenses),
+        tuple(shots),
+        np.array([key for key, _, _, _ in rows], dtype=np.int64),
+        np.array([xyz for _, xyz, _, _ in rows], dtype=float).reshape(-1, 3),
+        np.array([error for _, _, error, _ in rows], dtype=float),
+        tuple(track for _, _, _, track in rows),
+    )
+
+
+def key_of(value: float, place: object) -> int:
+    """Check a number that names something."""
+    if not -1 <= value < LARGEST_KEY or value % 1:
+        raise InputMalformedError(f"the number {value:g} names nothing", where=place, remedy="is it damaged?")
+    return int(value)
+
+
+def unknown_model(name: object, place: object) -> InputMalformedError:
+    """Complaint about a camera model that we have no equivalent of."""
+    known = ", ".join(known for known, _ in MODELS.values())
+    return InputMalformedError(
+        f"camera model {name} has no equivalent", where=place, remedy=f"convert it to one of {known}"
+    )
+
+
+_MARK = np.dtype([("xy", "<f8", 2), ("key", "<i8")])
+_TRACK = np.dtype([("image", "<u4"), ("place", "<u4")])
+
+
+class _Reader:
+    """Goes through a binary file; never believes a count that the file is too short for."""
+
+    def __init__(self, path: Path) -> None:
+        require_readable(path)
+        self.path, self.content, self.at = path, path.read_bytes(), 0
+
+    def take(self, layout: str) -> tuple[Any, ...]:
+        size = struct.calcsize("<" + layout)
+        self._require(size)
+        values = struct.unpack_from("<" + layout, self.content, self.at)
+        if not all(np.isfinite(value) for value in values):
+            raise InputMalformedError(f"has a number that is not finite at byte {self.at}", where=self.path)
+        self.at += size
+        return values
+
+    def count(self, smallest: int) -> int:
+        count = int(self.take("Q")[0])
+        if count * smallest > len(self.content) - self.at:
+            raise InputMalformedError(
+                f"claims {count} entries, more than the file can hold", where=self.path, remedy="is it cut?"
+            )
+        return count
+
+    def name(self) -> str:
+        end = self.content.find(b"\0", self.at)
+        if end < 0:
+            self._require(len(self.content))
+        text = self.content[self.at : end]
+        self.at = end + 1
+        try:
+            return text.decode("utf-8")
+        except UnicodeDecodeError as failure:
+            raise InputMalformedError("has a name that is not UTF-8", where=self.path) from failure
+
+    def records(self, layout: np.dtype[np.void]) -> NDArray[np.void]:
+        count = self.count(layout.itemsize)
+        rows = np.frombuffer(self.content, layout, count, self.at)
+        self.at += layout.itemsize * count
+        return rows
+
+    def _require(self, size: int) -> None:
+        if self.at + size > len(self.content):
+            raise InputMalformedError(
+                f"is cut at byte {len(self.content)}", where=self.path, remedy="was it written completely?"
+            )
+
+
+def read_binary_model(folder: Path) -> Content:
+    """Read the three binary files of a model."""
+    cameras, images, points = (folder / f"{name}.bin" for name in ("cameras", "images", "points3D"))
+    return content_of(_lenses(cameras), _shots(images), _points(points))
+
+
+def _lenses(path: Path) -> Iterator[Lens]:
+    reader = _Reader(path)
+    for _ in range(reader.count(24)):
+        key, model, width, height = reader.take("IiQQ")
+        if model not in MODELS:
+            raise unknown_model(model, path)
+        name, names = MODELS[model]
+        yield Lens(key, name, image_size(width, height, path), reader.take(f"{len(names)}d"))
+
+
+def _shots(path: Path) -> Iterator[Shot]:
+    reader = _Reader(path)
+    for _ in range(reader.count(73)):
+        key, *pose, lens = reader.take("I7dI")
+        name = reader.name()
+        rows = reader.records(_MARK)
+        if not np.isfinite(rows["xy"]).all():
+            raise InputMalformedError(f"image {name} has a mark that is not finite", where=path)
+        marks, keys = rows["xy"].astype(float), rows["key"].astype(np.int64)
+        yield Shot(key, tuple(pose[:4]), tuple(pose[4:]), lens, name, marks, keys)
+
+
+def _points(path: Path) -> Iterator[Point]:
+    reader = _Reader(path)
+    for _ in range(reader.count(51)):
+        key, x, y, z, _, _, _, error = reader.take("Q3d3Bd")
+        rows = reader.records(_TRACK)
+        yield (
+            key_of(key, path),
+            (x, y, z),
+            error,
+            np.column_stack([rows["image"], rows["place"]]).astype(np.int64),
+        )
+
+
+def write_binary_model(folder: Path, content: Content) -> None:
+    """Write the three binary files of a model."""
+    with (folder / "cameras.bin").open("wb") as out:
+        out.write(struct.pack("<Q", len(content.lenses)))
+        for lens in content.lenses:
+            layout = f"<IiQQ{len(lens.parameters)}d"
+            out.write(struct.pack(layout, lens.key, NUMBERS[lens.model], *lens.size_px, *lens.parameters))
+    with (folder / "images.bin").open("wb") as out:
+        out.write(struct.pack("<Q", len(content.shots)))
+        for shot in content.shots:
+            out.write(struct.pack("<I7dI", shot.key, *shot.quaternion, *shot.translation, shot.lens))
+            out.write(shot.name.encode() + b"\0" + struct.pack("<Q", len(shot.marks)))
+            rows = np.empty(len(shot.marks), _MARK)
+            rows["xy"], rows["key"] = shot.marks, shot.points
+            out.write(rows.tobytes())
+    with (folder / "points3D.bin").open("wb") as out:
+        out.write(struct.pack("<Q", len(content.keys)))
+        errors = content.errors.tolist()
+        for key, xyz, error, track in zip(
+            content.keys.tolist(), content.xyz.tolist(), errors, content.tracks, strict=True
+        ):
+            out.write(struct.pack("<Q3d3BdQ", key, *xyz, 128, 128, 128, error, len(track)))
+            out.write(track.astype("<u4").tobytes())
+
+
+def read_text_model(folder: Path) -> Content:
+    """Read the three text files of a model."""
+    cameras, images, points = (folder / f"{name}.txt" for name in ("cameras", "images", "points3D"))
+    return content_of(_text_lenses(cameras), _text_shots(images), _text_points(points))
+
+
+def _text_rows(path: Path) -> list[Line]:
+    """All lines but comments; an image without marks has an empty second line."""
+    lines = (Line(path, k, text) for k, text in enumerate(read_text(path).split("\n"), start=1))
+    return [line for line in lines if not line.text.lstrip().startswith("#")]
+
+
+def _text_lenses(path: Path) -> Iterator[Lens]:
+    for line in _text_rows(path):
+        cells = line.text.split()
+        if not cells:
+            continue
+        if len(cells) < 4:
+            raise InputMalformedError("is no row of a camera", where=line.place)
+        if cells[1] not in NUMBERS:
+            raise unknown_model(cells[1], line.place)
+        key, width, height = (whole(cells[k], line.place, "camera") for k in (0, 2, 3))
+        values = numbers(" ".join(cells[4:]), line.place, "camera parameters")
+        yield Lens(key, cells[1], image_size(width, height, line.place), tuple(values))
+
+
+def _text_shots(path: Path) -> Iterator[Shot]:
+    rows = iter(_text_rows(path))
+    for line in rows:
+        if not line.text.strip():
+            continue
+        cells = line.text.split(maxsplit=9)
+        if len(cells) != 10:
+            raise InputMalformedError("is no row of an image", where=line.place, remedy="is the file cut?")
+        values = numbers(" ".join(cells[:9]), line.place, "image")
+        marks = next(rows, None)
+        if marks is None:
+            raise InputMalformedError(
+                f"ends before the marks of image {cells[9]}", where=path, remedy="is the file cut?"
+            )
+        flat = np.array(numbers(marks.text, marks.place, "marks"))
+        if len(flat) % 3:
+            raise InputMalformedError("has a mark that is not complete", where=marks.place)
+        table = flat.reshape(-1, 3)
+        pose = tuple(values[1:5]), tuple(values[5:8])
+        keys = np.array([key_of(value, marks.place) for value in table[:, 2].tolist()], dtype=np.int64)
+        key, lens = (key_of(values[k], line.place) for k in (0, 8))
+        yield Shot(key, *pose, lens, cells[9].strip(), table[:, :2], keys)
+
+
+def _text_points(path: Path) -> Iterator[Point]:
+    for line in _text_rows(path):
+        cells = line.text.split()
+        if not cells:
+            continue
+        if len(cells) < 8 or len(cells) % 2:
+            raise InputMalformedError("is no row of a point", where=line.place, remedy="is the file cut?")
+        values = numbers(line.text, line.place, "point")
+        key, *track = (key_of(value, line.place) for value in (values[0], *values[8:]))
+        yield key, values[1:4], values[7], np.array(track, dtype=np.int64).reshape(-1, 2)
+
+
+def write_text_model(folder: Path, content: Content) -> None:
+    """Write the three text files of a model, numbers with all their digits."""
+    require_no_blanks((shot.name for shot in content.shots), "export the binary form, or rename it")
+    with (folder / "cameras.txt").open("w", encoding="utf-8", newline="\n") as out:
+        out.write("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n")
+        for lens in content.lenses:
+            width, height = lens.size_px
+            out.write(f"{lens.key} {lens.model} {width} {height} {digits(lens.parameters)}\n")
+    with (folder / "images.txt").open("w", encoding="utf-8", newline="\n") as out:
+        out.write(
+            "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as X, Y, POINT3D_ID\n"
+        )
+        for shot in content.shots:
+            pose = f"{digits(shot.quaternion)} {digits(shot.translation)}"
+            out.write(f"{shot.key} {pose} {shot.lens} {shot.name}\n")
+            marks = zip(shot.marks.tolist(), shot.points.tolist(), strict=True)
+            out.write(" ".join(f"{x!r} {y!r} {key}" for (x, y), key in marks) + "\n")
+    with (folder / "points3D.txt").open("w", encoding="utf-8", newline="\n") as out:
+        out.write("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as IMAGE_ID, POINT2D_IDX\n")
+        errors = content.errors.tolist()
+        for key, xyz, error, track in zip(
+            content.keys.tolist(), content.xyz.tolist(), errors, content.tracks, strict=True
+        ):
+            pairs = " ".join(str(number) for number in track.ravel().tolist())
+            out.write(f"{key} {digits(xyz)} 128 128 128 {error!r} {pairs}\n")
+
 
 FILES = ("cameras", "images", "points3D")
 

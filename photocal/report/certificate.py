@@ -26,12 +26,18 @@ from photocal.report.block_sections import (
     method,
     relative_orientations,
 )
-from photocal.report.camera_sections import camera_facts, correlations, interior_orientation
+from photocal.report.camera_sections import (
+    camera_facts,
+    correlations,
+    image_residuals,
+    interior_orientation,
+    radial_distortion,
+    rms_px,
+)
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.derived_figures import verdict as keeps
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
-from photocal.report.image_sections import image_residuals, radial_distortion, rms_px
 from photocal.report.ministry_rows import Context
 from photocal.report.required_sections import (
     acceptance,

@@ -15,8 +15,8 @@ from drivers.errors import ConfigurationError
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.report.camera_sections import rms_px
 from photocal.report.certificate_metadata import CameraKeys, CampaignKeys, GnssInsKeys, Metadata
-from photocal.report.image_sections import rms_px
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run
 

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.accuracy.assessment import Assessment, TableResult, assess
+from photocal.accuracy.assessment import Assessment, TableResult, assess, findings
 from photocal.accuracy.classes import Sample, class_cm, sample, value_class
 from photocal.accuracy.discrepancies import Discrepancies, read_discrepancies
-from photocal.accuracy.findings import findings
 from photocal.accuracy.output import to_json, to_text
 from photocal.accuracy.standard import SHIPPED, Question, ValueStandard, load_standard
 from photocal.findings.finding import Finding

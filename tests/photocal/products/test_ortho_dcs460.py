@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.frames import ShiftedFrame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.products.displacement import terrain_points
 from photocal.products.kernels import BILINEAR
+from photocal.products.ortho_job import terrain_points
 from photocal.products.orthophoto import ImageStore, Recipe, orthophoto
 from photocal.products.terrain import Grid, Terrain
 from tests.photocal.products.conftest import rows_of

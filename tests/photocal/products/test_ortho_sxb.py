@@ -14,9 +14,9 @@ from photocal.exchange.formats import read_any_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.products.displacement import image_points, terrain_points
 from photocal.products.kernels import BILINEAR
 from photocal.products.oriented import oriented
+from photocal.products.ortho_job import image_points, terrain_points
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.raster import read_image
 from photocal.products.terrain import Grid, Terrain, grid_of_points, read_terrain_points

@@ -19,9 +19,9 @@ from photocal.block.model import Block
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.frames import ShiftedFrame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.products.displacement import displacement, image_points, terrain_points
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
 from photocal.products.oriented import ideal_limit
+from photocal.products.ortho_job import displacement, image_points, terrain_points
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.terrain import Grid, Terrain, ground_points
 from photocal.results.folder import write_result
