@@ -53,15 +53,6 @@ class ClassLimit:
     ep_m: float
 
 
-@dataclass(frozen=True)
-class PublishedLimit:
-    """One printed figure of a table, at a listed scale."""
-
-    scale_denominator: float
-    interval_m: float
-    limit: ClassLimit
-
-
 class LimitTable(Table):
     """The classes of one product of a standard.
 
@@ -81,14 +72,6 @@ class LimitTable(Table):
     source_note: str = ""
     second_hand: bool
     listed: list[tuple[str, float, float, float, float]] = Field(default=[], alias="published")
-
-    @cached_property
-    def published(self) -> tuple[PublishedLimit, ...]:
-        """Printed figures, with their rounding."""
-        return tuple(
-            PublishedLimit(scale, interval, ClassLimit(name, pec, ep))
-            for name, scale, interval, pec, ep in self.listed
-        )
 
     @cached_property
     def unit_limits(self) -> tuple[ClassLimit, ...]:
@@ -111,21 +94,22 @@ class LimitTable(Table):
     def limits_at(self, size: float) -> tuple[ClassLimit, ...]:
         """Give the printed limits where the size is listed, otherwise those by the rule."""
         printed = {
-            entry.limit.name: entry.limit
-            for entry in self.published
-            if (entry.scale_denominator if self.basis == "scale" else entry.interval_m) == size
+            name: ClassLimit(name, pec, ep)
+            for name, scale, interval, pec, ep in self.listed
+            if (scale if self.basis == "scale" else interval) == size
         }
         return tuple(printed.get(limit.name, limit) for limit in self.limits(size))
 
     def interval_at(self, scale_denominator: float) -> float | None:
         """Give the contour interval that the standard lists for a scale."""
-        listed = [p.interval_m for p in self.published if p.scale_denominator == scale_denominator]
+        listed = [interval for _, scale, interval, _, _ in self.listed if scale == scale_denominator]
         return listed[0] if listed and self.basis == "interval" else None
 
     def sizes(self) -> tuple[float, ...]:
         """Give the listed sizes: scale denominators, or contour intervals in m, smallest first."""
-        key = "scale_denominator" if self.basis == "scale" else "interval_m"
-        return tuple(sorted({float(getattr(entry, key)) for entry in self.published}))
+        return tuple(
+            sorted({scale if self.basis == "scale" else interval for _, scale, interval, _, _ in self.listed})
+        )
 
 
 class Figure(Table):

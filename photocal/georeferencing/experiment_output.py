@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from acquire.outputs import output_folder, rows_text, write_json
+from drivers.arrays import as_plain
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.output import finite
 from photocal.georeferencing.differences import Differences
@@ -181,26 +182,23 @@ def _flat(run: Run) -> dict[str, Any]:
         "control": run.control,
         "check": 0 if run.check is None else len(run.check.names),
     }
-    row |= {f"rmse_{axis}_m": finite(float(v)) for axis, v in zip(_AXES, rmse, strict=True)}
-    row |= {
-        "rmse_plane_m": finite(float(np.hypot(*rmse[:2]))),
-        "rmse_3d_m": finite(float(np.sqrt(np.sum(rmse**2)))),
-    }
-    row |= {f"predicted_{axis}_m": finite(float(v)) for axis, v in zip(_AXES, sigma, strict=True)}
+    row |= {f"rmse_{axis}_m": v for axis, v in zip(_AXES, rmse, strict=True)}
+    row |= {"rmse_plane_m": np.hypot(*rmse[:2]), "rmse_3d_m": np.sqrt(np.sum(rmse**2))}
+    row |= {f"predicted_{axis}_m": v for axis, v in zip(_AXES, sigma, strict=True)}
     for k, axis in enumerate(_AXES):
         bias = run.bias[k] if run.bias else None
-        row[f"t_{axis}"] = None if bias is None else finite(bias.t)
+        row[f"t_{axis}"] = None if bias is None else bias.t
         row[f"biased_{axis}"] = None if bias is None else bool(bias.significant)
         row[f"rmse_without_trend_{axis}_m"] = run.without_trend[k] if run.without_trend else None
-    row |= {f"residual_{a}_px": finite(float(v)) for a, v in zip(_AXES, run.residuals_px, strict=False)}
+    row |= {f"residual_{a}_px": v for a, v in zip(_AXES, run.residuals_px, strict=False)}
     poses = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
-    row |= {f"exterior_rmse_{a}_m": finite(float(v)) for a, v in zip(_AXES, poses[3:], strict=True)}
+    row |= {f"exterior_rmse_{a}_m": v for a, v in zip(_AXES, poses[3:], strict=True)}
     angles = zip(("omega", "phi", "kappa"), np.degrees(poses[:3]), strict=True)
-    row |= {f"exterior_rmse_{a}_deg": finite(float(v)) for a, v in angles}
-    row["errors_over_prediction"] = None if run.check is None else finite(run.check.ratio)
-    row["variance_factor"] = finite(run.variance_factor)
-    row["failure"] = run.failure
-    return row
+    row |= {f"exterior_rmse_{a}_deg": v for a, v in angles}
+    row["errors_over_prediction"] = None if run.check is None else run.check.ratio
+    row |= {"variance_factor": run.variance_factor, "failure": run.failure}
+    plain: dict[str, Any] = as_plain(row)
+    return plain
 
 
 def _pair(pair: Pair) -> dict[str, Any]:

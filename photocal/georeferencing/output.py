@@ -20,9 +20,8 @@ from photocal.findings.finding import verdict
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 from photocal.geopackage import ReferenceSystem
 from photocal.georeferencing.comparison import BlockCheck, Judged
-from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, JointTest
+from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences
 from photocal.georeferencing.findings import block_findings, estimate_text
-from photocal.georeferencing.freed_groups import Separation
 from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
 
 
@@ -84,7 +83,8 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
 
     returns: lengths in m; null where a figure does not exist.
     """
-    exposures, found, say = check.exposures, block_findings(check), say or catalogue("en")
+    exposures, apart = check.exposures, check.separation
+    found, say = block_findings(check), say or catalogue("en")
     scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
     content: dict[str, Any] = {
         "schema": SCHEMA,
@@ -100,7 +100,12 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
             "rmse": dict(zip(_POSE, exposures.rmse * scale, strict=True)),
         },
         "systematic_errors": None if check.systematic is None else _systematic(check.systematic),
-        "separation": None if check.separation is None else _separation(check.separation),
+        "separation": None
+        if apart is None
+        else {
+            **{key: getattr(apart, key) for key in ("names", "sigma", "correlation")},
+            "not_separated": apart.groups,
+        },
         "mistyped": [
             {"point": one.point, "d_m": one.d, "sigma_m": one.sigma, "slips": one.slips}
             for one in check.mistyped
@@ -131,6 +136,7 @@ def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
 
 
 def _differences(found: Differences) -> dict[str, Any]:
+    one = found.joint
     return {
         "n": len(found.names),
         "rmse_m": _by_axis(found.rmse),
@@ -138,17 +144,15 @@ def _differences(found: Differences) -> dict[str, Any]:
         "errors_over_prediction": found.ratio,
         "critical_w": CRITICAL_W,
         "ellipse_probability": ELLIPSE_PROBABILITY,
-        "joint": None if found.joint is None else _joint(found.joint),
+        "joint": None
+        if one is None
+        else {**as_plain(one), "mean": _by_axis(one.mean), "mean_sigma": _by_axis(one.mean_sigma)},
         "points": [_point(found, k) for k in range(len(found.names))],
     }
 
 
 def _by_axis(values: Floats) -> dict[str, float]:
     return dict(zip(_AXES, values, strict=True))
-
-
-def _joint(one: JointTest) -> dict[str, Any]:
-    return {**as_plain(one), "mean": _by_axis(one.mean), "mean_sigma": _by_axis(one.mean_sigma)}
 
 
 def _point(found: Differences, k: int) -> dict[str, Any]:
@@ -186,11 +190,6 @@ def _name(code: str) -> str:
 
 def _hypothesis(one: Hypothesis) -> dict[str, Any]:
     return {**as_plain(one), "name": _name(one.name)}
-
-
-def _separation(found: Separation) -> dict[str, Any]:
-    figures = {key: getattr(found, key) for key in ("names", "sigma", "correlation")}
-    return {**figures, "not_separated": found.groups}
 
 
 def to_text(check: BlockCheck) -> str:

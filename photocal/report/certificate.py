@@ -9,7 +9,6 @@ from drivers.errors import InputMalformedError
 from photocal.findings.digits import fixed, measured, relation, significant
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.texts import Catalogue, finding_text, identity
-from photocal.geometry.camera import Camera
 from photocal.report.analysis_sections import (
     analysis_verdict,
     hidden_errors,
@@ -240,13 +239,15 @@ def _sections(
     sections = [Section(say("camera.section"), facts), method(say("method.section"), run, say)]
     for position, (camera_id, camera) in enumerate(cameras.items(), start=1):
         name = str(position)
+        # A correlation needs two estimated parameters.
+        correlated = [camera] if len(camera.free) > 1 else []
 
         def title(key: str, camera_id: str = camera_id) -> str:
             return f"{say(key)}: {camera_id}" if several else say(key)
 
         sections += [
             interior_orientation(title("iop.section"), camera_id, run, say),
-            *_correlations(title("correlation.section"), name, camera, say),
+            *(correlations(title("correlation.section"), name, c, say) for c in correlated),
             radial_distortion(title("distortion.section"), name, run, camera_id, say),
             image_residuals(title("residuals.section"), name, run, camera_id, say),
         ]
@@ -296,8 +297,3 @@ def _refuse_impossible(known: tuple[DerivedFigures, ...], say: Catalogue) -> Non
                 where=f"camera {of.camera_id}",
                 remedy="correct the block or the particulars",
             )
-
-
-def _correlations(title: str, name: str, camera: Camera, say: Catalogue) -> list[Section]:
-    """A correlation needs two estimated parameters."""
-    return [correlations(title, name, camera, say)] if len(camera.free) > 1 else []

@@ -308,7 +308,7 @@ def _record(run: Run, camera_id: str, particulars: Metadata) -> CalibrationRecor
     judged = [name for name in PARAMETERS if not camera.lens.relative or name not in camera.lens.terms]
     free = tuple(name for name in camera.free if name in judged)
     place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
-    shape = network_shape(run, camera_id)
+    convergence, spread = network_shape(run, camera_id) or (None, None)
     return CalibrationRecord(
         unit=camera.unit,
         values={name: camera.value(name) for name in judged},
@@ -322,8 +322,8 @@ def _record(run: Run, camera_id: str, particulars: Metadata) -> CalibrationRecor
         pitch_mm=pixel_size_mm(camera, particulars),
         pitch_ratio=camera.pitch[0] / camera.pitch[1],
         **given_figures(particulars.camera, particulars.campaign, particulars.gnss_ins),
-        convergence_deg=shape.convergence_deg if shape else None,
-        depth_spread=shape.depth_spread if shape else None,
+        convergence_deg=convergence,
+        depth_spread=spread,
         prior_sigmas={name: prior[name] for name in camera.free if np.isfinite(prior[name])},
     )
 
@@ -332,19 +332,11 @@ def _record(run: Run, camera_id: str, particulars: Metadata) -> CalibrationRecor
 IMAGES = 1000
 
 
-@dataclass(frozen=True)
-class NetworkShape:
-    """Two figures of a network.
+def network_shape(run: Run, camera_id: str) -> tuple[float, float] | None:
+    """Largest angle between two optical axes of a camera, deg, and the spread of distances along them.
 
-    depth_spread: distances of the points along the axes: 95th less 5th percentile over the median.
+    The spread is the 95th less the 5th percentile over the median.
     """
-
-    convergence_deg: float
-    depth_spread: float
-
-
-def network_shape(run: Run, camera_id: str) -> NetworkShape | None:
-    """Measure the exposures of one camera."""
     result, rays = run.result, run.result.residuals_of(camera_id)
     place = {name: j for j, name in enumerate(result.points.names)}
     point = np.array([place.get(name, -1) for name in rays.point_names], dtype=np.int64)[rays.point]
@@ -360,4 +352,4 @@ def network_shape(run: Run, camera_id: str) -> NetworkShape | None:
     axes = axes[np.unique(image)]
     axes = axes[:: -(-len(axes) // IMAGES)]
     angle = np.degrees(np.arccos(np.clip((axes @ axes.T).min(), -1.0, 1.0)))
-    return NetworkShape(float(angle), float((high - low) / middle))
+    return float(angle), float((high - low) / middle)

@@ -16,7 +16,7 @@ from photocal.accuracy.maps import draw_histogram, draw_vectors
 from photocal.findings.digits import MINUS, fixed, significant, symbol
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
-from photocal.report.sensor import RadialProfile, Vectors
+from photocal.report.sensor import RadialProfile, SensorResiduals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,12 +47,6 @@ def radial_curve(camera: Camera, profile: RadialProfile, observed_to: float, say
     factor = 1e3 if millimetres else 1.0
     pitch = float(np.mean(camera.pitch))
 
-    def to_px(displacement: Any) -> Any:
-        return displacement / factor / pitch
-
-    def from_px(displacement: Any) -> Any:
-        return displacement * factor * pitch
-
     with drawing(WIDTH, 3.7) as (figure, out):
         ax = figure.add_axes((0.09, 0.37, 0.82, 0.60))
         r, d, s = profile.radius, profile.displacement * factor, profile.sigma * factor
@@ -73,7 +67,8 @@ def radial_curve(camera: Camera, profile: RadialProfile, observed_to: float, say
         ax.spines["right"].set_visible(False)
         localised(ax, say.mark)
         if millimetres:
-            twin = ax.secondary_yaxis("right", functions=(to_px, from_px))
+            px = (lambda d: d / factor / pitch, lambda d: d * factor * pitch)
+            twin = ax.secondary_yaxis("right", functions=px)
             twin.set_ylabel("px")
             localised(twin, say.mark)
         # At the scale of the distortion itself the band is mostly thinner than the line: show it alone.
@@ -92,7 +87,7 @@ def radial_curve(camera: Camera, profile: RadialProfile, observed_to: float, say
         return out()
 
 
-def residual_map(camera: Camera, vectors: Vectors, say: Catalogue) -> str:
+def residual_map(camera: Camera, vectors: SensorResiduals, say: Catalogue) -> str:
     """Draw residual vectors on the sensor with a scale arrow; `camera`: format and unit."""
     extent = np.array(camera.size_px) * np.array(camera.pitch)
     w, h = (float(side) for side in extent)

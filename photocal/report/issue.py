@@ -24,7 +24,7 @@ from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.stored_analysis import Run, certified_analysis, read_run
 from photocal.results.folder import checked, result_json
-from photocal.results.origin import Source, block_of_run, carry
+from photocal.results.origin import block_of_run, carry
 from photocal.results.result import Figures, Result
 
 SCHEMA = "photocal.certificate/1"
@@ -229,7 +229,10 @@ def issue(
     given = read_particulars(particulars, day, client=client, operator=operator, key=key, pictures=pictures)
     results = read_run(run)
     _refuse_a_guess(run, results.result)
-    source = _source(run, results, block)
+    try:
+        source = block_of_run(run, results.result, block, Path.cwd())
+    except InputNotFoundError:
+        source = None
     done()
     document = certificate(results, given, say, warnings)
     done()
@@ -260,11 +263,3 @@ def _refuse_a_guess(run: Path, result: Result) -> None:
             remedy="give its calibrated value and remove guessed = true, or name c under estimate; where it"
             " stands there already, this flight does not determine it: fly two heights, with crossed strips",
         )
-
-
-def _source(folder: Path, run: Run, block: Path | None) -> Source | None:
-    """Find what the run was made from; None when nobody named it and it is not near."""
-    try:
-        return block_of_run(folder, run.result, block, Path.cwd())
-    except InputNotFoundError:
-        return None

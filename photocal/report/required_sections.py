@@ -33,6 +33,7 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
     """List what clause 7.8 asks of a certificate, item by item."""
     missing = say("laboratory.not_stated")
     lab, conditions, given = particulars.laboratory, particulars.conditions, particulars.camera
+    warm = conditions.temperature_c
     camera = " ".join(part for part in (given.manufacturer, given.model, given.serial) if part)
     lens = " ".join(part for part in (given.lens_type, given.lens_serial) if part)
     values = {
@@ -46,7 +47,7 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
         "received": say.date(lab.received) if lab.received else "",
         "measured": say.date(lab.measured) if lab.measured else "",
         "issued": say.date(particulars.date),
-        "temperature": _with_unit(conditions.temperature_c, "°C", say),
+        "temperature": "" if warm is None else f"{significant(warm, 3, say.mark)} °C",
         "focus": conditions.focus,
         "aperture": conditions.aperture,
         "stabilisation": conditions.stabilisation,
@@ -61,10 +62,6 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
     rows = tuple((say(f"laboratory.{key}"), value or missing) for key, value in values.items())
     notes = Paragraph(f"{say('laboratory.relates_only')} {say('laboratory.reproduction')}")
     return Section(title, (KeyValues(rows), notes))
-
-
-def _with_unit(value: float | None, unit: str, say: Catalogue) -> str:
-    return "" if value is None else f"{significant(value, 3, say.mark)} {unit}"
 
 
 def uncertainty(title: str, run: Run, particulars: Metadata, say: Catalogue) -> Section:
@@ -205,21 +202,19 @@ def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
         return KeyValues(((say("equipment.offsets"), missing),))
     axes = ("X / ω", "Y / φ", "Z / κ")
     heads = [*columns(say, "equipment", "offset<"), *map(Column, axes), *(Column(f"σ {a}") for a in axes)]
+    none = (None,) * 3
     table = (
-        (say("equipment.lever_arm"), system.lever_arm_cm, system.lever_arm_sigma_cm),
-        (say("equipment.boresight"), system.boresight_deg, system.boresight_sigma_deg),
+        (say("equipment.lever_arm"), system.lever_arm_cm or none, system.lever_arm_sigma_cm or none),
+        (say("equipment.boresight"), system.boresight_deg or none, system.boresight_sigma_deg or none),
     )
     rows = tuple(
-        (label, *(as_given(v, say.mark) if v is not None else say("word.none") for v in _six(values, sigmas)))
+        (
+            label,
+            *(as_given(v, say.mark) if v is not None else say("word.none") for v in (*values, *sigmas)),
+        )
         for label, values, sigmas in table
     )
     return Table(say("equipment.offsets"), tuple(heads), rows)
-
-
-def _six(
-    values: tuple[float, float, float] | None, sigmas: tuple[float, float, float] | None
-) -> tuple[float | None, ...]:
-    return (*(values or (None,) * 3), *(sigmas or (None,) * 3))
 
 
 def technical_report(title: str, context: Context) -> Section:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Floats
 from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import radial_profile as beyond
 from photocal.report.stored_analysis import Run
@@ -85,15 +85,6 @@ class SensorResiduals:
     residual_px: Floats
 
 
-@dataclass(frozen=True)
-class Vectors:
-    """Arrows to draw: where, which way (px), and how many rays each stands for."""
-
-    place: Floats
-    residual_px: Floats
-    rays: Integers
-
-
 def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
     """Take the residuals of one camera to its image plane."""
     camera = run.result.cameras[camera_id]
@@ -118,11 +109,10 @@ def to_plane(camera: Camera, measured: Floats, residual: Floats, *, unit: str, a
     return SensorResiduals(pixels * np.array(camera.pitch), vectors)
 
 
-def thinned(residuals: SensorResiduals, camera: Camera, at_most: int) -> Vectors:
+def thinned(residuals: SensorResiduals, camera: Camera, at_most: int) -> SensorResiduals:
     """Keep every residual, or their means over square cells when there are too many to see."""
-    n = len(residuals.place)
-    if n <= at_most:
-        return Vectors(residuals.place, residuals.residual_px, np.ones(n, dtype=np.int64))
+    if len(residuals.place) <= at_most:
+        return residuals
     extent = np.array(camera.size_px) * np.array(camera.pitch)
     cell = float(np.sqrt(extent[0] * extent[1] / (at_most / 4)))
     columns, rows = (int(k) for k in np.ceil(extent / cell))
@@ -134,4 +124,4 @@ def thinned(residuals: SensorResiduals, camera: Camera, at_most: int) -> Vectors
         np.bincount(flat, values, len(rays)) for values in (*residuals.place.T, *residuals.residual_px.T)
     ]
     mean = np.array(total)[:, full] / rays[full]
-    return Vectors(mean[:2].T, mean[2:].T, rays[full].astype(np.int64))
+    return SensorResiduals(mean[:2].T, mean[2:].T)

@@ -132,15 +132,11 @@ def _in_mappings(certified: dict[str, Any], found: dict[str, Any], place: str) -
         a, b = certified.get(key, missing), found.get(key, missing)
         where = f"{place}.{key}" if place else key
         if a is missing or b is missing:
-            listed.append(Difference(where, _or_none(a, missing), _or_none(b, missing)))
+            listed.append(Difference(where, *(None if value is missing else value for value in (a, b))))
             continue
         spread = float(sigma) if key == "value" and isinstance(sigma, int | float) else 0.0
         listed += differences(a, b, where, spread)
     return listed
-
-
-def _or_none(value: Any, missing: object) -> Any:
-    return None if value is missing else value
 
 
 def _name(item: Any, index: int) -> str:

@@ -55,14 +55,10 @@ def position_shift(fit: Fit) -> PositionShift | None:
     if not len(positions.image) or np.any(network.mounting.sigma[SHIFT]) or _strips_free(network):
         return None
     fields = _whitened(fit)
-    normal = _further(fit, fields)
-    information, slope = normal.information, normal.slope
+    information, slope, steps = _further(fit, fields)
     layout = fit.factored.problem.layout
     c_by_shift = np.array(
-        [
-            normal.steps[:, columns[parameters == 0]].sum(axis=1)
-            for parameters, columns in layout.camera_columns
-        ]
+        [steps[:, columns[parameters == 0]].sum(axis=1) for parameters, columns in layout.camera_columns]
     )
     group = next(one for one in fit.solution.groups if one.name == "position")
     rest = group.redundancy - 3.0
@@ -118,10 +114,10 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
         return ()
     owns = [positions.strip == strip for strip in chosen.tolist()]
     masked = np.hstack([fields * np.repeat(own, 3)[:, None] for own in owns])
-    normal = _further(fit, masked)
+    informations, slopes, steps = _further(fit, masked)
     for k, own in enumerate(owns):
         mine = slice(3 * k, 3 * k + 3)
-        information, slope = normal.information[mine, mine], normal.slope[mine]
+        information, slope = informations[mine, mine], slopes[mine]
         if np.linalg.eigvalsh(np.linalg.solve(masked.T[mine] @ masked[:, mine], information))[0] < LEFT:
             continue
         covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -131,7 +127,7 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
         p_value = min(1.0, len(chosen) * _smaller_p(shift, scale * covariance, group.redundancy - 3.0))
         names = [network.image_names[i] for i in positions.image[own]]
         sigma, fall = np.sqrt(np.diag(covariance)), -float(slope @ shift)
-        on_c = _on_c(fit, shift @ normal.steps[mine])
+        on_c = _on_c(fit, shift @ steps[mine])
         found.append(
             StripShift(names[0], names[-1], len(names), shift, sigma, fall, p_value, on_c, stated(positions))
         )
@@ -151,22 +147,13 @@ def _on_c(fit: Fit, step: Floats) -> float:
     return float(np.max(np.divide(change, sigma, out=np.zeros_like(change), where=sigma > 0.0)))
 
 
-@dataclass(frozen=True)
-class _Further:
-    """Normal equations of further unknowns of the positions, and how all others follow a unit of each."""
-
-    information: Floats
-    slope: Floats
-    steps: Floats
-
-
 def _whitened(fit: Fit) -> Floats:
     """Rows of observed positions are whitened position by position: so is a shift, (3 positions, 3)."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(fit.network.positions.covariance)).reshape(-1, 3))
 
 
-def _further(fit: Fit, fields: Floats) -> _Further:
-    """Set up the normal equations of shifts along fields of the whitened positions, all else eliminated."""
+def _further(fit: Fit, fields: Floats) -> tuple[Floats, Floats, Floats]:
+    """Normal equations of shifts along fields of the whitened positions, and how all else follows a unit."""
     at = fit.factored
     rows = other_equations(at.problem, at.state)["position"]
     # What exterior orientations and the mounting follow is the same for any points: these are eliminated.
@@ -176,7 +163,7 @@ def _further(fit: Fit, fields: Floats) -> _Further:
     right[at.problem.held] = 0.0
     steps = solve(at.problem.layout.envelope, at.normal.matrix, right)
     information = fields.T @ fields - right.T @ steps
-    return _Further((information + information.T) / 2, fields.T @ (rows.weight * rows.residual), steps.T)
+    return (information + information.T) / 2, fields.T @ (rows.weight * rows.residual), steps.T
 
 
 def gross_error(fit: Fit, level: float) -> Member | None:

@@ -24,7 +24,7 @@ def test_convergence_of_the_published_wall(published_run: Run) -> None:
     """Stations left, middle and right of the wall, phi from -30 to 37 degrees by the published table."""
     shape = network_shape(published_run, "dcs460")
     assert shape is not None
-    assert 60.0 < shape.convergence_deg < 80.0
+    assert 60.0 < shape[0] < 80.0
 
 
 def test_two_axes_a_right_angle_apart(invented_run: Run) -> None:
@@ -34,7 +34,7 @@ def test_two_axes_a_right_angle_apart(invented_run: Run) -> None:
     angles[:2, 1] = 90.0
     shape = network_shape(moved(invented_run, angles, invented_run.result.images.station), "l1")
     assert shape is not None
-    assert shape.convergence_deg == pytest.approx(90.0)
+    assert shape[0] == pytest.approx(90.0)
 
 
 def test_depths_of_a_plane_seen_from_above(invented_run: Run) -> None:
@@ -44,6 +44,6 @@ def test_depths_of_a_plane_seen_from_above(invented_run: Run) -> None:
     points = replace(run.result.points, values=run.result.points.values * [1.0, 1.0, 0.0])
     shape = network_shape(replace(run, result=replace(run.result, points=points)), "l1")
     assert shape is not None
-    assert shape.depth_spread == pytest.approx(0.0, abs=1e-9)
+    assert shape[1] == pytest.approx(0.0, abs=1e-9)
     # The angle of an arccosine near 1: half of the digits are lost.
-    assert shape.convergence_deg == pytest.approx(0.0, abs=1e-5)
+    assert shape[0] == pytest.approx(0.0, abs=1e-5)

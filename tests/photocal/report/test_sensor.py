@@ -36,13 +36,12 @@ def test_photo_pixels_scale_to_a_camera_in_millimetres() -> None:
 
 
 @given(st.integers(1, 3000), st.integers(0, 100))
-def test_thinning_keeps_the_mean(n: int, seed: int) -> None:
+def test_thinning_keeps_the_mean_of_a_cell(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     in_px = replace(CAMERA, unit="px", pitch=(1.0, 1.0))
     place = rng.uniform([-2000, -1500], [2000, 1500], (n, 2))
-    residuals = SensorResiduals(place, rng.normal(size=(n, 2)))
-    vectors = thinned(residuals, in_px, 500)
-    assert vectors.rays.sum() == n
-    assert len(vectors.place) <= max(500, 1)
-    mean = vectors.rays @ vectors.residual_px / n
-    assert mean == pytest.approx(residuals.residual_px.mean(axis=0))
+    turn, shift = rng.normal(size=(2, 2)), rng.normal(size=2)
+    vectors = thinned(SensorResiduals(place, place @ turn + shift), in_px, 500)
+    assert len(vectors.place) <= 500
+    # The mean of what is linear in the place is what it is at the mean place.
+    assert vectors.residual_px == pytest.approx(vectors.place @ turn + shift)
