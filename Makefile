@@ -54,8 +54,10 @@ demo-dcs460: $(READY)
 
 # The tests' matrices are small: threads of the linear algebra would only wait for each other. Tests of one
 # file stay together, so that what they share is made once; slow files go first, wherever they have few tests.
+# To have each assertion tell its values costs every worker as much as a hundred tests: what fails runs again so.
 test: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --assert plain \
+		|| { OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; exit 1; }
 
 # Rooms that differ from the main branch, their tests and those that import what has changed.
 quick: $(READY)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import functools
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer.main
+import typer.testing
 from hypothesis import HealthCheck, settings
 from playwright.sync_api import Browser, sync_playwright
 
@@ -22,6 +25,10 @@ settings.register_profile(
     "photocal", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("photocal")
+
+# A worker asks the command line some hundred times: its commands are put together once.
+for _module, _name in ((typer.main, "get_command"), (typer.testing, "_get_command")):
+    setattr(_module, _name, functools.cache(typer.main.get_command))
 
 
 @pytest.fixture(scope="session")
@@ -109,6 +116,26 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 SLOW_S, SLOW = 10.0, "photocal/slow"
+# Files that take longest, the longest first: begun last they would run alone at the end.
+LONGEST = (
+    "docs/test_guide.py",
+    "photocal/debrief/test_debrief.py",
+    "photocal/run/test_campaign.py",
+    "photocal/measurement/marking/test_page.py",
+    "photocal/run/test_killed_recording.py",
+    "acquire/simulate/gnss/test_positions.py",
+    "photocal/adjustment/test_against_dense.py",
+    "photocal/navigation/test_ppk_figures.py",
+    "photocal/georeferencing/test_check_block.py",
+    "photocal/navigation/test_image_checks.py",
+    "photocal/run/test_run.py",
+    "photocal/report/test_certificate.py",
+    "photocal/report/test_forgery.py",
+    "acquire/monitor/test_page.py",
+    "photocal/navigation/test_simulated_flight.py",
+    "acquire/importing/test_import.py",
+    "photocal/peers/test_dbat_camcal.py",
+)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -123,9 +150,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker("browser")
         if "installed" in asked:
             item.add_marker("slow")
-    # Files of slow tests begin first: at the end of a run no core waits for another.
+    # At the end of a run no core waits for another.
+    begins = {ROOT / "tests" / name: place for place, name in enumerate(LONGEST)}
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: begins.get(item.path, len(begins) + (item.path not in slow)))
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:

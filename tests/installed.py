@@ -42,14 +42,21 @@ def install(wheel: Path, folder: Path) -> Path:
 
 
 def lend_kernels(installed: Path) -> None:
-    """Lend the package what is compiled for the sources: the same text, which need not be compiled again.
+    """Lend the packages what is compiled for the sources: the same text, which need not be compiled again.
 
     The compiler's cache knows a source by its folder's name, its time and its size.
     """
     from numba.core.caching import _CacheLocator
 
+    from drivers import scan
     from photocal.compiled import FOLDER, PACKAGE
 
+    search = Path(scan.__file__)
+    lent = installed.parent / "drivers"
+    os.utime(lent / search.name, ns=(search.stat().st_mtime_ns,) * 2)
+    (lent / "__pycache__").mkdir(exist_ok=True)
+    for kernel in (search.parent / "__pycache__").glob("scan.*.nb?"):
+        shutil.copyfile(kernel, lent / "__pycache__" / kernel.name)
     for source in PACKAGE.rglob("*.py"):
         copy = installed / source.relative_to(PACKAGE)
         os.utime(copy, ns=(source.stat().st_mtime_ns,) * 2)

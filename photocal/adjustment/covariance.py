@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from drivers.arrays import Floats, Integers
+from photocal.adjustment.envelope import border_inverse
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.kernels.data import Structure
@@ -12,7 +15,7 @@ from photocal.adjustment.kernels.ray import element_address
 from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.network import own_parameters
 from photocal.adjustment.normal import Problem, other_equations, values_of
-from photocal.adjustment.rank import require_determined
+from photocal.adjustment.rank import require_cameras, require_determined
 from photocal.adjustment.solution import Group, PhotoVariant, Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State, lenses, turn_basis
@@ -42,21 +45,19 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
     for name, equations in other_equations(problem, state).items():
         groups.append(_equation_group(name, equations, structure, inverse))
     observations = sum(group.observations for group in groups)
-    eliminated = problem.design.point_column < 0
     camera_covariance = _camera_covariance(problem, inverse)
     own = blocks(problem.layout.image_columns, structure, inverse)
     datum, columns = at.datum, problem.layout.image_columns
     if datum is not None:
         own = datum.applied(own, datum.moves[columns], datum.spread[columns])
         point_covariance = datum.applied(point_covariance, datum.point_moves, datum.point_spread)
-    unknowns = int(np.sum(~problem.held) + np.sum(~network.points.held[eliminated]))
     require_determined(problem, state, point_covariance, camera_covariance)
     angles = angles_from_matrix(state.rotation)
     return Solution(
         iterations,
         normal.chi_squared,
         observations,
-        unknowns,
+        _unknowns(problem),
         len(problem.stiffened),
         tuple(group for group in groups if group.observations),
         state.cameras,
@@ -71,6 +72,48 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
         _photo_variant(problem, state, inverse),
         state,
     )
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all images share at a minimum: cameras, mounting and heads of rigs, with their covariances.
+
+    cameras, camera_covariance, common, common_covariance: as in `Solution` and `State`.
+    """
+
+    chi_squared: float
+    degrees_of_freedom: int
+    cameras: Floats
+    camera_covariance: Floats
+    common: Floats
+    common_covariance: Floats
+
+
+def shared(at: Factored) -> Shared:
+    """Give what all images share its covariances, from the end of the factor: nothing else gets statistics.
+
+    raises IllPosedError: when a principal distance is not determined.
+    """
+    problem, state = at.problem, at.state
+    network, inverse = problem.network, border_inverse(problem.layout.envelope, at.normal.matrix)
+    others = other_equations(problem, state).values()
+    control = int(np.sum(np.diagonal(network.points.weight, axis1=1, axis2=2) > 0))
+    observations = network.rays.plane.size + control + sum(len(rows.weight) for rows in others)
+    cameras = _camera_covariance(problem, inverse)
+    require_cameras(problem, state, cameras)
+    return Shared(
+        at.normal.chi_squared,
+        observations + len(problem.stiffened) - _unknowns(problem),
+        state.cameras,
+        cameras,
+        state.common,
+        _common_covariance(problem, inverse),
+    )
+
+
+def _unknowns(problem: Problem) -> int:
+    eliminated = problem.design.point_column < 0
+    return int(np.sum(~problem.held) + np.sum(~problem.network.points.held[eliminated]))
 
 
 def _control_group(problem: Problem, points: Floats, covariance: Floats) -> Group:

@@ -207,14 +207,26 @@ def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
     return inverse
 
 
+def border_inverse(structure: Envelope, factor: Floats) -> Floats:
+    """Elements of the inverse within the border, as `selected_inverse` has them; all others are zero."""
+    inverse = structure.zeros()
+    if structure.border:
+        structure.panels(inverse)[-1][:] = _inverse_of(structure.panels(factor)[-1])[0]
+    return inverse
+
+
+def _inverse_of(factor: Floats) -> tuple[Floats, Floats]:
+    """Inverse of a matrix from its Cholesky factor, and that of the factor."""
+    root = lapack.dtrtri(np.tril(factor), lower=1)[0]
+    return root.T @ root, root
+
+
 def _invert(structure: Envelope, factors: list[Floats], results: list[Floats]) -> None:
     for j in reversed(range(len(factors))):
         width = int(structure.width[j])
         if width == 0:
             continue
-        lower = np.tril(factors[j][:width])
-        root = lapack.dtrtri(lower, lower=1)[0]
-        results[j][:width] = root.T @ root
+        results[j][:width], root = _inverse_of(factors[j][:width])
         if len(factors[j]) == width:
             continue
         scaled = factors[j][width:] @ root

@@ -102,6 +102,11 @@ def require_determined(
             "their rays do not intersect",
             remedy="give these points rays from different places, or take them out",
         ).of_points(tuple(problem.network.point_names[j] for j in lost))
+    require_cameras(problem, state, camera_covariance)
+
+
+def require_cameras(problem: Problem, state: State, camera_covariance: Floats) -> None:
+    """Refuse principal distances that are not determined in any useful sense."""
     for camera, values, covariance in zip(
         problem.network.cameras, state.cameras, camera_covariance, strict=True
     ):

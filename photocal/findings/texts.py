@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from typing import Any
 
@@ -43,6 +44,7 @@ class Catalogue:
         return self("date.form", day=day.day, month=month, year=day.year)
 
 
+@cache
 def catalogue(language: str) -> Catalogue:
     """Read the texts of a language; raises ConfigurationError for a language that there is none of."""
     if language not in LANGUAGES:

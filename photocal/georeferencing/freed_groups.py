@@ -12,14 +12,16 @@ from scipy.sparse.csgraph import connected_components
 
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.adjust import adjust
-from photocal.adjustment.covariance import blocks
+from photocal.adjustment.adjust import adjust, minimum_of
+from photocal.adjustment.covariance import Shared, blocks
 from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.groups import FEWEST, GroupTest, tested
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, STRIPS, TIME
+from photocal.adjustment.network import Network
 from photocal.adjustment.normal import normal_equations, prepare
 from photocal.adjustment.readout import READOUT
 from photocal.adjustment.solution import Solution
+from photocal.adjustment.state import State, start_state
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault
@@ -219,7 +221,7 @@ def _first_strip(one: Fault) -> list[int]:
     return [STRIPS + k - SHIFT.start for k in _columns(one)]
 
 
-def estimates_of(block: Block, freed: Block, solution: Solution, one: Fault) -> tuple[Estimate, ...]:
+def estimates_of(block: Block, freed: Block, solution: Shared, one: Fault) -> tuple[Estimate, ...]:
     """Give the values of one fault from the solution in which it is freed."""
     critical = float(stats.norm.ppf(1.0 - SIGNIFICANCE / 2.0))
 
@@ -240,7 +242,7 @@ def estimates_of(block: Block, freed: Block, solution: Solution, one: Fault) -> 
             for index, camera in enumerate(freed.cameras if one.each == "part" else block.cameras)
             for k in which
         )
-    common, sigma = solution.state.common, np.sqrt(np.diag(solution.common_covariance))
+    common, sigma = solution.common, np.sqrt(np.diag(solution.common_covariance))
     given = block.mounting.values
     if one.each == "strip":
         labels = [
@@ -263,7 +265,7 @@ def stated_of_positions(block: Block) -> Floats:
     return np.asarray(np.median(np.sqrt(variance), axis=0) if len(variance) else np.full(3, np.nan))
 
 
-def positions_moved(block: Block, solution: Solution, one: Fault, stated: Floats) -> float:
+def positions_moved(block: Block, solution: Shared, one: Fault, stated: Floats) -> float:
     """How far an error that was freed moves the positions, in stated sigmas; infinite where it does not."""
     own, given = block.positions, block.mounting.values
     if "positions" not in one.where or not len(own.image):
@@ -271,7 +273,7 @@ def positions_moved(block: Block, solution: Solution, one: Fault, stated: Floats
     strips = np.unique(own.strip).tolist() if one.each == "strip" else [0]
     first = _first_strip(one) if one.each == "strip" else _columns(one)
     columns = np.array([6 * strip + k for strip in strips for k in first])
-    moved = (solution.state.common - given)[columns]
+    moved = (solution.common - given)[columns]
     covariance = solution.common_covariance[np.ix_(columns, columns)]
     scale = np.tile(stated, len(strips))
     if one.frees == ("time_offset",):
@@ -325,21 +327,45 @@ def unknowns_of(block: Block, one: Fault, estimates: tuple[Estimate, ...]) -> in
     return int(free.sum()) + held
 
 
-def best_change(block: Block, values: Floats, table: tuple[Fault, ...] = FAULTS) -> Change | None:
+def best_change(block: Block, first: Solution, table: tuple[Fault, ...] = FAULTS) -> Change | None:
     """Find the image from which a second camera explains most."""
     best: tuple[float, Change] | None = None
     one = next((fault for fault in table if fault.each == "part"), None)
     if one is None:
         return None
     for image in places_of_change(block):
-        change = image, values
+        change = image, first.cameras[0]
+        network = assemble(with_freed(block, one, change)).network
         try:
-            chi_squared = adjust(assemble(with_freed(block, one, change)).network).chi_squared
+            minimum = minimum_of(network, state=beside(network, first))[1]
+            chi_squared = minimum.iterations[-1].chi_squared
         except (IllPosedError, NotConvergedError):
             continue
         if best is None or chi_squared < best[0]:
             best = chi_squared, change
     return None if best is None else best[1]
+
+
+def beside(network: Network, first: Solution) -> State:
+    """Where to start from the minimum of the same images and points with other unknowns."""
+    start, known = start_state(network), first.state
+    if known.points.shape != start.points.shape or known.centre.shape != start.centre.shape:
+        return start
+    # A second camera begins as the first one is.
+    loose = np.array([camera.estimated for camera in network.cameras])
+    of_first = np.minimum(np.arange(len(network.cameras)), len(known.cameras) - 1)
+    common, free = start.common, network.mounting.sigma > 0
+    if known.common.shape == common.shape == free.shape:
+        common = np.where(free, known.common, common)
+    return replace(
+        start,
+        cameras=np.where(loose, known.cameras[of_first], start.cameras),
+        common=common,
+        rotation=known.rotation,
+        centre=known.centre,
+        points=known.points,
+        deviations=known.deviations,
+    )
 
 
 def wrong_sigma(first: Solution, cause: float) -> GroupTest | None:

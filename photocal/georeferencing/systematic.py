@@ -10,24 +10,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.adjust import adjust
+from photocal.adjustment.adjust import adjust, minimum_of
+from photocal.adjustment.covariance import Shared, shared
+from photocal.adjustment.factored import factorised
 from photocal.adjustment.groups import GroupTest
-from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Solution
-from photocal.adjustment.state import State, start_state
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault, fault, imitators
 from photocal.georeferencing.freed_groups import (
     SIGNIFICANCE,
     Estimate,
+    beside,
     best_change,
     estimates_of,
     faults_of,
@@ -92,7 +93,13 @@ class Fit:
     moved: dict[str, float]
 
 
-def _fit(solution: Solution, estimates: dict[str, tuple[Estimate, ...]], moved: dict[str, float]) -> Fit:
+def _shared(first: Solution) -> Shared:
+    freedom, common = first.degrees_of_freedom, first.state.common
+    cameras = first.cameras, first.camera_covariance
+    return Shared(first.chi_squared, freedom, *cameras, common, first.common_covariance)
+
+
+def _fit(solution: Shared, estimates: dict[str, tuple[Estimate, ...]], moved: dict[str, float]) -> Fit:
     c, sigma = solution.cameras[:, 0], np.sqrt(solution.camera_covariance[:, 0, 0])
     return Fit(solution.chi_squared, solution.degrees_of_freedom, c, sigma, estimates, moved)
 
@@ -236,7 +243,7 @@ def systematic_errors(
         e
         for one in table
         if one.frees and not of_camera(one) and left_free(block, one)
-        for e in estimates_of(block, block, first, one)
+        for e in estimates_of(block, block, _shared(first), one)
     )
     return SystematicErrors(
         alone,
@@ -260,8 +267,8 @@ class _Search:
         table: tuple[Fault, ...],
     ) -> None:
         self._block, self._first, self._stated, self._done = block, first, stated, done
-        self._fits = {frozenset[str](): _fit(first, {}, {})}
-        self._change = best_change(block, first.cameras[0], table)
+        self._fits = {frozenset[str](): _fit(_shared(first), {}, {})}
+        self._change = best_change(block, first, table)
         # A second camera is made of the first one, so it stands before what is freed in both.
         self._faults = {one.code: one for one in faults_of(block, self._change, table)}
         self.refused: dict[str, str] = {}
@@ -326,34 +333,12 @@ class _Search:
             for one in chosen:
                 freed = with_freed(freed, one, self._change)
             network = assemble(freed).network
-            solution = adjust(network, state=_beside(network, self._first))
+            solution = shared(factorised(*minimum_of(network, state=beside(network, self._first))))
             estimates = {one.code: estimates_of(self._block, freed, solution, one) for one in chosen}
             moved = {one.code: positions_moved(self._block, solution, one, self._stated) for one in chosen}
             self._fits[groups] = _fit(solution, estimates, moved)
             self._done()
         return self._fits[groups]
-
-
-def _beside(network: Network, first: Solution) -> State:
-    """Where to start from the minimum of the same images and points with other unknowns."""
-    start, known = start_state(network), first.state
-    if known.points.shape != start.points.shape or known.centre.shape != start.centre.shape:
-        return start
-    loose = np.array([camera.estimated for camera in network.cameras])
-    cameras, common, free = start.cameras, start.common, network.mounting.sigma > 0
-    if known.cameras.shape == cameras.shape:
-        cameras = np.where(loose, known.cameras, cameras)
-    if known.common.shape == common.shape == free.shape:
-        common = np.where(free, known.common, common)
-    return replace(
-        start,
-        cameras=cameras,
-        common=common,
-        rotation=known.rotation,
-        centre=known.centre,
-        points=known.points,
-        deviations=known.deviations,
-    )
 
 
 def _less(names: tuple[str, ...], one: str) -> tuple[str, ...]:

@@ -193,18 +193,16 @@ def _round_length(length: float) -> float:
 
 def localised(ax: Any, mark: str) -> None:
     """Write the numbers of both axes with the decimal mark of the language."""
-    from matplotlib.ticker import FuncFormatter, ScalarFormatter
+    from matplotlib.ticker import ScalarFormatter
+
+    class Localised(ScalarFormatter):
+        def __call__(self, value: float, pos: int | None = None) -> str:
+            return str(super().__call__(value, pos)).replace("-", MINUS).replace(".", mark)
 
     for axis in (ax.xaxis, ax.yaxis):
-        plain = ScalarFormatter(useOffset=False, useMathText=False)
+        plain = Localised(useOffset=False, useMathText=False)
         plain.set_scientific(False)
-        plain.set_axis(axis)
-
-        def text(value: float, _position: int | None, plain: Any = plain, axis: Any = axis) -> str:
-            plain.set_locs(axis.get_majorticklocs())
-            return str(plain(value)).replace("-", MINUS).replace(".", mark)
-
-        axis.set_major_formatter(FuncFormatter(text))
+        axis.set_major_formatter(plain)
 
 
 @contextmanager

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 import numpy as np
 import pyarrow as pa
@@ -45,6 +46,9 @@ from photocal.results.result import (
     Residuals,
     Result,
 )
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 SCHEMA = "photocal.adjustment/1"
 RESULT = "result.json"
@@ -285,16 +289,25 @@ def heads_of_json(content: object, path: Path) -> tuple[AdjustedHead, ...]:
     return checked(json.dumps(content), tuple[AdjustedHead, ...], path, AGAIN, "heads")
 
 
+@cache
+def _adapter(kind: Hashable) -> TypeAdapter[Any]:
+    """What reads a kind; to make it takes longer than to read."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(cast("Any", kind))
+
+
 def checked(text: str, kind: type[Kind], path: Path, remedy: str, within: str = "") -> Kind:
     """Turn JSON into a dataclass; what does not fit is named by its key."""
-    from pydantic import TypeAdapter, ValidationError
+    from pydantic import ValidationError
 
     try:
-        return TypeAdapter(kind).validate_json(text, strict=True)
+        value: Kind = _adapter(cast("Hashable", kind)).validate_json(text, strict=True)
     except ValidationError as refusal:
         first = refusal.errors()[0]
         place = ".".join([*([within] if within else []), *(str(step) for step in first["loc"])])
         raise InputMalformedError(f"{place}: {first['msg']}", where=path, remedy=remedy) from None
+    return value
 
 
 def _not_a_number(constant: str) -> float:

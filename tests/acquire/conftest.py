@@ -15,6 +15,7 @@ import pytest
 
 from acquire.cli import main
 from drivers.mavlink.dialect import ardupilotmega
+from tests.conftest import Once
 from tests.telemetry import telemetry_log
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
@@ -55,10 +56,9 @@ def demo_flight() -> bytes:
 
 
 @pytest.fixture(scope="session")
-def logs(shared: Path, acquire: Acquire, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def logs(shared: Path, acquire: Acquire, once: Once) -> dict[str, Path]:
     """Flight logs of the recorded data."""
     data = shared / "data"
-    folder = tmp_path_factory.mktemp("logs")
     m8p = data / "gnss-ubx-m8p-base-rover"
     sources: dict[str, list[object]] = {
         "dronekit": [data / "mavlink-tlog-dronekit/flight.tlog"],
@@ -70,9 +70,11 @@ def logs(shared: Path, acquire: Acquire, tmp_path_factory: pytest.TempPathFactor
         "moving": ["--link", f"rover={m8p / 'rover-20181009-1221.ubx.gz'}"],
         "f9p": ["--link", f"rover={data / 'gnss-f9p-lossy-ubx-rtcm/20210809-121012-ubx-nmea-data.ubx'}"],
     }  # fmt: skip
-    made = {}
-    for name, arguments in sources.items():
-        made[name] = folder / f"{name}.mcap"
-        done = acquire("import", *arguments, "-o", made[name])
-        assert done.returncode == 0, done.stderr
-    return made
+
+    def fill(folder: Path) -> None:
+        for name, arguments in sources.items():
+            done = acquire("import", *arguments, "-o", folder / f"{name}.mcap")
+            assert done.returncode == 0, done.stderr
+
+    folder = once("logs", fill)
+    return {name: folder / f"{name}.mcap" for name in sources}

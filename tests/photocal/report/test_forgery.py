@@ -16,7 +16,7 @@ from typer.testing import CliRunner, Result
 
 from photocal.cli import app
 from photocal.report.issue import read_record
-from photocal.report.verification import repeated
+from photocal.report.verification import pages_of, repeated
 from photocal.results.adjusted import adjust_block
 from photocal.results.origin import Source
 
@@ -50,6 +50,16 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         # The inputs are the same whenever this is asked: what is not them would be named before.
         run = repeated(certified, where, Source(where / "inputs"))
         patch.setattr("photocal.report.verification.repeated", lambda *_: run)
+        pages = dict[str, dict[str, bytes]]()
+
+        def printed_once(run: Any, certified: dict[str, Any]) -> dict[str, bytes]:
+            """What a certificate states, but for the digests of its pages, is all that they are made of."""
+            stated = json.dumps({name: part for name, part in certified.items() if name != "documents"})
+            if stated not in pages:
+                pages[stated] = pages_of(run, certified)
+            return pages[stated]
+
+        patch.setattr("photocal.report.verification.pages_of", printed_once)
         yield folder
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from acquire.simulate.hardware import awaited, on_ports, record_settings
@@ -84,6 +85,7 @@ class Outcome:
     figures: dict[str, Any]
     lost: set[str]
     told: list[str]
+    gap_s: float
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +134,15 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     done = CliRunner().invoke(app, ["run", str(project), "--json"])
     assert done.exit_code == 0, done.output
     lost = {row["image"] for row, one in zip(exposures, silent, strict=True) if one}
-    return Outcome(folder, truth, json.loads(done.stdout), lost, second.told)
+    return Outcome(folder, truth, json.loads(done.stdout), lost, second.told, end_s - begin_s)
+
+
+def trajectory(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """GPS times in ns, and places north, east and up in metres."""
+    rows = table(path)
+    place = np.array([[float(row[name]) for name in ("lat_deg", "lon_deg", "height_m")] for row in rows])
+    times = np.array([int(row["time_gps_ns"]) for row in rows])
+    return times, place * [111_132.0, 111_320.0 * np.cos(np.deg2rad(place[0, 0])), 1.0]
 
 
 def test_the_recorder_says_what_the_first_one_left(outcome: Outcome) -> None:
@@ -149,6 +159,21 @@ def test_the_images_of_the_gap_are_named_and_no_others(outcome: Outcome) -> None
     assert set(camera["unmatched_images"]) == outcome.lost
     page = (outcome.folder / "site/work/certificate/certificate.html").read_text(encoding="utf-8")
     assert all(name in page for name in outcome.lost)
+
+
+def test_both_logs_give_one_trajectory(outcome: Outcome) -> None:
+    """Whole from the first second to the last, and within centimetres on both sides of the gap."""
+    times, found = trajectory(next((outcome.folder / "site" / "work").rglob("trajectory.csv")))
+    true_times, truth = trajectory(outcome.folder / "truth" / "trajectory.csv")
+    second_of_flight = (times - true_times[0]) / 1e9
+    steps = np.diff(second_of_flight)
+    assert outcome.gap_s - 1.0 < steps.max() < outcome.gap_s + 1.0
+    assert second_of_flight[0] < 1.0
+    assert times[-1] > true_times[-1] - 2e9
+    off_m = np.linalg.norm(found - truth[np.abs(true_times - times[:, None]).argmin(axis=1)], axis=1)
+    for part in np.split(off_m, [steps.argmax() + 1]):
+        assert len(part) > 100
+        assert np.quantile(part, 0.99) < 0.05
 
 
 def test_the_truth_is_found_nevertheless(outcome: Outcome) -> None:

@@ -11,6 +11,7 @@ import pytest
 from acquire.simulate.world.configuration import Configuration, read_configuration
 from acquire.simulate.world.site import simulate_flight
 from acquire.simulate.world.world import World, make_world
+from tests.conftest import Once
 
 DEMO = Path(__file__).resolve().parents[4] / "acquire" / "simulate" / "flights"
 
@@ -46,6 +47,6 @@ def world() -> World:
 
 
 @pytest.fixture(scope="session")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+def small(once: Once) -> Flight:
     """The small flight with pictures."""
-    return flown(tmp_path_factory.mktemp("small"))
+    return Flight(once("small", flown), make_world(configured("small")))
