@@ -109,7 +109,11 @@ def check_method(method: str, found: Shape) -> MethodCheck:
     quarters = {"quarters": float(found.quadrants), "share": found.control_share, "needed": COVERED}
     spread = found.quadrants == 4 and found.control_share >= COVERED
     around = _needed("around", met=spread, figures=quarters)
-    tilted, mixed, roll = _convergence(found), _ranges(found), _roll(found)
+    needed = {"needed_deg": CONVERGENCE_DEG}
+    tilted = _at_least("convergence", found.convergence_deg, CONVERGENCE_ENOUGH_DEG, needed)
+    mixed = _ranges(found)
+    rolled = {"found": 90.0 - found.roll_deg, "tolerance_deg": ROLL_ENOUGH_DEG}
+    roll = _needed("roll", met=found.roll_deg <= ROLL_ENOUGH_DEG, figures=rolled)
     figures = {**tilted.figures, **mixed.figures}
     either = _needed("height-separated", met=_met(tilted) or _met(mixed), figures=figures)
     requirements = {
@@ -119,16 +123,6 @@ def check_method(method: str, found: Shape) -> MethodCheck:
         "on-the-job": (photographs, control, around, either),
     }[method]
     return MethodCheck(method, requirements, all(_met(one) for one in requirements))
-
-
-def _convergence(found: Shape) -> Finding:
-    figures = {"needed_deg": CONVERGENCE_DEG}
-    return _at_least("convergence", found.convergence_deg, CONVERGENCE_ENOUGH_DEG, figures)
-
-
-def _roll(found: Shape) -> Finding:
-    figures = {"found": 90.0 - found.roll_deg, "tolerance_deg": ROLL_ENOUGH_DEG}
-    return _needed("roll", met=found.roll_deg <= ROLL_ENOUGH_DEG, figures=figures)
 
 
 def _ranges(found: Shape) -> Finding:

@@ -90,9 +90,11 @@ class CalibrationRecord:
 
 def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
     """Check a calibration for contradictions with itself."""
+    wrong = [name for name, sigma in record.sigmas.items() if not (np.isfinite(sigma) and sigma >= 0.0)]
+    wrong += [name for name, value in record.values.items() if not np.isfinite(value)]
     found = [
         *correlation_findings(record.names, record.correlation, record.correlation_rounding),
-        *_sigmas(record),
+        *(Finding("not_a_number", "refused", name) for name in wrong),
         *_units(record),
         *_format(record),
         *_folding(record),
@@ -119,12 +121,6 @@ def effective_unit(record: CalibrationRecord) -> Literal["mm", "px"]:
 
 def _close(value: float, expected: float, tolerance: float) -> bool:
     return abs(value - expected) <= tolerance * abs(expected)
-
-
-def _sigmas(record: CalibrationRecord) -> list[Finding]:
-    wrong = [n for n, s in record.sigmas.items() if not (np.isfinite(s) and s >= 0.0)]
-    wrong += [n for n, v in record.values.items() if not np.isfinite(v)]
-    return [Finding("not_a_number", "refused", name) for name in wrong]
 
 
 def _units(record: CalibrationRecord) -> list[Finding]:

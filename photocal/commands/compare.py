@@ -140,7 +140,7 @@ def _picture_format(picture: Path | None) -> str:
 def _figures(
     asked: CameraFile, points: int, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]
 ) -> dict[str, Any]:
-    from photocal.analysis.stability.comparison import sentences
+    from photocal.analysis.stability.comparison import likeness, sentences
 
     return {
         "schema": SCHEMA,
@@ -154,7 +154,11 @@ def _figures(
             {
                 "first": pair.first,
                 "second": pair.second,
-                "figures": [_figure(figure, asked.thresholds_px) for figure in pair.figures],
+                "figures": [
+                    as_plain(figure)
+                    | {"different": figure.different, "within_px": likeness(figure, asked.thresholds_px)}
+                    for figure in pair.figures
+                ],
             }
             for pair in pairs
         ],
@@ -173,13 +177,6 @@ def _figures(
         ],
         "findings": list(sentences(pairs, asked.thresholds_px, followed)),
     }
-
-
-def _figure(figure: Figure, thresholds_px: tuple[float, ...]) -> dict[str, Any]:
-    from photocal.analysis.stability.comparison import likeness
-
-    more = {"different": figure.different, "within_px": likeness(figure, thresholds_px)}
-    return {**as_plain(figure), **more}
 
 
 def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]) -> str:

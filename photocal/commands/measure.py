@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from photocal.measurement.image_block import GivenControl
     from photocal.measurement.maker_camera import GivenLens
     from photocal.measurement.match_images import MatchingPlan
-    from photocal.results.result import Result
     from photocal.tasks.workers import Workers
 
 Work: TypeAlias = "Callable[[], Measured]"
@@ -75,6 +74,8 @@ def measure(
     `photocal measure --images lab --field 4x4_250 --distances tape.csv -o block --run run`;
     with --images alone, tie points.
     """
+    from photocal.measurement.maker_camera import GivenLens
+
     if (project is None) == (images is None):
         raise ConfigurationError(
             "what to measure is not clear", remedy="give PROJECT.toml or --images FOLDER"
@@ -86,7 +87,7 @@ def measure(
             "--marks has no coordinates of its points",
             remedy="give PROJECT.toml, whose control table has them, or --gcp with both",
         )
-    crew = _crew(workers, cluster)
+    crew, lens = _crew(workers, cluster), GivenLens(c_px, focal_mm)
     if cluster:
         # Workers have working folders of their own.
         project, images = (path and path.absolute() for path in (project, images))
@@ -97,14 +98,18 @@ def measure(
             )
         work = _project(project or Path(), marks or [], crew, cache)
     elif field:
-        work = _field(images, field, distances, _lens(c_px, focal_mm))
+        work = _field(images, field, distances, lens)
     elif board:
         work = _board(images, board, square_m, charuco)
     else:
         control = None if gcp is None else _control(gcp, gcp_sigma, crs, height)
-        work = _images(images, _lens(c_px, focal_mm), _plan(crew, cache, images), control)
+        work = _images(images, lens, _plan(crew, cache, images), control)
     record = _written(work, output)
-    adjusted = [] if run is None or not field else [repr(_adjusted(output, run))]
+    adjusted = []
+    if run is not None and field:
+        from photocal.results.adjusted import adjust_block
+
+        adjusted = [repr(adjust_block(output, run))]
     answer(as_json, lambda: record, lambda: "\n".join([*_text(record, output), *adjusted]))
 
 
@@ -165,18 +170,6 @@ def _control(gcp: Path, sigma: str, crs: str, height: str) -> GivenControl:
     if not (horizontal > 0 and vertical > 0):
         raise ConfigurationError(f"--gcp-sigma {sigma} is not positive", remedy=f"give {form}")
     return GivenControl(gcp, (horizontal, vertical), crs, height)
-
-
-def _adjusted(block: Path, run: Path) -> Result:
-    from photocal.results.adjusted import adjust_block
-
-    return adjust_block(block, run)
-
-
-def _lens(c_px: float, focal_mm: float) -> GivenLens:
-    from photocal.measurement.maker_camera import GivenLens
-
-    return GivenLens(c_px, focal_mm)
 
 
 def _crew(workers: int, cluster: str) -> Workers:

@@ -82,8 +82,12 @@ def plan(
     from photocal.planning.mission import write_plan
     from photocal.planning.summary import remarks, targets_of, to_json, to_text
 
-    columns, rows = _image_size(image_px)
-    frame = Frame(focal_mm * 1e-3, pixel_um * 1e-6, columns, rows)
+    size = _SIZE.match(image_px.strip())
+    if size is None:
+        raise ConfigurationError(
+            f"{image_px!r} is not an image size", remedy="write columns x rows: 5472x3648"
+        )
+    frame = Frame(focal_mm * 1e-3, pixel_um * 1e-6, int(size["columns"]), int(size["rows"]))
     if (height is None) == (gsd_cm is None):
         raise ConfigurationError("give either --height or --gsd-cm")
     if height is None:
@@ -145,13 +149,6 @@ def _pair(text: str) -> tuple[float, float]:
     if not (plane > 0.0 and height > 0.0):
         raise ConfigurationError(f"a precision of {text} m is not positive", remedy="write 0.02,0.03")
     return plane, height
-
-
-def _image_size(text: str) -> tuple[int, int]:
-    match = _SIZE.match(text.strip())
-    if match is None:
-        raise ConfigurationError(f"{text!r} is not an image size", remedy="write columns x rows: 5472x3648")
-    return int(match["columns"]), int(match["rows"])
 
 
 def _home(text: str) -> Home:

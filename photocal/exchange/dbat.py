@@ -81,7 +81,9 @@ def read_dbat(path: Path) -> Block:
         )
     surveyed = [*reader.points("ctrl_pts", "control"), *reader.points("check_pts", "check")]
     image_of = {row.name("id"): row.cells.get("path", "") for row in reader.rows("images", IMAGE_FIELDS)}
-    names = _image_names(image_of)
+    # File names of the images by their number; the numbers where file names repeat.
+    short = {key: PurePosixPath(path.replace("\\", "/")).name or key for key, path in image_of.items()}
+    names = short if len(set(short.values())) == len(short) else {key: key for key in image_of}
     marks = [_mark(row, names, sigma) for row, sigma in reader.marks()]
     title = (root.findtext("meta/name") or path.stem).strip()
     shots = parts.images(list(names.values()), [0] * len(names))
@@ -147,12 +149,6 @@ def _mark(row: Row, names: dict[str, str], common: float | None) -> parts.Mark:
     # The sigma of the set-up overrides that of the table.
     sigma = (row.value("sx"), row.value("sy")) if common is None else (common, common)
     return parts.Mark(names[image], row.name("id"), x, y, sigma, row.line.place)
-
-
-def _image_names(paths: dict[str, str]) -> dict[str, str]:
-    """File names of the images by their number; the numbers where file names repeat."""
-    short = {key: PurePosixPath(path.replace("\\", "/")).name or key for key, path in paths.items()}
-    return short if len(set(short.values())) == len(short) else {key: key for key in paths}
 
 
 def _used_cameras(root: Element, given: Element, path: Path) -> Iterator[DbatCamera]:

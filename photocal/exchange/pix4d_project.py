@@ -278,7 +278,10 @@ def _measurements(
     stems = {Path(name).stem.casefold(): k for k, name in enumerate(names)}
     rays: dict[tuple[int, str], tuple[float, float]] = {}
     image, pitch, unknown = -1, (0.0, 0.0), 0
-    sensors = _sensors(path.parent)
+    # What the .cam files assume.
+    texts = (p.read_text(encoding="utf-8", errors="replace") for p in sorted(path.parent.glob("*.cam")))
+    stated = re.findall(r"sensor width of\s*([\d.]+)\s*x\s*([\d.]+)\s*mm", "".join(texts))
+    sensors = [(float(width), float(height)) for width, height in stated]
     middle = (0.0, 0.0)
     for line in read_lines(path, comment=""):
         cells = line.text.split()
@@ -322,13 +325,6 @@ def _pitch(
         where=line.place,
         remedy="put the .cam files into the folder",
     )
-
-
-def _sensors(folder: Path) -> list[tuple[float, float]]:
-    """Widths and heights of sensors that the .cam files assume, mm."""
-    text = "".join(p.read_text(encoding="utf-8", errors="replace") for p in sorted(folder.glob("*.cam")))
-    found = re.findall(r"sensor width of\s*([\d.]+)\s*x\s*([\d.]+)\s*mm", text)
-    return [(float(width), float(height)) for width, height in found]
 
 
 def _is_number(cell: str) -> bool:

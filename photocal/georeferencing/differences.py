@@ -170,3 +170,8 @@ def _joint(d: Floats, joint: Floats | None, survey: Floats) -> JointTest | None:
     if joint is None or len(joint) != d.size:
         return None
     return joint_test(d, joint + block_diag(*survey))
+
+
+def cells(values: Floats, form: str = "9.4f", between: str = "") -> str:
+    """Write figures side by side, as tables for people have them."""
+    return between.join(f"{value:{form}}" for value in values.tolist())

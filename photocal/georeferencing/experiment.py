@@ -259,21 +259,19 @@ def _leave_one_out(
     for method in methods:
         for point in control:
             name = block.points.names[point]
+            check, failure = None, "it has fewer than two rays"
             try:
                 setup = checkable(with_roles(block, control[control != point]))
                 check = differences(setup, of_method(setup, method), "check")
             except PhotocalError as refusal:
-                left.append(LeftOut(method, name, nothing, nothing, nothing, str(refusal)))
+                failure = str(refusal)
+            done()
+            if check is None or name not in check.names:
+                left.append(LeftOut(method, name, nothing, nothing, nothing, failure))
                 continue
-            finally:
-                done()
-            if name in check.names:
-                k = check.names.index(name)
-                sigma = np.sqrt(np.diag(check.covariance[k]))
-                left.append(LeftOut(method, name, check.d[k], sigma, check.w[k], ""))
-            else:
-                why = "it has fewer than two rays"
-                left.append(LeftOut(method, name, nothing, nothing, nothing, why))
+            k = check.names.index(name)
+            sigma = np.sqrt(np.diag(check.covariance[k]))
+            left.append(LeftOut(method, name, check.d[k], sigma, check.w[k], ""))
     return tuple(left)
 
 

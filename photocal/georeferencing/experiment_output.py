@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from acquire.outputs import output_folder, rows_text, write_json
-from drivers.arrays import as_plain
+from drivers.arrays import Floats, as_plain
 from photocal.accuracy.discrepancies import SIGN
-from photocal.accuracy.output import finite
-from photocal.georeferencing.differences import Differences
+from photocal.georeferencing.differences import Differences, cells
 from photocal.georeferencing.experiment import LeftOut, Outcome, Pair, Run
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ _AXES = ("x", "y", "z")
 
 def to_json(outcome: Outcome) -> dict[str, Any]:
     """Give an experiment's results as a JSON value."""
-    return {
+    content: dict[str, Any] = {
         "schema": SCHEMA,
         "sign": SIGN,
         "runs": [_run(run) for run in outcome.runs],
@@ -96,6 +95,7 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
             for method in dict.fromkeys(one.method for one in outcome.left_out)
         },
     }
+    return {key: as_plain(part) for key, part in content.items()}
 
 
 def to_text(outcome: Outcome) -> str:
@@ -109,32 +109,24 @@ def to_text(outcome: Outcome) -> str:
             lines.append(f"{run.name:<40}{run.control:>8}  failed: {run.failure}")
             continue
         t = " ".join(f"{b.t:.2f}{'*' if b.significant else ''}" for b in run.bias)
-        lines.append(
-            f"{run.name:<40}{run.control:>8}{len(run.check.names):>6}"
-            + "".join(f"{v:9.4f}" for v in run.check.rmse)
-            + "   "
-            + "".join(f"{v:8.4f}" for v in run.check.predicted)
-            + f"   {t}"
-        )
+        left = f"{run.name:<40}{run.control:>8}{len(run.check.names):>6}{cells(run.check.rmse)}"
+        lines.append(f"{left}   {cells(run.check.predicted, '8.4f')}   {t}")
     lines += ["", f"{'run':<40}{'image residuals px':>20}   exterior orientation, RMSE in m and deg"]
     for run in (run for run in outcome.runs if run.check):
         x, y = run.residuals_px.tolist()
         turned = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
-        poses = "".join(f"{v:9.4f}" for v in [*turned[3:], *np.degrees(turned[:3])])
-        lines.append(f"{run.name:<40}{x:11.3f}{y:9.3f}   {poses}")
+        lines.append(f"{run.name:<40}{x:11.3f}{y:9.3f}   {cells(turned[3:])}{cells(np.degrees(turned[:3]))}")
     if outcome.pairs:
         lines += ["", "pair by pair: RMSE of the differences at check points, m"]
     for pair in outcome.pairs:
-        values = "".join(f"{v:9.4f}" for v in pair.check)
-        lines.append(f"{pair.first.name} - {pair.second.name:<28}{values}")
+        lines.append(f"{pair.first.name} - {pair.second.name:<28}{cells(pair.check)}")
     if outcome.left_out:
         lines += ["", "leave one out: d, w"]
     for one in outcome.left_out:
         if one.failure:
             lines.append(f"  {one.method:<12}{one.point:<12}{one.failure}")
             continue
-        values = " ".join(f"{v:+.4f}" for v in one.d.tolist())
-        tested = " ".join(f"{v:.2f}" for v in one.w.tolist())
+        values, tested = cells(one.d, "+.4f", " "), cells(one.w, ".2f", " ")
         lines.append(f"  {one.method:<12}{one.point:<12}{values}   {tested}")
     return "\n".join(lines)
 
@@ -164,9 +156,7 @@ def _run(run: Run) -> dict[str, Any]:
         if run.check is None
         else [
             {"point": name, "d_m": d, "sigma_m": s}
-            for name, d, s in zip(
-                run.check.names, run.check.d.tolist(), run.check.product_sigma.tolist(), strict=True
-            )
+            for name, d, s in zip(run.check.names, run.check.d, run.check.product_sigma, strict=True)
         ],
     }
 
@@ -188,7 +178,7 @@ def _flat(run: Run) -> dict[str, Any]:
     for k, axis in enumerate(_AXES):
         bias = run.bias[k] if run.bias else None
         row[f"t_{axis}"] = None if bias is None else bias.t
-        row[f"biased_{axis}"] = None if bias is None else bool(bias.significant)
+        row[f"biased_{axis}"] = None if bias is None else bias.significant
         row[f"rmse_without_trend_{axis}_m"] = run.without_trend[k] if run.without_trend else None
     row |= {f"residual_{a}_px": v for a, v in zip(_AXES, run.residuals_px, strict=False)}
     poses = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
@@ -196,31 +186,28 @@ def _flat(run: Run) -> dict[str, Any]:
     angles = zip(("omega", "phi", "kappa"), np.degrees(poses[:3]), strict=True)
     row |= {f"exterior_rmse_{a}_deg": v for a, v in angles}
     row["errors_over_prediction"] = None if run.check is None else run.check.ratio
-    row |= {"variance_factor": run.variance_factor, "failure": run.failure}
-    plain: dict[str, Any] = as_plain(row)
-    return plain
+    return row | {"variance_factor": run.variance_factor, "failure": run.failure}
 
 
 def _pair(pair: Pair) -> dict[str, Any]:
     row: dict[str, Any] = {name: getattr(pair.first, name) for name in ("use", "pattern", "method")}
     row |= {"first": pair.first.interior, "second": pair.second.interior}
     for part, values in (("check", pair.check), ("all", pair.all)):
-        row |= {f"{part}_rmse_{a}_m": finite(float(v)) for a, v in zip(_AXES, values, strict=True)}
+        row |= {f"{part}_rmse_{a}_m": v for a, v in zip(_AXES, values, strict=True)}
     return row
 
 
 def _left(one: LeftOut) -> dict[str, Any]:
     row: dict[str, Any] = {"method": one.method, "point": one.point}
     for prefix, values, unit in (("d", one.d, "_m"), ("s", one.sigma, "_m"), ("w", one.w, "")):
-        row |= {f"{prefix}{a}{unit}": finite(float(v)) for a, v in zip(_AXES, values, strict=True)}
-    row["failure"] = one.failure
-    return row
+        row |= {f"{prefix}{a}{unit}": v for a, v in zip(_AXES, values, strict=True)}
+    return row | {"failure": one.failure}
 
 
-def _rmse(left: list[LeftOut]) -> list[float | None]:
+def _rmse(left: list[LeftOut]) -> Floats:
     d = np.array([one.d for one in left if not one.failure]).reshape(-1, 3)
-    return [finite(float(v)) for v in np.sqrt(np.mean(d**2, axis=0))] if len(d) else [None] * 3
+    return np.asarray(np.sqrt(np.mean(d**2, axis=0))) if len(d) else np.full(3, np.nan)
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:
-    return rows_text(list(rows[0]), [list(row.values()) for row in rows])
+    return rows_text(list(rows[0]), [list(as_plain(row).values()) for row in rows])

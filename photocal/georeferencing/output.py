@@ -20,7 +20,7 @@ from photocal.findings.finding import verdict
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 from photocal.geopackage import ReferenceSystem
 from photocal.georeferencing.comparison import BlockCheck, Judged
-from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences
+from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, cells
 from photocal.georeferencing.findings import block_findings, estimate_text
 from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
 
@@ -202,14 +202,15 @@ def to_text(check: BlockCheck) -> str:
     for judged in check.judged:
         lines += [_row(judged, found) for found in (judged.check, judged.control) if found.names]
     lines += ["", *(f"{judged.found.label}" for judged in check.judged), ""]
-    lines += _aligned(standards_rows(check))
+    rows = standards_rows(check)
+    widths = [max(map(len, column)) + 3 for column in zip(*rows, strict=True)]
+    lines += ["".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     lines.append("")
     for judged in check.judged:
         lines += _points(judged)
     if check.exposures is not None:
         e = check.exposures
-        angles = " ".join(f"{v:.4f}" for v in np.degrees(e.rmse[:3]))
-        places = " ".join(f"{v:.3f}" for v in e.rmse[3:])
+        angles, places = cells(np.degrees(e.rmse[:3]), ".4f", " "), cells(e.rmse[3:], ".3f", " ")
         lines.append(
             f"orientation, direct less indirect, RMSE over {e.images} images: "
             f"omega phi kappa {angles} deg, X Y Z {places} m\n"
@@ -233,22 +234,10 @@ def to_text(check: BlockCheck) -> str:
     return "\n".join(lines)
 
 
-def _aligned(rows: list[list[str]]) -> list[str]:
-    """Rows of cells as lines with columns as wide as they must be."""
-    widths = [max(len(cell) for cell in column) + 3 for column in zip(*rows, strict=True)]
-    return ["".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-
-
 def _row(judged: Judged, found: Differences) -> str:
     ratio = "-" if math.isnan(found.ratio) else f"{found.ratio:.2f}"
-    left = f"{judged.found.method:<12}{found.role:<9}{len(found.names):>4}  "
-    return (
-        left
-        + "".join(f"{v:9.4f}" for v in found.rmse)
-        + "   "
-        + "".join(f"{v:9.4f}" for v in found.predicted)
-        + f"   {ratio:>11}"
-    )
+    left = f"{judged.found.method:<12}{found.role:<9}{len(found.names):>4}  {cells(found.rmse)}"
+    return f"{left}   {cells(found.predicted)}   {ratio:>11}"
 
 
 def _points(judged: Judged) -> list[str]:
@@ -267,13 +256,7 @@ def _points(judged: Judged) -> list[str]:
         lines.append(f"{judged.found.method}, {found.role} points: d, predicted sigma of the point, w")
         for name, d, s, w in zip(found.names, found.d, found.product_sigma, found.w, strict=True):
             tested = " ".join("     -" if math.isnan(x) else f"{x:6.2f}" for x in w.tolist())
-            lines.append(
-                f"  {name:<12}"
-                + " ".join(f"{x:+9.4f}" for x in d.tolist())
-                + "   "
-                + " ".join(f"{x:8.4f}" for x in s.tolist())
-                + f"   {tested}"
-            )
+            lines.append(f"  {name:<12}{cells(d, '+9.4f', ' ')}   {cells(s, '8.4f', ' ')}   {tested}")
     return [*lines, ""] if lines else []
 
 
@@ -325,17 +308,13 @@ def _ground_points(check: BlockCheck) -> str:
     rows: list[list[object]] = []
     for judged in check.judged:
         for found in (judged.check, judged.control):
+            axes, azimuth = found.ellipses.semi_axes, np.degrees(found.ellipses.azimuth)
+            figures = np.column_stack([found.d, found.product_sigma, found.w, found.distance, axes, azimuth])
             rows += [
-                [judged.found.method, found.role, name, *_figures(found, k)]
-                for k, name in enumerate(found.names)
+                [judged.found.method, found.role, name, *(finite(round(float(v), 6)) for v in values)]
+                for name, values in zip(found.names, figures, strict=True)
             ]
     return rows_text(header, rows)
-
-
-def _figures(found: Differences, k: int) -> list[object]:
-    values = [*found.d[k], *found.product_sigma[k], *found.w[k], found.distance[k]]
-    values += [*found.ellipses.semi_axes[k], np.degrees(found.ellipses.azimuth[k])]
-    return [finite(round(float(value), 6)) for value in values]
 
 
 def _images(check: BlockCheck) -> str:

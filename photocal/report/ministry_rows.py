@@ -85,11 +85,6 @@ def _pixels(c: Context) -> Filled:
     return f"{fixed(c.camera.size_px[0] * c.camera.size_px[1] / 1e6, 2, c.say.mark)} M", "computed"
 
 
-def _pixel_size(c: Context) -> Filled:
-    origin: Origin = "computed" if c.camera.unit == "mm" else "given"
-    return _number(c.facts.pixel_mm, 4, origin, c)
-
-
 def _image_side(axis: int) -> Callable[[Context], Filled]:
     def fill(c: Context) -> Filled:
         if c.facts.pixel_mm is None:
@@ -234,7 +229,7 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "sensor_type": lambda c: _given(c.particulars.camera.sensor_type),
     "sensor_dimension": _sensor_dimension,
     "effective_pixels": _pixels,
-    "pixel_size": _pixel_size,
+    "pixel_size": lambda c: _number(c.facts.pixel_mm, 4, "computed" if c.camera.unit == "mm" else "given", c),
     "nominal_focal_length": lambda c: _number(c.particulars.camera.nominal_focal_length_mm, 4, "given", c),
     "image_orientation": lambda c: (c.say("ministry.orientation"), "computed"),
     "image_size_x": _image_side(0),

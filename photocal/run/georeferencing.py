@@ -19,18 +19,15 @@ FIGURES = "check.json"
 
 def georeferencing_stage(project: Project, block: Path) -> Stage:
     """Describe the stage, which follows the one whose folder is `block`."""
+    standards = [name for name in project.contents.judgement.standards if name.endswith(".toml")]
     return Stage(
         "georeferencing",
         "three georeferencings at the check points",
         lambda out, show: _make(project, block, out, show),
-        {f"standard {name}": Path(name) for name in _files(project)},
+        {f"standard {name}": Path(name) for name in standards},
         project.contents.judgement.model_dump(mode="json"),
         (block,),
     )
-
-
-def _files(project: Project) -> list[str]:
-    return [name for name in project.contents.judgement.standards if name.endswith(".toml")]
 
 
 def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:

@@ -203,12 +203,10 @@ class _Text:
         if not seen.logs:
             return
         self.found.append(f"{len(seen.logs)} flight log(s)")
-        yield ""
-        yield "[flight]"
+        yield "\n[flight]"
         yield f"logs = {json.dumps([self._beside(path) for path in seen.logs])}"
         yield "# base_position = [-22.7, -43.2, 30.0]   # latitude, longitude (deg), ellipsoidal height (m)"
-        yield ""
-        yield "[rig]  # body axes forward, right, down"
+        yield "\n[rig]  # body axes forward, right, down"
         offered = told_mounting(FlightLog(seen.logs), "vehicle").camera_to_antenna_m
         if offered is not None:
             arm = ", ".join(f"{value:.3f}" for value in offered)
@@ -235,8 +233,7 @@ class _Text:
         self.found += [
             f"{len(self.seen.pictures[w])} pictures in {self._beside(w)}: not used" for w in others
         ]
-        yield ""
-        yield f"[images]  # {said}"
+        yield f"\n[images]  # {said}"
         yield f"folder = {_quoted(self._beside(self.pictures))}"
         if self.frame is not None:
             yield f"pictures = {_quoted(PICTURES)}  # camera and exposure of each"
@@ -253,18 +250,17 @@ class _Text:
         member = self.member
         for k, name in enumerate(self.cameras):
             own = stated_camera(name, self.facts[int(np.flatnonzero(member == k)[0])])
-            yield ""
             taken = int((member == k).sum())
             if own.camera.size_px in known:
                 source = f"of {self._beside(self.given.file)}" if self.given is not None else ""
-                yield f"[[camera]]  # {taken} pictures; {source}"
+                yield f"\n[[camera]]  # {taken} pictures; {source}"
                 yield from _given_camera(replace(known[own.camera.size_px], id=name))
                 self.found.append(f"camera {name}: {source}")
                 continue
             kind = "a guess" if own.guessed else f"prior, {100 * own.share:g} %"
             said = f"c = {own.camera.value('c'):.1f} px ({own.source}; {kind})"
             self.found.append(f"camera {name}: {taken} pictures, {said}")
-            yield f"[[camera]]  # {taken} pictures; {said}"
+            yield f"\n[[camera]]  # {taken} pictures; {said}"
             yield from _camera(own)
             if not own.camera.rolling:
                 yield 'shutter = "unknown"  # tested, and a readout is estimated when it rolls; or "global"'
@@ -276,8 +272,7 @@ class _Text:
         if self.frame is None:
             return
         for name in self.cameras[1:]:
-            yield ""
-            yield "[[head]]  # turned as the pictures tell; rotation_deg and its sigma where it is known"
+            yield "\n[[head]]  # turned as the pictures tell; rotation_deg and its sigma where it is known"
             yield f"camera = {_quoted(name)}"
             yield f"of = {_quoted(self.cameras[0])}"
             yield f"centre_m = [0.0, 0.0, 0.0]  # x right, y up, z backwards of {self.cameras[0]}: assumed"
@@ -312,8 +307,7 @@ class _Text:
         said = f"{len(points.names)} points of {self._beside(given.file)}, "
         said += f"{len(self.marks)} marks in {images} images"
         self.found.append(f"control: {said}")
-        yield ""
-        yield f"[control]  # {said}"
+        yield f"\n[control]  # {said}"
         yield 'points = "control.csv"' + (
             f"  # sigmas of {ASSUMED_M[0]} m, in height {ASSUMED_M[1]} m, are assumed"
             if given.assumed

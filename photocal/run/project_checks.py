@@ -106,26 +106,17 @@ def _check_system(project: Project, place: Place | None) -> None:
 
     try:
         system = CRS.from_user_input(project.crs)
-    except CRSError as refusal:
-        raise ConfigurationError(
-            f"crs = {project.crs!r} is no system that is known",
-            where=project.path,
-            remedy=_proposal(place),
-        ) from refusal
-    level = system.sub_crs_list[0] if system.is_compound else system
-    if level.is_geographic or level.is_geocentric:
-        raise ConfigurationError(
-            f"crs = {project.crs!r} ({level.name}) has no map coordinates: degrees cannot be adjusted",
-            where=project.path,
-            remedy=_proposal(place),
-        )
-    unit = level.axis_info[0].unit_name
-    if unit != "metre":
-        raise ConfigurationError(
-            f"crs = {project.crs!r} ({level.name}) is in {unit}, not in metres",
-            where=project.path,
-            remedy=_proposal(place),
-        )
+    except CRSError:
+        wrong = " is no system that is known"
+    else:
+        level = system.sub_crs_list[0] if system.is_compound else system
+        if level.is_geographic or level.is_geocentric:
+            wrong = f" ({level.name}) has no map coordinates: degrees cannot be adjusted"
+        elif (unit := level.axis_info[0].unit_name) != "metre":
+            wrong = f" ({level.name}) is in {unit}, not in metres"
+        else:
+            return
+    raise ConfigurationError(f"crs = {project.crs!r}{wrong}", where=project.path, remedy=_proposal(place))
 
 
 def _proposal(place: Place | None) -> str:

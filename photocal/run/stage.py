@@ -358,7 +358,8 @@ def _made(
     sweep(folder)
     key = _key(stage, digests)
     record = _record(folder)
-    if not again and record.get("key") == key and _whole(folder, record, digests):
+    made = not again and record.get("key") == key
+    if made and digests.of_folder(folder, leave_out=RECORD) == record.get("outputs"):
         return True, float(record.get("seconds", 0.0))
     began = time.monotonic()
     with replaced_folder(folder) as aside:
@@ -398,8 +399,3 @@ def _record(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
-
-
-def _whole(folder: Path, record: dict[str, Any], digests: Digests) -> bool:
-    """Whether the files of a stage are those that it wrote."""
-    return bool(digests.of_folder(folder, leave_out=RECORD) == record.get("outputs"))

@@ -100,8 +100,17 @@ def causes_first(
         codes.discard("ppk-not-fixed")
     excuse = next((entry for code in _EXCUSES if code in codes and (entry := fault(code, table))), None)
     if excuse is not None:
+        # The same, where something else is known to be wrong that looks like it.
         findings = tuple(
-            _not_judged(one, excuse.code)
+            replace(
+                one,
+                code="not-judged",
+                severity="consequence",
+                subject=one.code,
+                clauses=(),
+                cause=excuse.code,
+                figures={**one.figures, "same": (one.code,)},
+            )
             if one.stage == "georeferencing" and one.code in excuse.imitates
             else one
             for one in findings
@@ -111,12 +120,6 @@ def causes_first(
     findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
     order = ("warning", "consequence", "note")
     return tuple(sorted(findings, key=lambda one: order.index(kind(one))))
-
-
-def _not_judged(one: Finding, cause: str) -> Finding:
-    """The same, where something else is known to be wrong that looks like it."""
-    said = replace(one, code="not-judged", severity="consequence", subject=one.code, clauses=(), cause=cause)
-    return replace(said, figures={**one.figures, "same": (one.code,)})
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

@@ -53,7 +53,9 @@ def of_round(one: Round) -> Finding:
     }
     clauses = []
     if parameter.candidate.kind == "y-scale":
-        square = _explained_by_pitch(parameter, camera)
+        # Square pixels, scaled to a rounded format.
+        ratio = camera.pitch[0] / camera.pitch[1]
+        square = ratio != 1.0 and abs(1.0 + parameter.amount - ratio) < 3.0 * parameter.sigma
         clauses.append("square_pixels" if square else "stretched")
         if square:
             figures |= {"pitch_x": camera.pitch[0], "pitch_y": camera.pitch[1]}
@@ -105,12 +107,6 @@ def _figure(parameter: ExtraParameter, camera: Camera) -> tuple[float, str]:
         return parameter.amount, camera.unit
     units = {"rolling-shutter": "exposure intervals", "shear": "1"}
     return parameter.amount, units.get(kind, f"powers of {camera.unit}")
-
-
-def _explained_by_pitch(parameter: ExtraParameter, camera: Camera) -> bool:
-    """Whether the scale of y is the ratio of the pixel pitches: square pixels, scaled to a rounded format."""
-    ratio = camera.pitch[0] / camera.pitch[1]
-    return ratio != 1.0 and abs(1.0 + parameter.amount - ratio) < 3.0 * parameter.sigma
 
 
 def of_shift(search: Search) -> list[Finding]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Floats
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.observations import mounting_equations
 from photocal.analysis.systematic_errors.camera_findings import (
@@ -181,7 +181,9 @@ def head_move(fitted: Fit) -> HeadMove | None:
         starts = np.unique(np.linspace(FEWEST, len(pairs) - FEWEST, PLACES).astype(np.int64))
         for start in starts.tolist():
             later = pairs[start:]
-            rows, slope = _rows(later, len(rig.first)), 1.0 / rig.stiffness[k, ::-1].repeat(3)
+            # Rows of their relations, by component: three turns, then three shifts.
+            rows = np.array([(n // 3) * 3 * len(rig.first) + 3 * later + n % 3 for n in range(6)])
+            slope = 1.0 / rig.stiffness[k, ::-1].repeat(3)
             design = np.zeros((layout.size, 6))
             force = np.zeros(6)
             for n in range(6):
@@ -205,11 +207,6 @@ def head_move(fitted: Fit) -> HeadMove | None:
     p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
     camera, name = network.cameras[rig.camera[k]].id, network.image_names[rig.second[pair]]
     return HeadMove(camera, name, move, np.sqrt(np.diag(inverse)), p_value)
-
-
-def _rows(pairs: Integers, count: int) -> Integers:
-    """Rows of the relations of some pairs, by component: three turns, then three shifts, shape (6, pairs)."""
-    return np.array([(n // 3) * 3 * count + 3 * pairs + n % 3 for n in range(6)])
 
 
 def of_heads(fitted: Fit) -> list[Finding]:
