@@ -30,17 +30,8 @@ LEVER, BORESIGHT, TIME, SHIFT, HEIGHT_SCALE, STRIPS = slice(0, 3), slice(3, 6), 
 # What belongs to the flight, not to the rig.
 OF_FLIGHT = slice(SHIFT.start, STRIPS)
 COMMON = (
-    "lever_arm_x",
-    "lever_arm_y",
-    "lever_arm_z",
-    "boresight_x",
-    "boresight_y",
-    "boresight_z",
-    "time_offset",
-    "shift_x",
-    "shift_y",
-    "shift_z",
-    "height_scale",
+    *("lever_arm_x", "lever_arm_y", "lever_arm_z", "boresight_x", "boresight_y", "boresight_z"),
+    *("time_offset", "shift_x", "shift_y", "shift_z", "height_scale"),
 )
 
 

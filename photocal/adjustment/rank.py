@@ -14,7 +14,7 @@ from photocal.adjustment.datum import similarity_moves
 from photocal.adjustment.envelope import dense
 from photocal.adjustment.normal import Normal, Problem, normal_equations
 from photocal.adjustment.state import State
-from photocal.adjustment.unknowns import Unknown, unknowns
+from photocal.adjustment.unknowns import XYZ, Unknown, unknowns
 
 
 class Limits(NamedTuple):
@@ -38,15 +38,7 @@ MOSTLY = 0.5
 LOST_POINT, LOST_CAMERA = 0.5, 0.1
 # Unknowns that are printed of a null vector.
 MOST_SHOWN = 12
-DATUM_NAMES = (
-    "position in X",
-    "position in Y",
-    "position in Z",
-    "rotation about X",
-    "rotation about Y",
-    "rotation about Z",
-    "scale",
-)
+DATUM_NAMES = (*(f"position in {axis}" for axis in XYZ), *(f"rotation about {axis}" for axis in XYZ), "scale")
 
 
 def weakest_pivot(factor_diagonal: Floats, diagonal: Floats) -> float:

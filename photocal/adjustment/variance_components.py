@@ -15,7 +15,7 @@ from drivers.arrays import Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Network
-from photocal.adjustment.solution import Solution
+from photocal.adjustment.solution import Group, Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
 
@@ -73,13 +73,6 @@ class VarianceComponents:
     rounds: int
 
 
-@dataclass(frozen=True)
-class _Fit:
-    observations: int
-    chi_squared: float
-    redundancy: float
-
-
 def rays_together(network: Network) -> RayGroups:
     """All rays as one group, `image`."""
     return RayGroups(("image",), np.zeros(len(network.rays.image), dtype=np.int64))
@@ -89,11 +82,6 @@ def rays_by_camera(network: Network) -> RayGroups:
     """One group of rays for each camera, named after it."""
     names = tuple(f"image {camera.id}" for camera in network.cameras)
     return RayGroups(names, network.exposures.camera[network.rays.image])
-
-
-def rays_by_image_set(network: Network, names: tuple[str, ...], image_set: Integers) -> RayGroups:
-    """One group of rays for each set of images."""
-    return RayGroups(tuple(f"image {name}" for name in names), image_set[network.rays.image])
 
 
 def estimate_components(
@@ -119,12 +107,12 @@ def estimate_components(
         scaled = with_factors(network, rays, factors)
         solution = adjust(scaled, report, state)
         state = solution.state
-        fits = _fits(scaled, rays, solution)
-        free = {n: f for n, f in fits.items() if n not in hold and f.redundancy > FEWEST}
-        change = {name: fit.chi_squared / fit.redundancy for name, fit in free.items()}
+        groups = _groups(scaled, rays, solution)
+        free = [g for g in groups if g.name not in hold and g.redundancy > FEWEST]
+        change = {group.name: group.chi_squared / group.redundancy for group in free}
         if all(abs(share - 1) < settled for share in change.values()):
             found = adjust(scaled, report, start)
-            return VarianceComponents(_components(fits, free, factors), scaled, found, rounds)
+            return VarianceComponents(_components(groups, change, factors), scaled, found, rounds)
         for name, share in change.items():
             factors[name] = factors.get(name, 1.0) * float(np.sqrt(share))
             if factors[name] ** 2 < VANISHED:
@@ -139,35 +127,30 @@ def estimate_components(
     )
 
 
-def _fits(network: Network, rays: RayGroups, solution: Solution) -> dict[str, _Fit]:
+def _groups(network: Network, rays: RayGroups, solution: Solution) -> list[Group]:
     """What each group adds to v'Pv, and its redundancy."""
     count = len(rays.names)
     squares = np.sum((solution.residuals / network.rays.sigma) ** 2, axis=1)
     chi_squared = np.bincount(rays.group, squares, count)
     redundancy = np.bincount(rays.group, solution.redundancy.sum(axis=1), count)
     coordinates = 2 * np.bincount(rays.group, minlength=count)
-    fits = {
-        name: _Fit(int(n), float(c), float(r))
-        for name, n, c, r in zip(rays.names, coordinates, chi_squared, redundancy, strict=True)
-    }
-    for group in solution.groups:
-        if group.name != "image":
-            fits[group.name] = _Fit(group.observations, group.chi_squared, group.redundancy)
-    return fits
+    columns = zip(rays.names, coordinates, chi_squared, redundancy, strict=True)
+    groups = [Group(name, int(n), float(c), float(r)) for name, n, c, r in columns]
+    return groups + [group for group in solution.groups if group.name != "image"]
 
 
 def _components(
-    fits: dict[str, _Fit], free: dict[str, _Fit], factors: dict[str, float]
+    groups: list[Group], free: Collection[str], factors: dict[str, float]
 ) -> tuple[Component, ...]:
     """The components with the standard deviation of a variance: sigma^2 sqrt(2 / r) (Foerstner 1979).
 
     It leaves out what the groups share, which is little when each has redundancy of its own.
     """
     result = []
-    for name, fit in fits.items():
-        factor = factors.get(name, 1.0)
-        sigma = factor / np.sqrt(2 * fit.redundancy) if name in free else np.inf
-        result.append(Component(name, fit.observations, fit.redundancy, factor, float(sigma)))
+    for group in groups:
+        factor = factors.get(group.name, 1.0)
+        sigma = factor / np.sqrt(2 * group.redundancy) if group.name in free else np.inf
+        result.append(Component(group.name, group.observations, group.redundancy, factor, float(sigma)))
     return tuple(result)
 
 

@@ -253,11 +253,7 @@ def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:
             "K1 to K4 stand in parameters and in calibrations", where=place, remedy="remove one of them"
         )
     near, far = (
-        replace(own.with_values(_with_radial(own, one)), focus_m=one.distance_m)
+        replace(own.changed(K1=one.K1, K2=one.K2, K3=one.K3, K4=one.K4), focus_m=one.distance_m)
         for one in sorted(keys.focus.calibrations, key=lambda one: one.distance_m)
     )
     return focused(near, far, keys.focus.distance_m)
-
-
-def _with_radial(own: Camera, one: FocusCalibrationKeys) -> Floats:
-    return own.changed(K1=one.K1, K2=one.K2, K3=one.K3, K4=one.K4).values

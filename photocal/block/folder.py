@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquire.checked_toml import read_toml
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations, covariance_matrices
@@ -24,7 +25,7 @@ from photocal.block.model import (
 from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
 from photocal.block.rig import make_heads
-from photocal.block.setup import ObservationKeys, read_setup
+from photocal.block.setup import ObservationKeys, Setup
 from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
 from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
@@ -50,7 +51,7 @@ def from_readings(
     camera = known_rows(marks, "camera", tuple(own.id for own in cameras), "block.toml")
     index, found = marks.names("fiducial")
     names = np.array(found)[index]
-    known = np.column_stack([marks.numbers("x"), marks.numbers("y")])
+    known = marks.matrix("xy")
     place = {(int(k), str(name)): row for row, (k, name) in enumerate(zip(camera, names, strict=True))}
     table = read_table(folder / READINGS, ("image", "fiducial", "x", "y"))
     image = known_rows(table, "image", images.names, "images.csv")
@@ -59,7 +60,7 @@ def from_readings(
     rows = [place.get((int(images.camera[i]), str(name)), -1) for i, name in zip(image, read, strict=True)]
     mark = np.array(rows, dtype=np.int64)
     refuse(table, mark < 0, "the camera has no such fiducial", f"correct it, or add it to {MARKS}")
-    values = np.column_stack([table.numbers("x"), table.numbers("y")])
+    values = table.matrix("xy")
     plane, fits = observations.values.copy(), []
     for i, name in enumerate(images.names):
         own, seen = image == i, observations.image == i
@@ -140,7 +141,7 @@ def read_block(folder: Path) -> Block:
     if not folder.is_dir():
         what = "is a file, a block folder was expected" if folder.exists() else "does not exist"
         raise InputNotFoundError(what, where=folder, remedy="name the folder that has block.toml")
-    setup = read_setup(folder / "block.toml")
+    setup = read_toml(folder / "block.toml", Setup)
     cameras = tuple(make_camera(keys, folder / "block.toml") for keys in setup.camera)
     if len({camera.id for camera in cameras}) < len(cameras):
         raise ConfigurationError(
@@ -155,7 +156,9 @@ def read_block(folder: Path) -> Block:
     if readings is not None:
         observations, fits = from_readings(folder, readings, cameras, images, observations)
     relations, checks = _read_relations(folder, points.names), folder / CHECK_DISTANCES
-    tables = ["block.toml", "images.csv", "points.csv", table.name, *(_present(folder))]
+    optional = (*(f"{name}s.csv" for name in (*RELATIONS, "position", "attitude")), CHECK_DISTANCES)
+    present = [name for name in optional if (folder / name).exists()]
+    tables = ["block.toml", "images.csv", "points.csv", table.name, *present]
     tables += [MARKS, READINGS] if readings is not None else []
     positions = read_positions(
         folder / "positions.csv", images.names, setup.mounting.height_scale_from_m or 0.0
@@ -190,19 +193,15 @@ def read_images(path: Path, cameras: tuple[Camera, ...]) -> Images:
     """Read `images.csv`; parameters and errors as for `read_block`."""
     table = read_table(path, IMAGE_COLUMNS, (*IMAGE_SIGMAS, *MOTION_COLUMNS, EXPOSURE))
     names = table.unique_names("image")
-    index, found = table.names("camera")
-    known = {camera.id: k for k, camera in enumerate(cameras)}
-    refuse_unknown(table, index, found, known, "camera", "block.toml")
-    camera = np.array([known[name] for name in found], dtype=np.int64)[index]
-    pose = ("omega", "phi", "kappa", "X", "Y", "Z")
+    camera = known_rows(table, "camera", tuple(camera.id for camera in cameras), "block.toml")
     # Empty cells ask for start values; what has a sigma must be given.
-    values = np.column_stack([table.numbers(c, empty=np.nan) for c in pose])
+    values = table.matrix(("omega", "phi", "kappa", "X", "Y", "Z"), empty=np.nan)
     sigma = np.column_stack([_sigmas(table, c) for c in IMAGE_SIGMAS])
     for part, what in ((slice(0, 3), "angles"), (slice(3, 6), "coordinates")):
         empty = np.isnan(values[:, part])
-        torn = np.asarray(empty.any(axis=1) & ~empty.all(axis=1))
+        torn = empty.any(axis=1) & ~empty.all(axis=1)
         refuse(table, torn, f"some of the {what} are empty", "give all three or none")
-    observed = np.asarray((np.isnan(values) & np.isfinite(sigma)).any(axis=1))
+    observed = (np.isnan(values) & np.isfinite(sigma)).any(axis=1)
     refuse(table, observed, "a value with a sigma is empty", "give the value")
     values[:, :3] = np.radians(values[:, :3])
     sigma[:, :3] = np.radians(sigma[:, :3])
@@ -217,42 +216,27 @@ def read_points(path: Path) -> ObjectPoints:
     index, found = table.names("role")
     refuse_unknown(table, index, found, dict.fromkeys(ROLES, 0), "role", f"({', '.join(ROLES)})")
     role = np.array([ROLES.index(name) for name in found], dtype=np.int64)[index]
-    values = np.column_stack([table.numbers(c, empty=np.nan) for c in ("X", "Y", "Z")])
+    values = table.matrix("XYZ", empty=np.nan)
     sigma = np.column_stack([_sigmas(table, c) for c in POINT_SIGMAS])
-    tie = role == ROLES.index("tie")
-    surveyed = np.isfinite(sigma)
-    refuse(
-        table,
-        np.asarray(~tie & np.isnan(values).any(axis=1)),
-        "a control or check point lacks a coordinate",
-        "give X, Y and Z",
-    )
-    refuse(
-        table,
-        np.asarray(tie & surveyed.any(axis=1)),
-        "a tie point has a sigma",
-        "make it control, or leave the sigmas empty",
-    )
-    control = role == ROLES.index("control")
-    refuse(
-        table,
-        np.asarray(control & ~surveyed.any(axis=1)),
-        "a control point has no sigma",
-        "give sX, sY or sZ (0 holds a coordinate)",
-    )
+    control, tie = role == ROLES.index("control"), role == ROLES.index("tie")
+    torn, surveyed = np.isnan(values).any(axis=1), np.isfinite(sigma).any(axis=1)
+    refuse(table, ~tie & torn, "a control or check point lacks a coordinate", "give X, Y and Z")
+    refuse(table, tie & surveyed, "a tie point has a sigma", "make it control, or leave the sigmas empty")
+    remedy = "give sX, sY or sZ (0 holds a coordinate)"
+    refuse(table, control & ~surveyed, "a control point has no sigma", remedy)
     return ObjectPoints(names, values, sigma, role, _cross(table, sigma))
 
 
 def _cross(table: Table, sigma: Floats) -> Floats:
     """Covariances between the coordinates of a point, where all three have a sigma."""
-    cross = np.column_stack([table.numbers(column, empty=0.0) for column in POINT_CROSS])
-    linked = np.asarray(cross.any(axis=1))
+    cross = table.matrix(POINT_CROSS, empty=0.0)
+    linked = cross.any(axis=1)
     whole = np.asarray((np.isfinite(sigma) & (sigma > 0)).all(axis=1))
     remedy = "give sX, sY and sZ with covariances that fit them (m^2)"
     refuse(table, linked & ~whole, "a covariance stands beside a missing sigma", remedy)
     matrix = covariance_matrices(np.where(whole[:, None], sigma, 1.0), cross * whole[:, None])
     bad = np.linalg.eigvalsh(matrix)[:, 0] <= 0
-    refuse(table, np.asarray(bad), "the covariance is not positive definite", remedy)
+    refuse(table, bad, "the covariance is not positive definite", remedy)
     return cross
 
 
@@ -274,29 +258,14 @@ def read_observations(
     sigma = np.column_stack(
         [table.numbers(c, empty=s or np.nan) for c, s in zip(("sx", "sy"), common, strict=True)]
     )
-    refuse(
-        table,
-        np.asarray(np.isnan(sigma).any(axis=1)),
-        "the observation has no sigma",
-        "give sx and sy, or sigma in [observations]",
-    )
-    refuse(
-        table,
-        np.asarray((sigma <= 0).any(axis=1)),
-        "the sigma of an observation is not positive",
-        "give a positive number",
-    )
-    values = np.column_stack([table.numbers("x"), table.numbers("y")])
-    observations = Observations(keys.unit, keys.axes, image, point, values, sigma)
+    none, remedy = np.isnan(sigma).any(axis=1), "give sx and sy, or sigma in [observations]"
+    refuse(table, none, "the observation has no sigma", remedy)
+    wrong = (sigma <= 0).any(axis=1)
+    refuse(table, wrong, "the sigma of an observation is not positive", "give a positive number")
+    observations = Observations(keys.unit, keys.axes, image, point, table.matrix("xy"), sigma)
     if keys.rejection_limit is None:
         return observations, None
     return mean_of_readings(observations, keys.rejection_limit, path, images, points)
-
-
-def _present(folder: Path) -> list[str]:
-    """Optional tables that the folder has."""
-    tables = [f"{name}s.csv" for name in (*RELATIONS, "position", "attitude")]
-    return [name for name in (*tables, CHECK_DISTANCES) if (folder / name).exists()]
 
 
 def read_relations(path: Path, kind: str, points: tuple[str, ...], known: str = "points.csv") -> Relations:

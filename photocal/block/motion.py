@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
@@ -38,11 +40,7 @@ def read_motion(table: Table) -> tuple[Floats, Floats, Floats, Floats]:
     """Velocity (m/s) and rate (rad/s), their sigmas, times (s) and temperatures (degC) of `images.csv`."""
     # NaN where nothing stands. A rate there is that of the camera about its own axes; inside it is the turn
     # of what they see.
-
-    def columns(names: tuple[str, ...]) -> Floats:
-        none = np.full(len(table), np.nan)
-        return np.column_stack([table.numbers(c, empty=np.nan) if table.has(c) else none for c in names])
-
+    columns = partial(table.matrix, empty=np.nan)
     value = np.hstack([columns(VELOCITY), -np.radians(columns(RATE))])
     sigma = np.hstack([columns(SIGMAS_OF_MOTION[:3]), np.radians(columns(SIGMAS_OF_MOTION[3:]))])
     if any(map(table.has, SHAKE)):

@@ -48,13 +48,13 @@ def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> Positi
     table = read_table(path, POSITION_COLUMNS, POSITION_EXTRAS)
     image = known_rows(table, "image", images, "images.csv")
     sigma = _sigmas(table, ("sX", "sY", "sZ"))
-    cross = np.column_stack([table.numbers(column, empty=0.0) for column in ("sXY", "sXZ", "sYZ")])
+    cross = table.matrix(("sXY", "sXZ", "sYZ"), empty=0.0)
     covariance = covariance_matrices(sigma, cross)
-    bad = np.asarray(np.linalg.eigvalsh(covariance)[:, 0] <= 0)
+    bad = np.linalg.eigvalsh(covariance)[:, 0] <= 0
     refuse(table, bad, "the covariance is not positive definite", "check sXY, sXZ and sYZ (m^2)")
-    velocity = np.column_stack([table.numbers(column, empty=0.0) for column in ("vX", "vY", "vZ")])
+    velocity = table.matrix(("vX", "vY", "vZ"), empty=0.0)
     strip = table.names("strip")[0] if table.has("strip") else np.zeros(len(table), dtype=np.int64)
-    values = np.column_stack([table.numbers(column) for column in "XYZ"])
+    values = table.matrix("XYZ")
     time = table.numbers("time_s", empty=0.0)
     return Positions(image, values, covariance, velocity, strip, time, values[:, 2] - from_m)
 
@@ -65,14 +65,12 @@ def read_attitudes(path: Path, images: tuple[str, ...]) -> Attitudes:
         return NO_ATTITUDES
     table = read_table(path, ATTITUDE_COLUMNS, RATE_COLUMNS)
     image = known_rows(table, "image", images, "images.csv")
-    angles = np.radians(np.column_stack([table.numbers(column) for column in ("roll", "pitch", "yaw")]))
+    angles = np.radians(table.matrix(("roll", "pitch", "yaw")))
     sigma = np.radians(_sigmas(table, ("sroll", "spitch", "syaw")))
     rotation, turn_per_angle = object_to_body(angles)
     covariance = turn_per_angle @ (sigma[:, :, None] ** 2 * np.swapaxes(turn_per_angle, 1, 2))
-    rates = [
-        table.numbers(c, empty=np.nan) if table.has(c) else np.full(len(image), np.nan) for c in RATE_COLUMNS
-    ]
-    rate, rate_sigma = np.radians(np.column_stack(rates)).reshape(len(image), 2, 3).swapaxes(0, 1)
+    rates = np.radians(table.matrix(RATE_COLUMNS, empty=np.nan))
+    rate, rate_sigma = rates.reshape(len(image), 2, 3).swapaxes(0, 1)
     return Attitudes(image, rotation, covariance, rate, rate_sigma)
 
 
@@ -107,8 +105,6 @@ def make_mounting(keys: MountingKeys, strips: int) -> Mounting:
 
 
 def _sigmas(table: Table, columns: tuple[str, ...]) -> Floats:
-    sigma = np.column_stack([table.numbers(column) for column in columns])
-    refuse(
-        table, np.asarray((sigma <= 0).any(axis=1)), "a sigma is not positive", "give a standard deviation"
-    )
+    sigma = table.matrix(columns)
+    refuse(table, (sigma <= 0).any(axis=1), "a sigma is not positive", "give a standard deviation")
     return sigma

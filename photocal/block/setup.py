@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal
 
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat
 
-from acquire.checked_toml import Table, read_toml
+from acquire.checked_toml import Table
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma
 from photocal.block.rig import HeadKeys
 
@@ -63,8 +62,3 @@ class Setup(Table):
     camera: list[CameraKeys] = Field(min_length=1)
     mounting: MountingKeys = MountingKeys()
     head: tuple[HeadKeys, ...] = ()
-
-
-def read_setup(path: Path) -> Setup:
-    """Read and check `block.toml`."""
-    return read_toml(path, Setup)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
+from numpy.typing import ArrayLike
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError, InputNotFoundError
 
 # As spreadsheets of half the world write them: 1234,5 and 1.234,5.
@@ -103,6 +105,10 @@ class Table:
             refuse(self, blank, f"{column} is empty", "give a number")
             return np.array(values)
         return np.where(blank, empty, values)
+
+    def matrix(self, columns: Iterable[str], *, empty: float | None = None) -> Floats:
+        """Numbers of several columns side by side, shape (n, columns)."""
+        return np.column_stack([self.numbers(column, empty=empty) for column in columns])
 
     def _parsed(self, column: str, cells: Any) -> Floats:
         if self.separator != "," and pc.any(pc.match_substring(cells, ",")).as_py():
@@ -305,7 +311,7 @@ def refuse_unknown(
         )
 
 
-def refuse(table: Table, bad: Flags, what: str, remedy: str) -> None:
+def refuse(table: Table, bad: ArrayLike, what: str, remedy: str) -> None:
     """Complain of the first bad row."""
     rows = np.flatnonzero(bad)
     if len(rows):

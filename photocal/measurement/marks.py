@@ -20,9 +20,8 @@ BY_HAND_PX = 1.0
 def read_marks(path: Path) -> tuple[Mark, ...]:
     """Read marks.csv: image, point, x, y, optional sx, sy, px of the stored pixel grid."""
     table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
-    xy = np.column_stack([table.numbers("x"), table.numbers("y")])
-    sigma = np.column_stack([table.numbers(c, empty=BY_HAND_PX) for c in ("sx", "sy")])
-    refuse(table, np.asarray((sigma <= 0).any(axis=1)), "the sigma is not positive", "give a positive number")
+    xy, sigma = table.matrix("xy"), table.matrix(("sx", "sy"), empty=BY_HAND_PX)
+    refuse(table, (sigma <= 0).any(axis=1), "the sigma is not positive", "give a positive number")
     images, points = (_cells(table.names(column)) for column in ("image", "point"))
     seen: set[tuple[str, str]] = set()
     again = np.zeros(len(xy), dtype=np.bool_)

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from acquire.checked_toml import read_toml
 from drivers.errors import ConfigurationError, InputNotFoundError
-from photocal.block.setup import read_setup
+from photocal.block.setup import Setup
 from photocal.project import Contents, read_project
 
 CAMERA = """
@@ -75,7 +76,7 @@ def test_cameras_are_those_of_a_block(tmp_path: Path) -> None:
     block = '[block]\nframe = "local"\n[observations]\nunit = "px"\naxes = "pixel"\n' + CAMERA
     (tmp_path / "block.toml").write_text(block, encoding="utf-8")
     project = read_project(tmp_path / "project.toml")
-    assert project.contents.camera[0] == read_setup(tmp_path / "block.toml").camera[0]
+    assert project.contents.camera[0] == read_toml(tmp_path / "block.toml", Setup).camera[0]
     assert project.camera.value("c") == 1000.0
 
 

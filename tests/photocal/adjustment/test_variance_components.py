@@ -15,7 +15,6 @@ from photocal.adjustment.variance_components import (
     VarianceComponents,
     estimate_components,
     rays_by_camera,
-    rays_by_image_set,
     rays_together,
     with_factors,
 )
@@ -82,15 +81,6 @@ def test_every_group_fits_at_the_end(trials: list[VarianceComponents]) -> None:
         for group in trial.solution.groups:
             if group.name != "image":
                 assert group.chi_squared == pytest.approx(group.redundancy, rel=2e-3)
-
-
-def test_sets_of_images() -> None:
-    """The same division, by images instead of cameras."""
-    network = wrongly_weighted(scene(), 7)
-    by_camera = estimate_components(network, rays_by_camera(network))
-    sets = rays_by_image_set(network, ("one", "two"), network.exposures.camera)
-    by_set = estimate_components(network, sets)
-    assert [c.factor for c in by_set.components] == [c.factor for c in by_camera.components]
 
 
 def test_relations_and_held_groups() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import drivers.errors
+from acquire.checked_toml import read_toml
 from acquire.cli import app as acquire_app
 from photocal.block.camera_setup import make_camera
 from photocal.block.folder import (
@@ -20,7 +21,7 @@ from photocal.block.folder import (
     POINT_SIGMAS,
 )
 from photocal.block.motion import MOTION_COLUMNS
-from photocal.block.setup import read_setup
+from photocal.block.setup import Setup
 from photocal.cli import app as photocal_app
 from photocal.geometry.camera import PARAMETERS
 
@@ -35,7 +36,7 @@ def test_the_example_of_the_block_folder_is_a_block(tmp_path: Path) -> None:
     found = re.search(r"```toml\n(.*?)```", document("docs/block-folder.md"), re.DOTALL)
     assert found is not None
     (tmp_path / "block.toml").write_text(found.group(1))
-    setup = read_setup(tmp_path / "block.toml")
+    setup = read_toml(tmp_path / "block.toml", Setup)
     made = make_camera(setup.camera[0], "example")
     assert made.value("c") == 8.8
     assert made.estimated.sum() == 8
