@@ -69,7 +69,7 @@ class DataflashFramer(RecordFramer):
 
 
 class DataflashFormats:
-    """The formats that a log defines in its FMT records; `Definitions`.
+    """The formats that a log defines in its FMT records.
 
     The first definition of a type stands; one whose format does not give its length is not decoded.
     """

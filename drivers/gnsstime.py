@@ -110,15 +110,7 @@ def week_to_ns(week: Any, seconds: Any) -> Integers:
 
 
 def utc_date_ns(year: Any, month: Any, day: Any) -> Integers:
-    """Return midnight (UTC, nanoseconds since 1970) of calendar dates given as arrays.
-
-    Source: Hinnant (2014), "chrono-compatible low-level date algorithms", days_from_civil.
-    """
-    y = np.asarray(year).astype(np.int64)
-    m = np.asarray(month).astype(np.int64)
-    y = y - (m <= 2)
-    era = y // 400
-    year_of_era = y - era * 400
-    day_of_year = (153 * (m + np.where(m > 2, -3, 9)) + 2) // 5 + np.asarray(day).astype(np.int64) - 1
-    day_of_era = year_of_era * 365 + year_of_era // 4 - year_of_era // 100 + day_of_year
-    return np.asarray((era * 146_097 + day_of_era - 719_468) * DAY_NS, np.int64)
+    """Return midnight (UTC, nanoseconds since 1970) of calendar dates given as arrays."""
+    months = 12 * np.asarray(year, np.int64) + np.asarray(month, np.int64) - (12 * 1970 + 1)
+    firsts = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+    return np.asarray((firsts + np.asarray(day, np.int64) - 1) * DAY_NS, np.int64)

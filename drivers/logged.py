@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,26 +46,6 @@ class Records:
     def rows(self, kept: Flags) -> Records:
         """Return some of the records."""
         return Records(self.index[kept], {name: column[kept] for name, column in self.columns.items()})
-
-
-class Definitions(Protocol):
-    """What a self-describing log says of its own records; fills while it is read from its beginning."""
-
-    def learn(self, batch: Batch) -> None:
-        """Take over the definitions in a batch."""
-        ...
-
-    def decode(self, batch: Batch, name: str) -> Records:
-        """Return the records of a kind, by name; none when the log does not define it."""
-        ...
-
-    def boot_ns(self, batch: Batch) -> Integers:
-        """Return the time of each record since the autopilot started, nanoseconds; -1 where it has none."""
-        ...
-
-    def told_utc(self, batch: Batch) -> tuple[Integers, Integers]:
-        """Return times since the start and UTC (nanoseconds) where a GNSS receiver told UTC."""
-        ...
 
 
 def batch_of_rows(

@@ -43,7 +43,7 @@ _PUBLISHED = ("vehicle_gps_position", "sensor_gps")
 
 
 class UlogFormats:
-    """The formats and subscriptions that a log defines; `Definitions`.
+    """The formats and subscriptions that a log defines.
 
     The first definition of a name and the first subscription of a number stand. Further instances of a topic
     are named with their number: `sensor_gps[1]`.

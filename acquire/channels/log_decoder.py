@@ -18,7 +18,7 @@ from drivers.arrays import Floats, Integers
 from drivers.dataflash import DataflashFormats
 from drivers.frames import Batch
 from drivers.gnsstime import gps_to_utc_ns, week_to_ns
-from drivers.logged import Definitions, Records
+from drivers.logged import Records
 from drivers.ulog import UlogFormats
 
 
@@ -76,7 +76,7 @@ class BootTime:
         return np.where(boot_ns >= 0, self.utc_ns + boot_ns, -1)
 
 
-def boot_time(batches: Iterable[Batch], definitions: Definitions) -> BootTime | None:
+def boot_time(batches: Iterable[Batch], definitions: UlogFormats | DataflashFormats) -> BootTime | None:
     """Find when the autopilot started; None when no receiver told UTC.
 
     A record of a receiver is written some time after the epoch that it tells, never before: so the largest
@@ -95,7 +95,7 @@ def boot_time(batches: Iterable[Batch], definitions: Definitions) -> BootTime | 
     return BootTime(int(every[np.abs(every - middle) <= _LIKELY_NS].max()), len(every))
 
 
-Formats = TypeVar("Formats", bound=Definitions)
+Formats = TypeVar("Formats", UlogFormats, DataflashFormats)
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class LogDecoder(ABC, Generic[Formats]):
     def __init__(self, link: str, boot: BootTime, formats: Formats) -> None:
         self._link = link
         self._boot = boot
-        self._formats = formats
+        self._formats: Formats = formats
 
     def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Return the device's time of each frame and the decoded messages."""
@@ -184,13 +184,10 @@ def _receiver(logged: Logged, receiver: str, part: Part[UlogFormats]) -> Iterato
     kept = logged.rows(fix >= 2)
     claimed = kept.records.number("eph"), kept.records.number("epv")
     yield kept.location(f"/gnss/{part.link}{receiver}/fix", _gps_place(kept), claimed)
-    quality = {
-        "hdop": records.number("hdop"),
-        "horizontal_m": records.number("eph"),
-        "vertical_m": records.number("epv"),
-    }
+    quality = {"hdop": "hdop", "horizontal_m": "eph", "vertical_m": "epv"}
+    columns = {name: records.number(member) for name, member in quality.items()}
     satellites = logged.whole(satellites="satellites_used")
-    yield logged.status(receiver, {"fix": fix_names(fix), **satellites, **quality})
+    yield logged.status(receiver, {"fix": fix_names(fix), **satellites, **columns})
     device = _told_utc(records.number("time_utc_usec"), earliest_us=0.0)
     yield logged.clock_of(device, part.boot_ns[records.index])
 

@@ -14,6 +14,8 @@ from acquire.channels.layouts import PARAMETER, SourceMessages
 from acquire.log import foxglove
 from drivers.arrays import Floats, Integers
 
+# Receivers of the vehicle, as their topics tell them apart.
+_RECEIVERS = {"GPS_RAW_INT": "", "GPS2_RAW": "-2"}
 # Topics that all sources share, since each message names its own.
 COMMON_TOPICS = ("/camera/exposure", "/clock", "/health")
 # MAV_PARAM_TYPE: what is before are whole numbers.
@@ -56,56 +58,26 @@ def attitude(sent: Sent) -> Decoded:
     return sent.attitude(foxglove.quaternion_from_euler(*angles))
 
 
-def gnss_fix(receiver: str) -> Callable[[Sent], Decoded]:
-    """Return what makes the positions of a receiver of the vehicle, first (``""``) or further (``"-2"``)."""
-
-    def make(sent: Sent) -> Decoded:
-        fixed = sent.rows(sent.fields["fix_type"] >= 2)
-        claimed = _claimed(fixed.fields, "h_acc"), _claimed(fixed.fields, "v_acc")
-        return fixed.location(f"/gnss/{sent.link}{receiver}/fix", fixed.place, claimed)
-
-    return make
+def gnss_fix(sent: Sent) -> Decoded:
+    """Make the positions of a receiver of the vehicle."""
+    fixed = sent.rows(sent.fields["fix_type"] >= 2)
+    claimed = _claimed(fixed.fields, "h_acc"), _claimed(fixed.fields, "v_acc")
+    return fixed.location(f"/gnss/{sent.link}{_RECEIVERS[sent.source]}/fix", fixed.place, claimed)
 
 
-def gnss_status(receiver: str) -> Callable[[Sent], Decoded]:
-    """Return what makes the quality of the fixes of a receiver of the vehicle, see `gnss_fix`."""
-
-    def make(sent: Sent) -> Decoded:
-        f = sent.fields
-        columns: dict[str, Any] = {
-            "fix": [FIX_NAMES[min(v, len(FIX_NAMES) - 1)] for v in f["fix_type"].tolist()],
-            "satellites": np.where(f["satellites_visible"] == 255, -1, f["satellites_visible"].astype(int)),
-            "hdop": np.where(f["eph"] == 65535, np.nan, f["eph"] * 0.01),
-            "horizontal_m": _claimed(f, "h_acc"),
-            "vertical_m": _claimed(f, "v_acc"),
-        }
-        if "dgps_age" in (f.dtype.names or ()):
-            columns["correction_age_s"] = np.where(f["dgps_age"] > 0, f["dgps_age"] * 1e-3, np.nan)
-        return sent.status(receiver, columns)
-
-    return make
-
-
-def camera_feedback(sent: Sent) -> Decoded:
-    """Make the exposures that the camera's hot shoe or the autopilot's own count reported."""
+def gnss_status(sent: Sent) -> Decoded:
+    """Make the quality of the fixes of a receiver of the vehicle."""
     f = sent.fields
-    return sent.exposure(
-        "feedback",
-        {
-            "sequence": f["img_idx"],
-            "latitude_deg": f["lat"] * 1e-7,
-            "longitude_deg": f["lng"] * 1e-7,
-            "altitude_msl_m": f["alt_msl"],
-            "roll_deg": f["roll"],
-            "pitch_deg": f["pitch"],
-            "yaw_deg": f["yaw"],
-        },
-    )
-
-
-def camera_trigger(sent: Sent) -> Decoded:
-    """Make the moments at which the autopilot triggered the camera."""
-    return sent.exposure("trigger", {"sequence": sent.fields["seq"]})
+    columns: dict[str, Any] = {
+        "fix": [FIX_NAMES[min(v, len(FIX_NAMES) - 1)] for v in f["fix_type"].tolist()],
+        "satellites": np.where(f["satellites_visible"] == 255, -1, f["satellites_visible"].astype(int)),
+        "hdop": np.where(f["eph"] == 65535, np.nan, f["eph"] * 0.01),
+        "horizontal_m": _claimed(f, "h_acc"),
+        "vertical_m": _claimed(f, "v_acc"),
+    }
+    if "dgps_age" in (f.dtype.names or ()):
+        columns["correction_age_s"] = np.where(f["dgps_age"] > 0, f["dgps_age"] * 1e-3, np.nan)
+    return sent.status(_RECEIVERS[sent.source], columns)
 
 
 def camera_captured(sent: Sent) -> Decoded:
@@ -138,39 +110,6 @@ def timesync(sent: Sent) -> Decoded:
     return ours.clock({"boot_s": ours.fields["tc1"] / 1e9, "round_trip_ns": round_trip[answered]})
 
 
-def sys_status(sent: Sent) -> Decoded:
-    """Make the state of battery, processor and link that the autopilot reports."""
-    f = sent.fields
-    return sent.health(
-        {
-            "voltage_v": np.where(f["voltage_battery"] == 65535, np.nan, f["voltage_battery"] * 1e-3),
-            "current_a": np.where(f["current_battery"] == -1, np.nan, f["current_battery"] * 1e-2),
-            "battery_percent": f["battery_remaining"],
-            "load_percent": f["load"] * 0.1,
-            "drop_rate_percent": f["drop_rate_comm"] * 0.01,
-        },
-    )
-
-
-def radio_status(sent: Sent) -> Decoded:
-    """Make the state of the telemetry radio."""
-    f = sent.fields
-    return sent.health(
-        {
-            "rssi": f["rssi"],
-            "remote_rssi": f["remrssi"],
-            "noise": f["noise"],
-            "remote_noise": f["remnoise"],
-            "receive_errors": f["rxerrors"],
-        },
-    )
-
-
-def status_text(sent: Sent) -> Decoded:
-    """Make the texts that the autopilot shows to the pilot."""
-    return sent.health({"severity": sent.fields["severity"], "text": sent.fields["text"]})
-
-
 def parameter(sent: Sent) -> Decoded:
     """Make the autopilot's parameters."""
     told = sent.fields["param_value"]
@@ -183,19 +122,57 @@ def parameter(sent: Sent) -> Decoded:
     return sent.json(f"/{sent.link}/parameter", PARAMETER, columns)
 
 
+def state(sent: Sent) -> Decoded:
+    """Make the exposures, texts and states of battery, links and radio whose members are all like theirs."""
+    columns = {}
+    for name, (field, unit, unknown) in _MEMBERS[sent.source].items():
+        given = sent.fields[field]
+        values = given if unit is None else given * unit
+        columns[name] = values if unknown is None else np.where(given == unknown, np.nan, values)
+    edge = _EDGES.get(sent.source)
+    return sent.exposure(edge, columns) if edge else sent.health(columns)
+
+
+# Of a message the members of ours, each with the field that it is made of, its unit (None: as it is), and the
+# number that means that it is not known.
+_MEMBERS: dict[str, dict[str, tuple[str, float | None, int | None]]] = {
+    # The camera's hot shoe or the autopilot's own count reported an exposure.
+    "CAMERA_FEEDBACK": {
+        "sequence": ("img_idx", None, None),
+        "latitude_deg": ("lat", 1e-7, None),
+        "longitude_deg": ("lng", 1e-7, None),
+        "altitude_msl_m": ("alt_msl", None, None),
+        "roll_deg": ("roll", None, None),
+        "pitch_deg": ("pitch", None, None),
+        "yaw_deg": ("yaw", None, None),
+    },
+    "CAMERA_TRIGGER": {"sequence": ("seq", None, None)},
+    "SYS_STATUS": {
+        "voltage_v": ("voltage_battery", 1e-3, 65535),
+        "current_a": ("current_battery", 1e-2, -1),
+        "battery_percent": ("battery_remaining", None, None),
+        "load_percent": ("load", 0.1, None),
+        "drop_rate_percent": ("drop_rate_comm", 0.01, None),
+    },
+    "RADIO_STATUS": {
+        "rssi": ("rssi", None, None),
+        "remote_rssi": ("remrssi", None, None),
+        "noise": ("noise", None, None),
+        "remote_noise": ("remnoise", None, None),
+        "receive_errors": ("rxerrors", None, None),
+    },
+    "STATUSTEXT": {"severity": ("severity", None, None), "text": ("text", None, None)},
+}
+_EDGES = {"CAMERA_FEEDBACK": "feedback", "CAMERA_TRIGGER": "trigger"}
 MAKERS: dict[str, tuple[Callable[[Sent], Decoded], ...]] = {
-    "GPS_RAW_INT": (gnss_fix(""), gnss_status("")),
-    "GPS2_RAW": (gnss_fix("-2"), gnss_status("-2")),
+    "GPS_RAW_INT": (gnss_fix, gnss_status),
+    "GPS2_RAW": (gnss_fix, gnss_status),
     "GLOBAL_POSITION_INT": (position,),
     "ATTITUDE": (attitude,),
-    "CAMERA_FEEDBACK": (camera_feedback,),
-    "CAMERA_TRIGGER": (camera_trigger,),
+    **dict.fromkeys(_MEMBERS, (state,)),
     "CAMERA_IMAGE_CAPTURED": (camera_captured,),
     "SYSTEM_TIME": (system_time,),
     "TIMESYNC": (timesync,),
-    "SYS_STATUS": (sys_status,),
-    "RADIO_STATUS": (radio_status,),
-    "STATUSTEXT": (status_text,),
     "PARAM_VALUE": (parameter,),
 }
 

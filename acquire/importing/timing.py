@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,25 +23,16 @@ from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from drivers.frames import Batch
 from drivers.gnsstime import expiry_warning
-from drivers.logged import Definitions
 from drivers.mavlink.dialect import Dialect
 
+if TYPE_CHECKING:
+    from acquire.channels.log_decoder import EventListClock
+    from acquire.channels.receiver_time import ReceiverClock
+    from drivers.dataflash import DataflashFormats
+    from drivers.ulog import UlogFormats
 
-class Clock(Protocol):
-    """Reads the time of a device from its own frames."""
-
-    @property
-    def sources(self) -> set[str]:
-        """What told the time so far."""
-        ...
-
-    def feed(self, batch: Batch) -> Integers:
-        """Return UTC for each frame, nanoseconds since 1970; -1 before it was told."""
-        ...
-
-    def restart(self, near_ns: int) -> None:
-        """Begin anew with a stream whose time is known within half a day."""
-        ...
+    Clock = ReceiverClock | EventListClock
+    Definitions = UlogFormats | DataflashFormats
 
 
 def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, Integers]]:

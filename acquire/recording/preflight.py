@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from acquire.console import Check
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
@@ -133,9 +131,7 @@ def _hear_receiver(heard: _Heard, batch: Batch, time_ns: int) -> None:
     heard.fix_good = int(last["fixType"]) in (3, 4) and bool(int(last["flags"]) & 1)
     heard.fix = f"{'3d' if heard.fix_good else 'none'}{carrier}, {int(last['numSV'])} satellites"
     if int(last["valid"]) & 3 == 3:
-        date = int(
-            utc_date_ns(np.array([last["year"]]), np.array([last["month"]]), np.array([last["day"]]))[0]
-        )
+        date = int(utc_date_ns(last["year"], last["month"], last["day"]))
         seconds = int(last["hour"]) * 3600 + int(last["min"]) * 60 + int(last["sec"])
         device_ns = date + seconds * 1_000_000_000 + int(last["nano"])
         heard.host_minus_device_s = (time_ns - device_ns) / 1e9
@@ -157,19 +153,14 @@ def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
     if link.protocol == "mavlink":
         systems = ", ".join(f"system {s} component {c}" for s, c in sorted(heard.autopilots))
         found.append(_check(f"{name}: heartbeat", bool(systems), systems or "no autopilot"))
-        for message, wanted in (link.vehicle.rates_hz if link.vehicle else {}).items():
-            rate = heard.counts.get(message, 0) / seconds
-            found.append(
-                _check(
-                    f"{name}: rate of {message}", rate >= _LEAST_RATE * wanted, f"{rate:.1f} of {wanted:g} Hz"
-                )
-            )
+    rates_hz = dict(link.vehicle.rates_hz) if link.vehicle else {}
     if link.ublox is not None:
-        for message in [name for name in _PERIODIC if name in link.ublox.messages]:
-            wanted = 1000 / link.ublox.rate_ms
-            rate = heard.counts.get(message, 0) / seconds
-            good = rate >= _LEAST_RATE * wanted
-            found.append(_check(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
+        periodic = [message for message in _PERIODIC if message in link.ublox.messages]
+        rates_hz |= dict.fromkeys(periodic, 1000 / link.ublox.rate_ms)
+    for message, wanted in rates_hz.items():
+        rate = heard.counts.get(message, 0) / seconds
+        good = rate >= _LEAST_RATE * wanted
+        found.append(_check(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
     if heard.fix or link.protocol == "mavlink" or link.ublox is not None:
         found.append(_check(f"{name}: fix", heard.fix_good, heard.fix or "none told"))
     if heard.host_minus_device_s is not None:

@@ -45,7 +45,6 @@ class ReceiverDialogue:
         self._losses = 0
         self._asked_s = 0.0
         self._over = False
-        self.failure = ""
 
     @property
     def finished(self) -> bool:
@@ -120,7 +119,6 @@ class ReceiverDialogue:
 
     def _give_up(self, why: str, alarms: list[str]) -> None:
         self._over = True
-        self.failure = why
         alarms.append(f"is not configured: {why}")
 
 

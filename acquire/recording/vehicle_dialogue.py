@@ -50,7 +50,6 @@ class VehicleDialogue:
         self._attempts = 0
         self._asked_s = 0.0
         self._sequence = 0
-        self.refused: dict[str, str] = {}
         self._carried = 0
         self._too_long: set[int] = set()
 
@@ -170,7 +169,6 @@ class VehicleDialogue:
     def _refuse(self, why: str, alarms: list[str]) -> None:
         name, rate = self._open.pop(0)
         self._attempts = 0
-        self.refused[name] = why
         alarms.append(f"does not send {name} at {rate:g} Hz ({why})")
 
     def _autopilot(self, batch: Batch) -> tuple[int, int] | None:

@@ -65,12 +65,6 @@ class PlainMarks:
     too_small: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Task:
-    source: Source
-    sights: tuple[Sight, ...]
-
-
 def find_plain_targets(
     sources: Sequence[Source],
     orientation: Orientation,
@@ -82,19 +76,19 @@ def find_plain_targets(
     """Find uncoded targets in images."""
     predicted = predicted_sights(orientation, points, wanted)
     sights = {name: tuple(s for s in own if s.look.large_enough) for name, own in predicted.items()}
-    tasks = [_Task(source, sights.get(source.path.name, ())) for source in sources]
+    tasks = [(source, sights.get(source.path.name, ())) for source in sources]
     marks: list[Mark] = []
     doubts: dict[str, list[str]] = {}
-    for task, found in zip(tasks, run_tasks(_find, tasks, processes), strict=True):
-        name = task.source.path.name
-        mine, doubtful = identified(task.sights, found)
+    for (source, predictions), found in zip(tasks, run_tasks(_find, tasks, processes), strict=True):
+        name = source.path.name
+        mine, doubtful = identified(predictions, found)
         marks += [replace(mark, image=name) for mark in mine]
         for point, doubt in doubtful.items():
             doubts.setdefault(point, []).append(f"{doubt} in {name}")
         done(1)
     # What stands beside a target stands there in all images, though some may not show both.
     sure = tuple(mark for mark in marks if mark.point not in doubts)
-    sought = sum(len(task.sights) for task in tasks)
+    sought = sum(len(predictions) for _, predictions in tasks)
     ambiguous = tuple(f"point {name}: {own[0]}" for name, own in doubts.items())
     return PlainMarks(sure, ambiguous, sought, _too_small(predicted.values()))
 
@@ -158,30 +152,27 @@ def identified(sights: Sequence[Sight], found: Floats) -> tuple[list[Mark], dict
     return marks, doubts
 
 
-def _find(task: _Task) -> Floats:
-    if not task.sights:
+def _find(task: tuple[Source, tuple[Sight, ...]]) -> Floats:
+    source, sights = task
+    if not sights:
         return np.empty((0, 5))
 
     def make() -> Arrays:
-        grey = measurable(read_grey(task.source.path))
+        grey = measurable(read_grey(source.path))
         rows = [
             (k, centre.column, centre.row, *centre.sigma)
-            for k, own in enumerate(task.sights)
+            for k, sight in enumerate(sights)
             for centre in find_targets(
-                grey, (float(own.place[0]), float(own.place[1])), own.covariance, own.look
+                grey, (float(sight.place[0]), float(sight.place[1])), sight.covariance, sight.look
             )
         ]
         return {"targets": np.array(rows, dtype=float).reshape(-1, 5)}
 
-    numbers = [
-        np.r_[
-            own.place, own.covariance.ravel(), own.look.affine.ravel(), own.look.part, own.look.bend.ravel()
-        ]
-        for own in task.sights
-    ]
-    kinds = ",".join(own.look.kind for own in task.sights)
-    key = combined_key(VERSION, "plain targets", task.source.key, kinds, array_key(*numbers))
-    return np.asarray(cached(task.source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
+    parts = [(s.place, s.covariance, s.look.affine, s.look.part, s.look.bend) for s in sights]
+    numbers = [np.concatenate([np.ravel(part) for part in sight]) for sight in parts]
+    kinds = ",".join(sight.look.kind for sight in sights)
+    key = combined_key(VERSION, "plain targets", source.key, kinds, array_key(*numbers))
+    return np.asarray(cached(source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
 
 
 def _unsure(camera: Camera) -> Camera:

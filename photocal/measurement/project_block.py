@@ -21,7 +21,7 @@ from drivers.errors import (
 from photocal.block.folder import read_points
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.block.rig import make_heads
-from photocal.block.table import read_table, refuse_unknown
+from photocal.block.table import known_rows, read_table
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.texts import told
@@ -207,12 +207,9 @@ def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]
         return {}, {}
     table = read_table(path, ("image", "camera"), ("exposure",))
     names = table.unique_names("image")
-    index, found = table.names("camera")
-    known = {camera.id: k for k, camera in enumerate(project.cameras)}
-    refuse_unknown(table, index, found, known, "camera", project.path.name)
+    camera = known_rows(table, "camera", tuple(own.id for own in project.cameras), project.path.name)
     exposure = table.texts("exposure") if table.has("exposure") else ("",) * len(names)
-    camera = [known[found[k]] for k in index]
-    return dict(zip(names, camera, strict=True)), dict(zip(names, exposure, strict=True))
+    return dict(zip(names, camera.tolist(), strict=True)), dict(zip(names, exposure, strict=True))
 
 
 def _starts(

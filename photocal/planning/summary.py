@@ -155,19 +155,10 @@ def _budget_text(target: Target) -> str:
 
 
 def _level(level: LevelGeometry) -> dict[str, Any]:
+    sigma = level.precision
+    told = ("height_m", "scale_denominator", "gsd_m", "footprint_m", "base_m", "strip_spacing_m")
     return {
-        "height_m": level.height_m,
-        "scale_denominator": level.scale_denominator,
-        "gsd_m": level.gsd_m,
-        "footprint_m": list(level.footprint_m),
-        "base_m": level.base_m,
-        "strip_spacing_m": level.strip_spacing_m,
-        "exposure_interval_s": level.exposure_interval_s,
-        "sigma_m": {
-            "x": level.precision.x_m,
-            "y": level.precision.y_m,
-            "z": level.precision.z_m,
-            "plane": level.precision.plane_m,
-        },
+        **{name: getattr(level, name) for name in (*told, "exposure_interval_s")},
+        "sigma_m": {"x": sigma.x_m, "y": sigma.y_m, "z": sigma.z_m, "plane": sigma.plane_m},
         "dz_m": level.dz_m,
     }
