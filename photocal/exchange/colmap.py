@@ -183,12 +183,6 @@ class _Reader:
             )
 
 
-def read_binary_model(folder: Path) -> Content:
-    """Read the three binary files of a model."""
-    cameras, images, points = (folder / f"{name}.bin" for name in ("cameras", "images", "points3D"))
-    return content_of(_lenses(cameras), _shots(images), _points(points))
-
-
 def _lenses(path: Path) -> Iterator[Lens]:
     reader = _Reader(path)
     for _ in range(reader.count(24)):
@@ -247,12 +241,6 @@ def write_binary_model(folder: Path, content: Content) -> None:
         ):
             out.write(struct.pack("<Q3d3BdQ", key, *xyz, 128, 128, 128, error, len(track)))
             out.write(track.astype("<u4").tobytes())
-
-
-def read_text_model(folder: Path) -> Content:
-    """Read the three text files of a model."""
-    cameras, images, points = (folder / f"{name}.txt" for name in ("cameras", "images", "points3D"))
-    return content_of(_text_lenses(cameras), _text_shots(images), _text_points(points))
 
 
 def _text_rows(path: Path) -> list[Line]:
@@ -352,7 +340,11 @@ _FREES = {f"k{n}": (f"K{n}",) for n in range(1, 7)} | {"p1": ("P1", "P2"), "fx":
 def read_colmap(folder: Path) -> Reconstruction:
     """Read a model folder; binary files where there are any."""
     binary = (folder / "cameras.bin").exists()
-    content = read_binary_model(folder) if binary else read_text_model(folder)
+    first, second, third = (folder / f"{name}.{'bin' if binary else 'txt'}" for name in FILES)
+    if binary:
+        content = content_of(_lenses(first), _shots(second), _points(third))
+    else:
+        content = content_of(_text_lenses(first), _text_shots(second), _text_points(third))
     cameras = {lens.key: _camera(lens, folder) for lens in content.lenses}
     order = {key: k for k, key in enumerate(cameras)}
     position = {key: k for k, key in enumerate(content.keys.tolist())}
@@ -394,10 +386,12 @@ def write_colmap(
 ) -> tuple[Conversion, ...]:
     """Write a model folder."""
     made = [to_pinhole(own, "COLMAP", _OTHERS) for own in given.cameras]
-    lenses = [
-        Lens(k, _written(pinhole), pinhole.size_px, _parameters(pinhole))
-        for k, (pinhole, _) in enumerate(made, start=1)
-    ]
+    lenses = []
+    for k, (pinhole, _conversion) in enumerate(made, start=1):
+        model = "OPENCV_FISHEYE" if pinhole.fisheye else "FULL_OPENCV"
+        # The principal point half a pixel further.
+        values = [getattr(pinhole, n) + (0.5 if n in ("cx", "cy") else 0) for n in MODELS[NUMBERS[model]][1]]
+        lenses.append(Lens(k, model, pinhole.size_px, tuple(values)))
     rotation, translation = to_vision(given.poses)
     quaternion = quaternion_from_rotation(rotation)
     keys = np.array([int(name) for name in whole_numbers(given.point_names)], dtype=np.int64)
@@ -419,16 +413,6 @@ def write_colmap(
     content = Content(tuple(lenses), tuple(shots), keys, given.xyz, _errors(given), tuple(tracks))
     (write_binary_model if binary else write_text_model)(folder, content)
     return tuple(conversion for _, conversion in made)
-
-
-def _parameters(pinhole: Pinhole) -> tuple[float, ...]:
-    """Parameters of the model; the principal point half a pixel further."""
-    names = MODELS[NUMBERS[_written(pinhole)]][1]
-    return tuple(getattr(pinhole, name) + (0.5 if name in ("cx", "cy") else 0.0) for name in names)
-
-
-def _written(pinhole: Pinhole) -> str:
-    return "OPENCV_FISHEYE" if pinhole.fisheye else "FULL_OPENCV"
 
 
 def _errors(given: Reconstruction) -> Floats:

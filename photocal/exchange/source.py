@@ -203,7 +203,7 @@ def read_json(path: Path) -> Any:
     """Read a JSON object; errors in one line; raises InputNotFoundError, InputMalformedError."""
     text = read_text(path)
     try:
-        content = json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
+        content = json.loads(text, parse_constant=_finite, parse_float=_finite)
     except (ValueError, RecursionError) as failure:
         raise InputMalformedError(
             f"is no valid JSON ({failure})", where=path, remedy="was it written completely?"
@@ -219,10 +219,6 @@ def structured(path: Path, what: str, read: Callable[[], T]) -> T:
         raise InputMalformedError(
             f"has not the structure of {what} ({type(failure).__name__}: {str(failure)[:80]})", where=path
         ) from failure
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"the number {name} is not finite")
 
 
 def _finite(text: str) -> float:

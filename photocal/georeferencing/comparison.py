@@ -116,13 +116,15 @@ def check_block(
         wrong = "".join(f"; control point {one.point} contradicts the others" for one in mistyped)
         said = _with_findings(f"no method can be computed: {reasons}{wrong}", plausibility)
         raise IllPosedError(said, where=block.name)
+    by_method = {one.found.method: one.found.exposures for one in judged}
+    both = "direct" in by_method and "indirect" in by_method
     systematic, apart = _calibration(sound)
     done("systematic errors")
     return BlockCheck(
         block,
         tuple(judged),
         tuple(refused),
-        _exposures({one.found.method: one.found for one in judged}),
+        exposure_difference(by_method["direct"], by_method["indirect"]) if both else None,
         systematic,
         apart,
         plausibility,
@@ -183,9 +185,3 @@ def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | No
     except PhotocalError:
         # The integrated method has failed for the same reason, which is said there.
         return None, None
-
-
-def _exposures(by_method: dict[Method, Georeferenced]) -> ExposureDifference | None:
-    if "direct" not in by_method or "indirect" not in by_method:
-        return None
-    return exposure_difference(by_method["direct"].exposures, by_method["indirect"].exposures)

@@ -151,6 +151,10 @@ def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
             distance[k] = float(d[k] @ np.linalg.solve(covariance[k], d[k]))
     names = tuple(block.points.names[j] for j in index)
     sigma = np.sqrt(np.diagonal(product, axis1=1, axis2=2))
+    joint = None
+    if role == "check" and found.joint is not None and len(found.joint) == d.size:
+        # Their survey is independent from point to point.
+        joint = joint_test(d, found.joint + block_diag(*survey))
     return Differences(
         role,
         names,
@@ -161,15 +165,8 @@ def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
         w,
         distance,
         ellipses(product, ELLIPSE_PROBABILITY) if len(d) else ellipses(np.zeros((0, 3, 3)), 0.95),
-        _joint(d, found.joint, survey) if role == "check" else None,
+        joint,
     )
-
-
-def _joint(d: Floats, joint: Floats | None, survey: Floats) -> JointTest | None:
-    """Test the check points jointly, their survey independent from point to point."""
-    if joint is None or len(joint) != d.size:
-        return None
-    return joint_test(d, joint + block_diag(*survey))
 
 
 def cells(values: Floats, form: str = "9.4f", between: str = "") -> str:

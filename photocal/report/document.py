@@ -8,14 +8,10 @@ import json
 import re
 from dataclasses import dataclass
 from importlib import resources
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from drivers.errors import OutputError
 from photocal.findings.texts import Catalogue
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
-
 
 Align = Literal["left", "right", "center"]
 Tone = Literal["good", "bad", "note"]
@@ -151,11 +147,13 @@ HTML_STYLE = "certificate.css"
 
 def html(document: Document) -> str:
     """Render a report as HTML."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup
 
     figures = [piece for piece in _pieces(document) if isinstance(piece, Figure)]
     numbers = numbered(document)
-    template = _environment().get_template(HTML_TEMPLATE)
+    pages = Environment(loader=FunctionLoader(_text), autoescape=True, undefined=StrictUndefined)
+    template = pages.get_template(HTML_TEMPLATE)
     text = template.render(
         document=document,
         css=Markup(_text(HTML_STYLE)),  # noqa: S704 - our own style sheet
@@ -187,12 +185,6 @@ def _inline(figure: Figure) -> str:
     svg = re.sub(r'href="#', f'href="#{figure.name}-', svg)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     return svg.replace("<svg", f'<svg role="img" aria-label="{escape(figure.alternative)}"', 1)
-
-
-def _environment() -> Environment:
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
-
-    return Environment(loader=FunctionLoader(_text), autoescape=True, undefined=StrictUndefined)
 
 
 def _text(name: str) -> str:

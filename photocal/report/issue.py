@@ -23,7 +23,7 @@ from photocal.report.document import Document, html, pdf
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.stored_analysis import Run, certified_analysis, read_run
-from photocal.results.folder import checked, result_json
+from photocal.results.folder import checked, read_json, result_json
 from photocal.results.origin import block_of_run, carry
 from photocal.results.result import Figures, Result
 
@@ -149,19 +149,7 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
     file = path / NAME if path.is_dir() else path
     if file.is_symlink() or not file.is_file():
         raise InputNotFoundError("no such file", where=file, remedy="name certificate.json or its folder")
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as broken:
-        raise InputMalformedError(
-            f"is not complete JSON ({broken})",
-            where=file,
-            remedy="name the certificate.json of a certificate",
-        ) from None
-    schema = content.get("schema") if isinstance(content, dict) else None
-    if schema != SCHEMA:
-        raise InputMalformedError(
-            f"schema is {schema!r}, {SCHEMA!r} was expected", where=file, remedy="name a certificate.json"
-        )
+    _, content = read_json(file, SCHEMA, "name the certificate.json of a certificate")
     _complete(content, file)
     return content, file.parent
 

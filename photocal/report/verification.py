@@ -119,7 +119,11 @@ def differences(certified: Any, found: Any, place: str = "", sigma: float = 0.0)
     if isinstance(certified, list) and isinstance(found, list) and len(certified) == len(found):
         pairs = enumerate(zip(certified, found, strict=True))
         return [d for i, (a, b) in pairs for d in differences(a, b, f"{place}[{_name(a, i)}]")]
-    return [] if _same(certified, found, place, sigma) else [Difference(place, certified, found)]
+    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in (certified, found)):
+        same = abs(certified - found) <= _tolerance(place, max(abs(certified), abs(found)), sigma)
+    else:
+        same = certified == found
+    return [] if same else [Difference(place, certified, found)]
 
 
 def _in_mappings(certified: dict[str, Any], found: dict[str, Any], place: str) -> list[Difference]:
@@ -146,13 +150,6 @@ def _name(item: Any, index: int) -> str:
             if isinstance(item.get(key), str):
                 return str(item[key])
     return str(index)
-
-
-def _same(certified: Any, found: Any, place: str, sigma: float) -> bool:
-    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (certified, found))
-    if not numbers:
-        return bool(certified == found)
-    return bool(abs(certified - found) <= _tolerance(place, max(abs(certified), abs(found)), sigma))
 
 
 def _tolerance(place: str, size: float, sigma: float) -> float:
