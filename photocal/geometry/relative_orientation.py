@@ -13,8 +13,6 @@ from drivers.arrays import Floats
 FEWEST = 8
 # Share of the points that have to lie in front of both images.
 IN_FRONT = 0.8
-# So many, evenly chosen, tell the orientation by their medians: what follows adjusts it with all of them.
-MOST = 300
 FLIP = np.diag([1.0, -1.0, -1.0])
 
 
@@ -48,8 +46,7 @@ def relative_orientations(first: Floats, second: Floats) -> list[RelativeOrienta
         return []
     import cv2
 
-    chosen = np.linspace(0, len(first) - 1, min(len(first), MOST)).round().astype(np.int64)
-    a, b = (np.ascontiguousarray(rays[chosen] * [1.0, -1.0]) for rays in (first, second))
+    a, b = (np.ascontiguousarray(rays * [1.0, -1.0]) for rays in (first, second))
     found: list[tuple[Any, Any]] = []
     essential, _ = cv2.findEssentialMat(a, b, np.eye(3), method=cv2.LMEDS, prob=0.9999)
     if essential is not None:

@@ -10,6 +10,7 @@ import json
 import subprocess
 from collections import Counter
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ Acquire = Callable[..., subprocess.CompletedProcess[str]]
 pytestmark = pytest.mark.shared
 
 
+@cache
 def messages(path: Path) -> list[tuple[str, str, str, Any]]:
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)

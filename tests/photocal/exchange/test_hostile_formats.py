@@ -9,6 +9,7 @@ import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +34,9 @@ from photocal.exchange.micmac import read_measures
 from photocal.exchange.orientation_tables import read_matrices, write_matrices
 from photocal.exchange.parts import PointEntry
 from photocal.exchange.pix4d_project import read_pix4d, write_pix4d
-from photocal.exchange.reconstruction import Choices, of_result
+from photocal.exchange.reconstruction import Choices, Reconstruction, of_result
 from photocal.exchange.reference_table import read_references, write_references
-from photocal.geometry.camera import camera
+from photocal.geometry.camera import Model, camera
 from photocal.results.folder import read_result
 from tests.photocal.exchange.conftest import reconstruction_of
 
@@ -55,13 +56,12 @@ def text(name: str, content: str) -> Callable[[Path], object]:
     return lambda folder: (folder / name).write_text(content, encoding="utf-8", newline="\n")
 
 
-def of_format(name: str) -> Case:
-    form = next(form for form in FORMATS if form.name == name)
-    model = "brown-observed" if form.distortion == "brown-observed" else "brown-ideal"
+@cache
+def small(model: Model) -> Reconstruction:
     values = {"c": 20.5, "x0": 0.125, "K1": -2.5e-5, "P1": 1e-6}
-    made = reconstruction_of((camera("1", model, "mm", (3060, 2036), (0.009, 0.009), values),))  # type: ignore[arg-type]
+    made = reconstruction_of((camera("1", model, "mm", (3060, 2036), (0.009, 0.009), values),))
     seen = np.unique(made.point)
-    made = replace(
+    return replace(
         made,
         point_names=tuple(made.point_names[j] for j in seen),
         xyz=made.xyz[seen],
@@ -69,8 +69,13 @@ def of_format(name: str) -> Case:
         roles=tuple(made.roles[j] for j in seen),
         point=np.searchsorted(seen, made.point),
     )
+
+
+def of_format(name: str) -> Case:
+    form = next(form for form in FORMATS if form.name == name)
+    model: Model = "brown-observed" if form.distortion == "brown-observed" else "brown-ideal"
     assert form.read is not None
-    return Case(name, lambda folder: export(form, folder, made, Choices("gon")), form.read)
+    return Case(name, lambda folder: export(form, folder, small(model), Choices("gon")), form.read)
 
 
 ANGLES = np.array([[0.1, 0.2, 0.3, 1.5, 2.5, 3.5], [0.1, 0.2, 0.3, 4.5, 5.5, 6.5]])
