@@ -11,11 +11,21 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from acquire.operating_system import replace
 from drivers.arrays import as_plain
-from drivers.errors import OutputError
+from drivers.errors import ConfigurationError, OutputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Kinds of pictures by their endings, with what would differ from one writing to the next.
+_PICTURES: dict[str, dict[str, None] | None] = {
+    "png": None,
+    "pdf": {"CreationDate": None},
+    "svg": {"Date": None},
+}
 
 
 @contextmanager
@@ -39,6 +49,30 @@ def output_file(path: Path) -> Iterator[Path]:
             replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def picture_kind(path: Path) -> str:
+    """Give the kind of a picture by its ending; raises ConfigurationError for one that is not made."""
+    kind = path.suffix.lower()[1:]
+    if kind not in _PICTURES:
+        raise ConfigurationError(f"{path} has no known ending", remedy="use .pdf, .svg or .png")
+    return kind
+
+
+@contextmanager
+def output_picture(
+    path: Path, inches: tuple[float, float], font: float = 8.0, dpi: float = 200.0
+) -> Iterator[Figure]:
+    """Give a figure that is written on success; errors as of `output_file` and `picture_kind`."""
+    kind = picture_kind(path)
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"svg.hashsalt": "photocal", "svg.fonttype": "path", "font.size": font}):
+        figure = Figure(figsize=inches, layout="constrained")
+        yield figure
+        with output_file(path) as aside:
+            figure.savefig(aside, format=kind, metadata=_PICTURES[kind], dpi=dpi)
 
 
 @contextmanager

@@ -162,7 +162,7 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
             write_json(folder / "control_numbers.json", figures)
             plot = control_plot(outcome)
             if plot is not None:
-                plot.savefig(folder / "control_numbers.pdf")
+                plot.savefig(folder / "control_numbers.pdf", metadata={"CreationDate": None})
     written = "" if output is None else f"\nwritten to {output}"
     answer(as_json, lambda: figures, lambda: numbers_text(figures) + written)
 

@@ -51,7 +51,7 @@ def compare(
     """
     import numpy as np
 
-    from acquire.outputs import output_file
+    from acquire.outputs import picture_kind
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.analysis.stability.comparison import compare as compare_pairs
     from photocal.analysis.stability.comparison import follow
@@ -59,9 +59,11 @@ def compare(
     from photocal.analysis.stability.repeatability import compared_heads, heads_text, repeatability_text
     from photocal.run.calibrations import cameras_of, exchanged, repeated, uses_text
 
+    for path in (picture, curves):
+        if path is not None:
+            picture_kind(path)
     flights = _flights(calibrations, exchange=exchange)
     asked = cameras_of(flights) if flights else read_camera_file(calibrations[0])
-    ending = _picture_format(picture)
     pixels = sensor_grid(asked.calibrations[0].camera.size_px, asked.grid_step_px)
     chosen = methods(len(pixels), asked.terrains, asked.terrains_each, asked.seed)
     count = len(asked.calibrations) * (len(asked.calibrations) - 1) // 2
@@ -73,16 +75,13 @@ def compare(
     if picture is not None:
         from photocal.analysis.stability.pictures import draw
 
-        with output_file(picture) as aside:
-            draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, aside, ending)
+        draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, picture)
     repeats = repeated(flights)
     heads = compared_heads({one.name: one.heads for one in flights})
     if curves is not None:
         from photocal.analysis.stability.pictures import draw_curves
 
-        kind = _picture_format(curves)
-        with output_file(curves) as aside:
-            draw_curves(asked.calibrations, aside, kind)
+        draw_curves(asked.calibrations, curves)
     uses: tuple[Use, ...] = ()
     if exchange:
         with progress("using each in each", len(flights) ** 2) as advance:
@@ -122,19 +121,6 @@ def _flights(paths: list[Path], *, exchange: bool) -> tuple[Calibrated, ...]:
             "cameras alone have no flights to be used in", where="--exchange", remedy="name runs or projects"
         )
     return ()
-
-
-def _picture_format(picture: Path | None) -> str:
-    from drivers.errors import ConfigurationError
-
-    ending = "png" if picture is None else picture.suffix.lower().lstrip(".")
-    if ending not in ("png", "svg", "pdf"):
-        raise ConfigurationError(
-            f"pictures of kind {ending!r} are not made",
-            where=picture,
-            remedy="end the name in .png, .svg or .pdf",
-        )
-    return ending
 
 
 def _figures(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.outputs import output_file
+from acquire.outputs import output_picture
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.block.model import Block
@@ -317,25 +317,13 @@ def displacement(
 
 
 def draw_displacement(field: Displacement, title: str, path: Path) -> None:
-    """Draw the shifts as arrows on a map; their scale is beside the map's own.
-
-    raises ConfigurationError: for another ending.
-    raises OutputError: when it cannot be written.
-    """
-    kind = path.suffix.lower()[1:]
-    stamps = {"png": None, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
-    if kind not in stamps:
-        raise ConfigurationError(f"{path} has no known ending", remedy="use .pdf, .svg or .png")
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context({"svg.hashsalt": "photocal", "svg.fonttype": "path", "font.size": 8}):
-        x, y = field.position[:, 0], field.position[:, 1]
-        length = np.hypot(*field.shift.T)
-        extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9)
-        # As high as the map is, beside its colours and below its title.
-        high = 5.0 * float(np.ptp(y)) / max(float(np.ptp(x)), 1e-9)
-        figure = Figure(figsize=(6.7, min(max(high, 1.8), 8.0) + 1.2), layout="constrained")
+    """Draw the shifts as arrows on a map, with their scale beside its own; errors as of `output_picture`."""
+    x, y = field.position[:, 0], field.position[:, 1]
+    length = np.hypot(*field.shift.T)
+    extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9)
+    # As high as the map is, beside its colours and below its title.
+    high = 5.0 * float(np.ptp(y)) / max(float(np.ptp(x)), 1e-9)
+    with output_picture(path, (6.7, min(max(high, 1.8), 8.0) + 1.2)) as figure:
         ax = figure.add_subplot()
         scale = max(field.largest, 1e-12) / (0.06 * extent)
         arrows = ax.quiver(x, y, field.shift[:, 0], field.shift[:, 1], length, angles="xy", scale=scale,
@@ -348,5 +336,3 @@ def draw_displacement(field: Displacement, title: str, path: Path) -> None:
         ax.set_xlabel("E, m")
         ax.set_ylabel("N, m")
         ax.set_title(f"{title}: rms {field.rms:.3g} m, largest {field.largest:.3g} m", fontsize=9, pad=22)
-        with output_file(path) as aside:
-            figure.savefig(aside, format=kind, metadata=stamps[kind], dpi=200)

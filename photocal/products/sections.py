@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from acquire.outputs import output_file
+from acquire.outputs import output_picture
 from drivers.arrays import Floats, as_plain
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.adjustment.solution import global_test
@@ -378,19 +378,12 @@ def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:
     """Draw the rings of a tank.
 
     axes: names of the two horizontal axes and the vertical one.
-    raises ConfigurationError: for another ending.
-    raises OutputError: when it cannot be written.
+    raises ConfigurationError, OutputError: as `output_picture` does.
     """
-    if path.suffix.lower() not in (".pdf", ".svg", ".png"):
-        raise ConfigurationError(f"{path} has no known ending", remedy="use .pdf, .svg or .png")
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     columns = min(3, len(tank.sections))
     rows = -(-len(tank.sections) // columns)
     largest = max(float(np.abs(ring.circle.radial).max()) for ring in tank.sections)
-    with mpl.rc_context({"svg.hashsalt": "photocal", "svg.fonttype": "path", "font.size": 8}):
-        figure = Figure(figsize=(2.6 * columns, 2.9 * rows), layout="constrained")
+    with output_picture(path, (2.6 * columns, 2.9 * rows)) as figure:
         for number, ring in enumerate(tank.sections):
             ax = figure.add_subplot(rows, columns, number + 1)
             circle = ring.circle
@@ -414,7 +407,3 @@ def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:
             )
             ax.set_aspect("equal")
             ax.set_axis_off()
-        with output_file(path) as aside:
-            kind = path.suffix.lower()[1:]
-            stamp = {"png": None, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
-            figure.savefig(aside, format=kind, metadata=stamp, dpi=200)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from acquire.outputs import output_picture
 from drivers.arrays import Floats
 from photocal.analysis.stability.comparison import Pair
 from photocal.analysis.stability.methods import Calibration
@@ -39,41 +40,36 @@ def displacements(camera: Camera, pixels: Floats) -> dict[str, Floats]:
     return found
 
 
-def draw_curves(calibrations: tuple[Calibration, ...], path: Path, ending: str) -> None:
+def draw_curves(calibrations: tuple[Calibration, ...], path: Path) -> None:
     """Draw the profiles of all calibrations, c, x0 and y0 over them, and vectors of the first and last."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    canvas = Figure(figsize=(10.5, 9.5), layout="constrained")
-    FigureCanvasAgg(canvas)
-    grid = canvas.add_gridspec(3, 12)
-    radial, decentring = canvas.add_subplot(grid[0, :6]), canvas.add_subplot(grid[0, 6:])
-    for k, one in enumerate(calibrations):
-        _profiles(one, radial, decentring, _DASHES[k % len(_DASHES)])
-    radial.set_title("radial distortion", fontsize=9)
-    decentring.set_title("decentring distortion, largest at a radius (profile function)", fontsize=9)
-    for axes in (radial, decentring):
-        axes.set_xlabel("distance from the principal point, px", fontsize=8)
-        axes.set_ylabel("px", fontsize=8)
-        axes.axhline(0.0, color="#8a8f94", linewidth=0.6)
-        axes.tick_params(labelsize=7)
-    radial.legend(fontsize=7, frameon=False)
-    for k, name in enumerate(("c", "x0", "y0")):
-        _over_calibrations(calibrations, name, canvas.add_subplot(grid[1, 4 * k : 4 * k + 4]))
-    first, last = calibrations[0], calibrations[-1]
-    width, height = first.camera.size_px
-    steps = (np.arange(_ACROSS) + 0.5) / _ACROSS
-    rows = (np.arange(round(_ACROSS * height / width)) + 0.5) / round(_ACROSS * height / width)
-    pixels = np.column_stack([m.ravel() for m in np.meshgrid(steps * width, rows * height)]) - 0.5
-    fields = displacements(first.camera, pixels)
-    change = displacements(last.camera, pixels)["total"] - fields["total"]
-    pictures = [(f"{name}, {first.id}", field) for name, field in fields.items()]
-    if len(calibrations) > 1:
-        pictures.append((f"total, {last.id} less {first.id}", change))
-    for k, (title, field) in enumerate(pictures):
-        axes = canvas.add_subplot(grid[2, 3 * k : 3 * k + 3])
-        _vectors(axes, first.camera, pixels, field, title)
-    canvas.savefig(path, dpi=130, format=ending)
+    with output_picture(path, (10.5, 9.5), font=10.0, dpi=130) as canvas:
+        grid = canvas.add_gridspec(3, 12)
+        radial, decentring = canvas.add_subplot(grid[0, :6]), canvas.add_subplot(grid[0, 6:])
+        for k, one in enumerate(calibrations):
+            _profiles(one, radial, decentring, _DASHES[k % len(_DASHES)])
+        radial.set_title("radial distortion", fontsize=9)
+        decentring.set_title("decentring distortion, largest at a radius (profile function)", fontsize=9)
+        for axes in (radial, decentring):
+            axes.set_xlabel("distance from the principal point, px", fontsize=8)
+            axes.set_ylabel("px", fontsize=8)
+            axes.axhline(0.0, color="#8a8f94", linewidth=0.6)
+            axes.tick_params(labelsize=7)
+        radial.legend(fontsize=7, frameon=False)
+        for k, name in enumerate(("c", "x0", "y0")):
+            _over_calibrations(calibrations, name, canvas.add_subplot(grid[1, 4 * k : 4 * k + 4]))
+        first, last = calibrations[0], calibrations[-1]
+        width, height = first.camera.size_px
+        steps = (np.arange(_ACROSS) + 0.5) / _ACROSS
+        rows = (np.arange(round(_ACROSS * height / width)) + 0.5) / round(_ACROSS * height / width)
+        pixels = np.column_stack([m.ravel() for m in np.meshgrid(steps * width, rows * height)]) - 0.5
+        fields = displacements(first.camera, pixels)
+        change = displacements(last.camera, pixels)["total"] - fields["total"]
+        pictures = [(f"{name}, {first.id}", field) for name, field in fields.items()]
+        if len(calibrations) > 1:
+            pictures.append((f"total, {last.id} less {first.id}", change))
+        for k, (title, field) in enumerate(pictures):
+            axes = canvas.add_subplot(grid[2, 3 * k : 3 * k + 3])
+            _vectors(axes, first.camera, pixels, field, title)
 
 
 def _profiles(one: Calibration, radial: Axes, decentring: Axes, dashes: object) -> None:
@@ -151,38 +147,34 @@ def matrix_of(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> Fl
 
 
 def draw(
-    pairs: tuple[Pair, ...], names: tuple[str, ...], thresholds_px: tuple[float, ...], path: Path, ending: str
+    pairs: tuple[Pair, ...], names: tuple[str, ...], thresholds_px: tuple[float, ...], path: Path
 ) -> None:
     """Draw the matrices of all methods, coloured by threshold.
 
     thresholds_px: limits between the colours, ascending, px.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
-    from matplotlib.figure import Figure as Canvas
 
     kinds, of_pair = pairs[0].figures, {(pair.first, pair.second): pair for pair in pairs}
     columns = min(4, len(kinds))
     rows = -(-len(kinds) // columns)
     size = max(2.6, 0.42 * len(names) + 1.2)
-    canvas = Canvas(figsize=(size * columns, (size + 0.3) * rows), layout="constrained")
-    FigureCanvasAgg(canvas)
-    largest = max(figure.value_px for pair in pairs for figure in pair.figures)
-    bounds = [0.0, *thresholds_px, max(1.01 * largest, 1.01 * thresholds_px[-1])]
-    norm = BoundaryNorm(bounds, 256)
-    # Light colours, told apart by everyone, with black figures on them.
-    colours = LinearSegmentedColormap.from_list("likeness", ["#9ecae1", "#fee391", "#fc9272"])
-    for k, kind in enumerate(kinds):
-        axes = canvas.add_subplot(rows, columns, k + 1)
-        matrix = matrix_of(pairs, names, k)
-        shown = axes.imshow(matrix, cmap=colours, norm=norm)
-        for i, j in zip(*np.nonzero(np.isfinite(matrix)), strict=True):
-            mark = "*" if of_pair[names[j], names[i]].figures[k].different else ""
-            axes.text(j, i, f"{matrix[i, j]:.2f}{mark}", ha="center", va="center", fontsize=7)
-        axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-        axes.set_yticks(range(len(names)), names, fontsize=7)
-        axes.set_title(f"{kind.method}: {kind.definition}", fontsize=8)
-    bar = canvas.colorbar(shown, ax=canvas.axes, shrink=0.8, label="px")
-    bar.set_ticks(bounds[:-1])
-    canvas.suptitle("Difference of calibrations (* beyond the noise of both)", fontsize=9)
-    canvas.savefig(path, dpi=120, format=ending)
+    with output_picture(path, (size * columns, (size + 0.3) * rows), font=10.0, dpi=120) as canvas:
+        largest = max(figure.value_px for pair in pairs for figure in pair.figures)
+        bounds = [0.0, *thresholds_px, max(1.01 * largest, 1.01 * thresholds_px[-1])]
+        norm = BoundaryNorm(bounds, 256)
+        # Light colours, told apart by everyone, with black figures on them.
+        colours = LinearSegmentedColormap.from_list("likeness", ["#9ecae1", "#fee391", "#fc9272"])
+        for k, kind in enumerate(kinds):
+            axes = canvas.add_subplot(rows, columns, k + 1)
+            matrix = matrix_of(pairs, names, k)
+            shown = axes.imshow(matrix, cmap=colours, norm=norm)
+            for i, j in zip(*np.nonzero(np.isfinite(matrix)), strict=True):
+                mark = "*" if of_pair[names[j], names[i]].figures[k].different else ""
+                axes.text(j, i, f"{matrix[i, j]:.2f}{mark}", ha="center", va="center", fontsize=7)
+            axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+            axes.set_yticks(range(len(names)), names, fontsize=7)
+            axes.set_title(f"{kind.method}: {kind.definition}", fontsize=8)
+        bar = canvas.colorbar(shown, ax=canvas.axes, shrink=0.8, label="px")
+        bar.set_ticks(bounds[:-1])
+        canvas.suptitle("Difference of calibrations (* beyond the noise of both)", fontsize=9)
