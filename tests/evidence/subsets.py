@@ -5,19 +5,21 @@ Each subset has 5 to 18 pictures of one flight in any order of gaps, one in ten 
 share twenty points of three and more rays. Features and matches are kept for each picture and pair.
 Writes `docs/evidence/subsets.md`.
 
-Run: `make evidence`, or `python -m tests.evidence.subsets [COUNT [SEED]]`.
+Run: `make evidence`, or `python -m tests.evidence.subsets`, in portions as `tests.evidence.portions` says;
+PHOTOCAL_STUDY_CACHE names a folder in which features and matches are kept.
 """
 
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,7 @@ from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
 from photocal.measurement.tie_adjustment import pixel_residuals
+from tests.evidence.portions import outcomes
 from tests.photocal.measurement.site import SIDE, flight, texture
 
 Floats = NDArray[np.float64]
@@ -42,6 +45,7 @@ FLIGHTS = {
     "caliterra": "flight-caliterra-twelve/IMG*",
     "brighton": "uav-brighton-beach/images/*",
 }
+RENDERED = ("rendered 1", "rendered 2")
 ELSEWHERE = (
     "opensfm-berlin-gcp/images/01.jpg",
     "micmac-saisies-gcp/IMGP4167.JPG",
@@ -52,6 +56,8 @@ FEWEST, MOST, ONE_IN = 5, 18, 10
 WRONG_C, WRONG_M = 0.2, 30.0
 # Two pictures belong together by so many points of three and more rays; a block has so many pictures.
 SHARED, BLOCK = 20, 4
+SEED = 1
+KEPT = "PHOTOCAL_STUDY_CACHE"
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ def connected(sighted: Sighted) -> int:
     return int(np.bincount(label).max())
 
 
-def one(
+def oriented(
     name: str, paths: Sequence[Path], strangers: Sequence[Path], rng: np.random.Generator, cache: Path
 ) -> Outcome:
     """Orient a subset with a wrong start."""
@@ -143,41 +149,42 @@ def one(
     )
 
 
-def study(count: int, seed: int, cache: Path) -> list[Outcome]:
-    """Orient random subsets."""
-    rng = np.random.default_rng(seed)
-    flights = {name: sorted(DATA.glob(pattern)) for name, pattern in FLIGHTS.items()}
-    flights = {name: paths for name, paths in flights.items() if len(paths) >= FEWEST}
-    for number in range(2):
-        folder = cache / f"rendered-{number}"
-        site = flight(number)
-        if not folder.exists():
-            folder.mkdir(parents=True)
-            site.render(texture(number, SIDE), folder, number)
-        flights[f"rendered {number + 1}"] = sorted(folder.iterdir())
-    elsewhere = [path for name in ELSEWHERE if (path := DATA / name).exists()]
-    found = []
-    for k in range(count):
-        name = list(flights)[k % len(flights)]
-        paths = flights[name]
-        size = int(rng.integers(FEWEST, min(MOST, len(paths)) + 1))
-        foreign = int(rng.binomial(size, 1 / ONE_IN)) if elsewhere else 0
-        chosen = sorted(rng.choice(len(paths), size, replace=False).tolist())
-        strangers = [
-            elsewhere[j] for j in rng.choice(len(elsewhere), min(foreign, len(elsewhere)), replace=False)
-        ]
-        found.append(one(name, [paths[j] for j in chosen], strangers, rng, cache))
-        print(k, found[-1], flush=True)
-    return found
+def pictures(name: str, cache: Path) -> list[Path]:
+    """Pictures of a flight; rendered ones are made once."""
+    if name in FLIGHTS:
+        return sorted(DATA.glob(FLIGHTS[name]))
+    number = RENDERED.index(name)
+    folder = cache / f"rendered-{number}"
+    if not folder.exists():
+        with tempfile.TemporaryDirectory(dir=cache) as scratch:
+            flight(number).render(texture(number, SIDE), Path(scratch), number)
+            # Of two workers that come at the same time one moves first.
+            with suppress(OSError):
+                Path(scratch).rename(folder)
+            Path(scratch).mkdir(exist_ok=True)
+    return sorted(folder.iterdir())
 
 
-def page(found: Sequence[Outcome], seed: int) -> str:
+def subset(name: str, seed: int, number: int) -> dict[str, Any]:
+    """Orient one random subset of a flight, pictures from elsewhere among it."""
+    rng = np.random.default_rng([seed, number])
+    cache = Path(os.environ[KEPT])
+    paths = pictures(name, cache)
+    elsewhere = [path for own in ELSEWHERE if (path := DATA / own).exists()]
+    size = int(rng.integers(FEWEST, min(MOST, len(paths)) + 1))
+    foreign = min(int(rng.binomial(size, 1 / ONE_IN)), len(elsewhere))
+    chosen = sorted(rng.choice(len(paths), size, replace=False).tolist())
+    strangers = [elsewhere[j] for j in rng.choice(len(elsewhere), foreign, replace=False)]
+    return asdict(oriented(name, [paths[j] for j in chosen], strangers, rng, cache))
+
+
+def page(found: Sequence[Outcome]) -> str:
     """Write the outcomes as a table."""
     due = [one for one in found if one.connected >= BLOCK]
     lines = [
         "# Random subsets of flights",
         "",
-        f"Made by `python -m tests.evidence.subsets {len(found)} {seed}`.",
+        "Made by `python -m tests.evidence.subsets`, in portions as `tests.evidence.portions` says.",
         "",
         f"{len(found)} subsets, {len(due)} of them with a connected block of {BLOCK} pictures and more.",
         f"Refused of these: {sum(bool(one.refused) for one in due)}.",
@@ -204,15 +211,16 @@ def page(found: Sequence[Outcome], seed: int) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def main(arguments: Sequence[str]) -> None:
+def main() -> None:
     """Run the study."""
-    count = int(arguments[0]) if arguments else 500
-    seed = int(arguments[1]) if len(arguments) > 1 else 1
-    kept = os.environ.get("PHOTOCAL_STUDY_CACHE")
     with tempfile.TemporaryDirectory() as folder:
-        found = study(count, seed, Path(kept or folder))
-    OUTPUT.write_text(page(found, seed), encoding="utf-8", newline="\n")
+        cache = Path(os.environ.setdefault(KEPT, folder))
+        cache.mkdir(parents=True, exist_ok=True)
+        names = [name for name in FLIGHTS if len(pictures(name, cache)) >= FEWEST] + list(RENDERED)
+        cases = ((names[k % len(names)], SEED, k) for k in count())
+        found = [Outcome(**one) for one in outcomes(cases, 500, subset).values()]
+    OUTPUT.write_text(page(found), encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -81,10 +81,11 @@ def free_models(seen: Bearings) -> list[Model]:
         if model is None:
             break
         model = grown(model, remaining)
-        found.append(model)
-        remaining &= ~model.oriented
+        # What the adjustment lost again is no model, and would be found once more.
         if not model.oriented.any():
             break
+        found.append(model)
+        remaining &= ~model.oriented
     return sorted(found, key=lambda model: -int(model.oriented.sum()))
 
 
@@ -110,6 +111,8 @@ def _separate_model(model: Model, exposures: Floats, relations: Relations, *, fr
         if own is None:
             return None
         own = grown(own, np.ones_like(remaining))
+        if not own.oriented.any():
+            return None
         move = _to_object(model, own, exposures)
         if move is None and free:
             move = _scaled(own, relations)
