@@ -115,6 +115,7 @@ class Images(Table):
     positions: without a flight: a `Timestamp.MRK`, geo.txt or reference table whose positions go before those
         of the pictures.
     pictures: table of pictures with the camera that took each and, of cameras on one frame, the exposure.
+    lens: "unknown" where the rays may choose between Brown's two lenses, with and without K4.
     """
 
     folder: Beside | None = None
@@ -122,6 +123,7 @@ class Images(Table):
     times: Beside | None = None
     positions: Beside | None = None
     position_sigma_m: Sigmas | Literal["free"] | None = None
+    lens: Literal["given", "unknown"] = "given"
 
     @model_validator(mode="after")
     def _one(self) -> Self:

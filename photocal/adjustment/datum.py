@@ -12,15 +12,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import qr
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Floats, Integers
 from photocal.adjustment.envelope import multiply, solve
 from photocal.adjustment.kernels.substitution import back_substitute, reduce_right
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations
+from photocal.adjustment.normal import (
+    Normal,
+    Problem,
+    diagonal_addresses,
+    normal_equations,
+    other_equations,
+)
 from photocal.adjustment.state import State
 
+# Steps of the whole block: so many at most, by differences over so many sigmas, as if each were resisted by
+# this much at least, and until no more than this is gained.
+NEWTON, SMALL, FLATTEST, CONVERGED = 10, 0.01, 1e-6, 1e-14
 # Share of its own diagonal that a similarity transformation may change v'Pv by and still be free.
 OPEN = 1e-9
 
@@ -52,17 +62,24 @@ class Correction:
 
 def similarity_moves(problem: Problem, state: State) -> tuple[Floats, Floats]:
     """Changes of all unknowns under small similarity transformations of the object space."""
+    points = _displacements(state.points - state.centre.mean(axis=0))
+    points[problem.network.points.held] = 0.0
+    return _reduced_moves(problem, state), points
+
+
+def _reduced_moves(problem: Problem, state: State) -> Floats:
+    """Those of the unknowns that stay in the reduced system."""
     columns, layout = problem.layout.image_columns, problem.layout
     middle = state.centre.mean(axis=0)
-    points = _displacements(state.points - middle)
-    points[problem.network.points.held] = 0.0
+    kept = _displacements(state.points[layout.kept_points] - middle)
+    kept[problem.network.points.held[layout.kept_points]] = 0.0
     reduced = np.zeros((layout.size, 7))
     reduced[columns[:, 3:]] = _displacements(state.centre - middle)
     # The object space turns by e, so the camera axes turn by -M e.
     reduced[columns[:, :3], 3:6] = -state.rotation
-    reduced[layout.point_columns] = points[layout.kept_points]
+    reduced[layout.point_columns] = kept
     reduced[problem.held] = 0.0
-    return reduced, points
+    return reduced
 
 
 def _displacements(relative: Floats) -> Floats:
@@ -123,6 +140,72 @@ def _open_ones(problem: Problem, normal: Normal, moves: Floats) -> Floats:
     bare = normal.matrix.copy()
     bare[diagonal] /= 2.0
     return open_combinations(problem, replace(normal, matrix=bare), moves)
+
+
+def at_rest(problem: Problem, state: State, worth: float) -> State | None:
+    """Move the block as a whole, which no ray resists, to where all other observations have least v'Pv.
+
+    Where positions are off by much of the block's own width v'Pv is curved by more than normal equations
+    know: Newton's steps go by its second derivatives to the seven transformations.
+
+    worth: gain of v'Pv from which on it is done.
+    returns: None where less is to be gained, or everything is held.
+    """
+    network = problem.network
+    if (network.exposures.sigma == 0).any() or network.points.held.any() or len(problem.stiffened):
+        return None
+    chi_squared, slope, curvature = _others_moved(problem, state)
+    size = np.sqrt(np.diagonal(curvature))
+    unit = np.divide(1.0, size, out=np.zeros(7), where=size > 0.0)
+    if _newton(curvature, slope, unit)[1] < worth:
+        return None
+    for _ in range(NEWTON):
+        # An unknown of its own for each transformation that something resists, of a sigma each.
+        steps = [np.where(np.arange(7) == k, SMALL * unit, 0.0) for k in range(7)]
+        ahead = [_others_moved(problem, _transformed(state, step))[1] for step in steps]
+        curved = np.divide(
+            np.array(ahead) - slope, SMALL * unit[:, None], where=unit[:, None] > 0.0, out=np.zeros((7, 7))
+        )
+        change, gain = _newton((curved + curved.T) / 2, slope, unit)
+        while gain > CONVERGED:
+            moved = _transformed(state, change)
+            lower, *there = _others_moved(problem, moved)
+            if lower < chi_squared:
+                break
+            change, gain = change / 4, gain / 4
+        else:
+            break
+        state, chi_squared, slope = moved, lower, there[0]
+    return state
+
+
+def _newton(curvature: Floats, slope: Floats, unit: Floats) -> tuple[Floats, float]:
+    """Step down a slope, also where the ground is curved downwards, and what it would gain."""
+    values, vectors = np.linalg.eigh(unit[:, None] * curvature * unit)
+    along = vectors.T @ (unit * slope)
+    step = -along / np.maximum(np.abs(values), FLATTEST)
+    return unit * (vectors @ step), float(-along @ step)
+
+
+def _others_moved(problem: Problem, state: State) -> tuple[float, Floats, Floats]:
+    """Give v'Pv of all but the rays, with its slope and curvature under small similarity transformations."""
+    design, reduced = problem.design, _reduced_moves(problem, state)
+    weighted = np.flatnonzero(design.prior_weight.any(axis=(1, 2)))
+    points = _displacements(state.points[weighted] - state.centre.mean(axis=0))
+    off, weight = state.points[weighted] - design.prior_points[weighted], design.prior_weight[weighted]
+    pull = np.einsum("nab,nb->na", weight, off)
+    chi_squared, slope = float(np.sum(off * pull)), np.einsum("nak,na->k", points, pull)
+    curvature = np.einsum("nak,nab,nbl->kl", points, weight, points)
+    for rows in other_equations(problem, state).values():
+        if reduced[rows.column].any():
+            by_column = csr_array(
+                (rows.coefficient, rows.column, rows.start), (len(rows.residual), len(reduced))
+            )
+            moves = by_column @ reduced
+            chi_squared += rows.chi_squared()
+            slope += moves.T @ (rows.weight * rows.residual)
+            curvature += moves.T @ (rows.weight[:, None] * moves)
+    return chi_squared, slope, curvature
 
 
 def _transformed(state: State, change: Floats) -> State:

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import NotConvergedError
-from photocal.adjustment.datum import full_solution, inner_state
+from photocal.adjustment.datum import at_rest, full_solution, inner_state
 from photocal.adjustment.envelope import factorise, solve
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.kernels.residuals import evaluate
@@ -59,6 +59,8 @@ WHOLE = 0.99
 # bends (a precise block that something imprecise holds in space): it bends with it, or parts of it do, before
 # damping. The bend is seen over so much of the step.
 VALLEY, PARTS, LOOK = 0.01, (1.0, 1 / 4, 1 / 16, 1 / 64), 0.1
+# A block is moved as a whole where that gains this share of what the step gains, or so much of v'Pv.
+WORTH, MUCH = 0.01, 10.0
 # Below this share of a diagonal element that remains after elimination, rounding decides.
 SINGULAR_PIVOT = 1e-13
 FIRST_DAMPING = 1e-3
@@ -114,7 +116,7 @@ def minimise(
             explain_singular(problem, state)
         along_a_valley, there = False, None
         if step is not None:
-            moved, step_decrement = moved_by(problem, state, normal, step)
+            moved, step_decrement = _moved_to_rest(problem, state, normal, step, near)
             # Steps shrink at a steady rate: the next one tells how far the minimum still is.
             shrinking = min(1.0, step_decrement / decrement) if steps else 1.0
             left, whole = step_decrement * shrinking, damping == 0.0
@@ -154,6 +156,18 @@ def minimise(
             return _released(problem, _ended(problem, state, steps, SINGULAR), start)
         normal = normal_equations(problem, state, damping, normal.kept)
     return _released(problem, _ended(problem, state, steps, SUSPECT), start)
+
+
+def _moved_to_rest(
+    problem: Problem, state: State, normal: Normal, step: Floats, near: float
+) -> tuple[State, float]:
+    """State after a step, with the whole block at rest, see `at_rest`, where the rays do not resist that."""
+    moved, decrement = moved_by(problem, state, normal, step)
+    rested = at_rest(problem, moved, min(WORTH * decrement, MUCH)) if decrement > near else None
+    if rested is not None:
+        before, after = (gradient(problem, one, _others(problem, one))[0] for one in (moved, rested))
+        moved = rested if after < before else moved
+    return moved, decrement
 
 
 def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Floats) -> State | None:

@@ -32,6 +32,7 @@ from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.block_files import Measured
 from photocal.measurement.image_facts import ImageFacts, clock_seconds, read_facts
 from photocal.measurement.image_file import list_images
+from photocal.measurement.lens_choice import before_the_choice, with_chosen_lenses
 from photocal.measurement.maker_camera import NO_LENS
 from photocal.measurement.marks import read_marks, with_marks
 from photocal.measurement.marks_files import read_any_marks
@@ -59,7 +60,7 @@ from photocal.measurement.start_block import (
 )
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, camera_figures, pixel_residuals
 from photocal.measurement.tie_block import GROSS, brought_nearer, marked_control, place, with_ties
-from photocal.measurement.tracks import Tracks
+from photocal.measurement.tracks import Tracks, of_images
 from photocal.project import Project
 from photocal.tasks.workers import one_crew
 
@@ -141,7 +142,15 @@ def measure_project(
     tracks = from_two_exposures(sighted.tracks, given.exposure)
     oriented = orient_ties(soft, sighted.sources, tracks, sighted.pairs, plan.processes, progress)
     # Positions of a flight log come later, and with them what determines c.
-    released, block, more = _released(oriented.adjusted, block, HOLDING if starts is None else ((),))
+    held, open_lens = oriented.adjusted, project.images.lens == "unknown"
+    held = before_the_choice(held) if open_lens else held
+    released, block, more = _released(held, block, HOLDING if starts is None else ((),))
+    if open_lens:
+        # What one lens refused may fit the other.
+        stay = np.isin(oriented.adjusted.block.images.names, released.block.images.names)
+        tracks = of_images(oriented.adjusted.tracks, stay)
+        released, block, chosen = with_chosen_lenses(released, block, tracks)
+        more += chosen
     suspects = suspected_marks(released, control)
     record = {
         **tie_record(sighted, oriented),

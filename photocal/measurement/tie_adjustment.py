@@ -18,7 +18,7 @@ from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS, Camera, Shutter
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.measurement.start_block import without_images, without_single_rays
@@ -171,7 +171,9 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
     except (IllPosedError, NotConvergedError):
         # A readout, and how each image moves in it, is what few images bear least.
         if any(own.rolling for own in start.cameras):
-            return _solved(replace(start, cameras=_still(start.cameras)), block, poses, held=held)
+            return _solved(
+                replace(start, cameras=without_readouts(start.cameras, "global")), block, poses, held=held
+            )
         if not any(own.estimated.any() for own in start.cameras):
             raise
         start = start if held else replace(start, cameras=_held(start.cameras))
@@ -180,7 +182,7 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
 
 def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...]) -> Solved:
     assembly = assemble(replace(block, cameras=cameras))
-    solution = adjust(assembly.network, state=_state(assembly, block, poses))
+    solution = adjust(assembly.network, state=start_where_rays_meet(assembly, block, poses))
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
     asked = any(own.shutter == "unknown" and own.estimated.any() for own in cameras)
     # How far images may move follows their readout: round after round it would swing to and fro.
@@ -201,7 +203,7 @@ def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
     return own.with_values(values)
 
 
-def _state(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:
+def start_where_rays_meet(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:
     """Start where the rays meet: positions and angles that were observed may be far from there."""
     local, start = local_poses(assembly.frame, poses), start_state(assembly.network)
     # Seen from what was observed, points may have lain behind the cameras, and were placed again.
@@ -246,7 +248,7 @@ def _free(block: Block) -> Block:
 def _robustly(ties: _Ties, block: Block) -> _Ties:
     """Ties without the rays that a robust adjustment leaves far off, at its poses."""
     assembly = assemble(replace(block, cameras=_held(block.cameras)))
-    start = _state(assembly, block, ties.poses)
+    start = start_where_rays_meet(assembly, block, ties.poses)
     problem = with_datum(prepare(assembly.network), start)
     state = robust_state(problem, start)
     fit = np.empty(len(assembly.rays))
@@ -261,15 +263,18 @@ def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
     return tuple(replace(own, estimated=np.zeros_like(own.estimated)) for own in cameras)
 
 
-def _still(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
-    """The cameras as if no shutter rolled: what is left of it goes into the residuals."""
+def without_readouts(cameras: tuple[Camera, ...], shutter: Shutter) -> tuple[Camera, ...]:
+    """The cameras as if no shutter rolled: what is left of it goes into the residuals.
+
+    shutter: what those that roll are said to have instead.
+    """
     readout = np.array(PARAMETERS) == "readout"
     return tuple(
         replace(
             own.changed(readout=0.0),
             estimated=own.estimated & ~readout,
             prior_sigma=np.where(readout, np.inf, own.prior_sigma),
-            shutter="global",
+            shutter=shutter,
         )
         if own.rolling
         else own

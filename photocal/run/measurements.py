@@ -124,6 +124,7 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
         "targets": [own.model_dump(mode="json") for own in control.targets],
         "sigma_px": None if given is None else given.sigma_px,
         "position_sigma_m": project.images.position_sigma_m,
+        "lens": project.images.lens,
     }
     return Stage(
         "measurements",

@@ -239,6 +239,7 @@ class _Text:
             yield f"pictures = {_quoted(PICTURES)}  # camera and exposure of each"
         if len(self.seen.events) == 1 and not self.seen.logs and stated < count:
             yield f"positions = {_quoted(self._beside(self.seen.events[0]))}  # with their sigmas"
+        yield 'lens = "unknown"  # the rays choose brown-ideal or -observed, with or without K4; or "given"'
         if self.seen.logs or not self.placed or self.crs == "local":
             return
         if stated < len(self.placed):
