@@ -24,6 +24,8 @@ _RATIO = 1.5
 _RATIO_DIRECT = math.sqrt(float(stats.chi2(3).ppf(0.999)) / 3.0)
 # An error whose share of the gravest one's gain is less may be what the linear model leaves of that one.
 _MINOR = 0.1
+# A fall of v'Pv is worth less for each unknown more: by the logarithm of the usual number of observations.
+_UNKNOWN = 10.0
 # An estimate is the permuted given one when it comes this near: standard deviations, and metres at least.
 _NEAR, _NEAR_M = 4.0, 0.02
 # Below this a shift is no mistake of a person.
@@ -104,6 +106,8 @@ def named(errors: tuple[SystematicError, ...]) -> list[Finding]:
         if error.found.gain < limit:
             continue
         finding = _named(error)
+        fall = error.found.gain - _UNKNOWN * (error.found.unknowns - 1)
+        finding = replace(finding, figures={**finding.figures, "fall": fall})
         if minor and error is gravest:
             figures = {**finding.figures, "minor": minor}
             finding = replace(finding, figures=figures, clauses=(*finding.clauses, "left-over"))

@@ -16,9 +16,8 @@ from photocal.geometry.camera import PARAMETERS, Camera, Model
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, start_where_rays_meet, without_readouts
 from photocal.measurement.tracks import Tracks
 
-# By how much another lens must lower v'Pv for each unknown more, and in all as a share of it: one lens
-# written in two ways differs by less.
-GAIN, SHARE = 20.0, 0.01
+# By how much another lens must lower v'Pv, and for each unknown more.
+GAIN = 20.0
 # With an estimated readout the residuals say in the end whether they are smaller.
 NOT_WORSE = 1.001
 _MODELS: tuple[Model, ...] = ("brown-ideal", "brown-observed")
@@ -107,8 +106,7 @@ def _preferred(adjusted: Adjusted, place: int) -> tuple[Camera, dict[str, Figure
                 return None
             continue
         needed = GAIN * (lens.estimated.sum() - own.estimated.sum())
-        if fits and lens.model != own.model:
-            needed = max(needed + GAIN, SHARE * fits[0][1])
+        needed += GAIN * (lens.model != own.model)
         fits.append((chi_squared + needed, chi_squared, lens))
     _, chi_squared, lens = min(fits, key=lambda fit: fit[0])
     if lens.model == own.model and (lens.estimated == own.estimated).all():

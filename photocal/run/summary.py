@@ -92,7 +92,7 @@ def causes_first(
     A surveyor who reads two causes does not know which to believe. The search for systematic errors names
     no more than the observations need; here the other stages come in: what positions without fixed
     ambiguities contradict, or images whose rows are not of one moment, is no proof against base, antenna,
-    lever arm or zoom.
+    lever arm or zoom. Unless the search explains more than what would excuse it: then that is what follows.
     """
     findings = tuple(given)
     codes = {one.code for one in findings}
@@ -100,26 +100,30 @@ def causes_first(
         codes.discard("ppk-not-fixed")
     excuse = next((entry for code in _EXCUSES if code in codes and (entry := fault(code, table))), None)
     if excuse is not None:
-        # The same, where something else is known to be wrong that looks like it.
-        findings = tuple(
-            replace(
-                one,
-                code="not-judged",
-                severity="consequence",
-                subject=one.code,
-                clauses=(),
-                cause=excuse.code,
-                figures={**one.figures, "same": (one.code,)},
-            )
-            if one.stage == "georeferencing" and one.code in excuse.imitates
-            else one
-            for one in findings
-        )
+        alike = [one for one in findings if one.stage == "georeferencing" and one.code in excuse.imitates]
+        behind = [one for one in findings if one.code == excuse.code and _explains_less(one, alike)]
+        if behind:
+            findings = tuple(replace(f, severity="consequence") if f in behind else f for f in findings)
+        else:
+            findings = tuple(_not_judged(f, excuse.code) if f in alike else f for f in findings)
     codes = {one.code for one in findings}
     symptoms = {code for one in table if one.code in codes for code in one.symptoms}
     findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
     order = ("warning", "consequence", "note")
     return tuple(sorted(findings, key=lambda one: order.index(kind(one))))
+
+
+def _explains_less(excuse: Finding, others: Sequence[Finding]) -> bool:
+    """Whether it lowers v'Pv of the same observations by less than what it would excuse."""
+    fall = excuse.figures.get("fall")
+    gains = [gain for one in others if isinstance(gain := one.figures.get("fall"), float)]
+    return isinstance(fall, float) and max(gains, default=0.0) > fall
+
+
+def _not_judged(one: Finding, cause: str) -> Finding:
+    """The same, where something else is known to be wrong that looks like it."""
+    said = replace(one, code="not-judged", severity="consequence", subject=one.code, clauses=(), cause=cause)
+    return replace(said, figures={**one.figures, "same": (one.code,)})
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

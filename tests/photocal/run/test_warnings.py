@@ -102,3 +102,17 @@ def test_a_rolling_shutter_or_a_drift_of_c_looks_like_a_zoom(tmp_path: Path, cau
     ]
     small = told(cause, severity="note")
     assert kinds(tmp_path, analysis=small)["camera-change"] == "warning"
+
+
+def test_what_explains_more_is_not_excused(tmp_path: Path) -> None:
+    """An antenna 0.2 m too low drags c along: v'Pv falls by 135 with the one, by 75 with a drift of c."""
+
+    def blamed(fall: float) -> dict[str, str]:
+        height = told("antenna-height", severity="grave")
+        height["findings"][0]["figures"] = {"fall": fall}
+        drift = told("c-drift", severity="grave")
+        drift["findings"][0]["figures"] = {"fall": 75.0}
+        return kinds(tmp_path, georeferencing=height, analysis=drift)
+
+    assert blamed(135.0) == {"antenna-height": "warning", "c-drift": "consequence"}
+    assert blamed(60.0) == {"c-drift": "warning", "not-judged": "consequence"}
