@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from drivers.arrays import Floats
+from drivers.arrays import Floats, Integers
 from photocal.adjustment.datum import Correction, correction, full_solution, with_datum
 from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.network import Network
@@ -34,6 +34,21 @@ class Factored:
     def inverse(self) -> Floats:
         """Selected inverse of the reduced system."""
         return selected_inverse(self.problem.layout.envelope, self.normal.matrix)
+
+    @cached_property
+    def _of_cameras(self) -> tuple[Integers, Floats, Floats]:
+        """Columns of all cameras' parameters, (k,), and those of the inverse: (k, size), (k, points, 3)."""
+        columns = np.concatenate([own for _, own in self.problem.layout.camera_columns])
+        right = np.zeros((len(columns), self.problem.layout.size))
+        right[np.arange(len(columns)), columns] = 1.0
+        points = np.zeros((len(columns), *self.state.points.shape))
+        return columns, *full_solution(self.problem, self.normal, right, points)
+
+    def camera_column(self, column: int) -> tuple[Floats, Floats]:
+        """Column of the inverse that belongs to a camera's parameter, in the datum of the equations."""
+        columns, steps, moved = self._of_cameras
+        k = int(np.searchsorted(columns, column))
+        return steps[k], moved[k]
 
 
 def factored(network: Network, state: State) -> Factored:
@@ -65,7 +80,20 @@ def factorised(problem: Problem, minimum: Minimum) -> Factored:
 
 def covariance_column(at: Factored, reduced: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Covariance of all unknowns with a linear function of them, or with several along the first axis."""
-    step, moved = full_solution(at.problem, at.normal, reduced, points)
+    return _in_datum(at, reduced, points, *full_solution(at.problem, at.normal, reduced, points))
+
+
+def camera_covariance_column(at: Factored, column: int) -> tuple[Floats, Floats]:
+    """Covariance of all unknowns with a camera's parameter."""
+    reduced = np.zeros(at.problem.layout.size)
+    reduced[column] = 1.0
+    return _in_datum(at, reduced, np.zeros_like(at.state.points), *at.camera_column(column))
+
+
+def _in_datum(
+    at: Factored, reduced: Floats, points: Floats, step: Floats, moved: Floats
+) -> tuple[Floats, Floats]:
+    """Give a solution of the normal equations the inner constraints of a free network."""
     if at.datum is None:
         return step, moved
     datum = at.datum

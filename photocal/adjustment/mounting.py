@@ -92,6 +92,7 @@ class Attitudes:
 NO_MOUNTING = Mounting(NADIR, np.zeros(STRIPS), np.zeros(STRIPS))
 _NONE = np.zeros(0, dtype=np.int64)
 _NOTHING = np.zeros(0)
+NO_EQUATIONS = Equations(np.zeros(1, np.int64), _NONE, _NOTHING, _NOTHING, _NOTHING)
 NO_POSITIONS = Positions(
     _NONE, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), _NONE, _NOTHING, _NOTHING
 )
@@ -153,12 +154,11 @@ def attitude_equations(
 ) -> Equations:
     """Linearise the attitudes; parameters and result as in `position_equations`."""
     image, n = attitudes.image, len(attitudes.image)
+    if not n:
+        return NO_EQUATIONS
     matrix = body_to_camera(mounting, values)
-    residual = (
-        Rotation.from_matrix(rotation[image] @ np.swapaxes(matrix @ attitudes.rotation, 1, 2)).as_rotvec()
-        if n
-        else np.zeros((0, 3))
-    )
+    turned_back = rotation[image] @ np.swapaxes(matrix @ attitudes.rotation, 1, 2)
+    residual = Rotation.from_matrix(turned_back).as_rotvec()
     to_body = matrix.T
     inverse_left = np.linalg.inv(left_jacobian(residual))
     inverse_right = np.linalg.inv(left_jacobian(-residual))
@@ -188,7 +188,7 @@ def whitened(parts: list[tuple[Integers, Floats]], residual: Floats, covariance:
     columns = np.hstack([columns for columns, _ in parts])
     coefficient = np.concatenate([block for _, block in parts], axis=2)
     if not len(residual):
-        return Equations(np.zeros(1, np.int64), _NONE, np.zeros(0), np.zeros(0), np.zeros(0))
+        return NO_EQUATIONS
     # With covariance = L L', the rows L^-1 A have unit weight.
     root = np.linalg.inv(np.linalg.cholesky(covariance))
     coefficient, residual = root @ coefficient, np.einsum("nab,nb->na", root, residual)

@@ -33,7 +33,7 @@ from photocal.adjustment.state import State
 
 
 def with_held(at: Factored, column: int, change: float, near: float) -> Near:
-    """Hold an unknown of the reduced system a change away from its estimate, and let all others follow.
+    """Hold a camera's parameter, by its column, a change away from its estimate, and let all others follow.
 
     Where that is too far for the factor, the equations are set up again at the place that it led to.
     """
@@ -41,7 +41,7 @@ def with_held(at: Factored, column: int, change: float, near: float) -> Near:
     def equations(state: State) -> list[Equations]:
         return list(other_equations(at.problem, state).values())
 
-    along = _column(at, column)
+    along = at.camera_column(column)
     share = change / along[0][column]
     start, length = moved_along(at.problem, at.state, share * along[0], share * along[1]), share * change
     try:

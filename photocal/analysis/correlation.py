@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arrays import Floats
-from photocal.adjustment.factored import covariance_column
+from photocal.adjustment.factored import camera_covariance_column
 from photocal.adjustment.state import turn_basis
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.systematic_errors.refit import Fit
@@ -161,9 +161,7 @@ def correlation_with(fit: Fit, camera: int, parameter: int) -> Floats:
     """Give the correlation of one camera parameter with every exterior orientation, from its column."""
     layout = fit.factored.problem.layout
     active, columns = layout.camera_columns[camera]
-    right = np.zeros(layout.size)
-    right[columns[active == parameter]] = 1.0
-    column, _ = covariance_column(fit.factored, right, np.zeros_like(fit.state.points))
+    column, _ = camera_covariance_column(fit.factored, int(columns[active == parameter][0]))
     covariance = np.where(fit.network.exposures.sigma == 0, 0.0, column[layout.image_columns])
     angles = turn_per_angle(angles_from_matrix(fit.state.rotation))
     turns = np.einsum("nab,nb->na", turn_basis(fit.network, fit.state), covariance[:, :3])

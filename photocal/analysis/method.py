@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -73,22 +72,24 @@ def shape(network: Network, state: State) -> Shape:
     rays = network.rays
     apart = state.points[rays.point] - state.centre[rays.image]
     distance = np.einsum("ni,ni->n", apart, axes[rays.image])
-    median = np.array([np.median(distance[rays.image == i]) for i in np.unique(rays.image)])
+    order = np.argsort(rays.image, kind="stable")
+    each = np.split(distance[order], np.flatnonzero(np.diff(rays.image[order])) + 1)
+    median = np.array([np.median(one) for one in each])
     low, middle, high = np.percentile(distance, [5, 50, 95])
     known = network.points.held | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0.0)
     control = np.flatnonzero(known.any(axis=1))
     # All pairs of images, or those of 60 evenly chosen ones.
     chosen = sorted({round(i) for i in np.linspace(0, len(axes) - 1, min(len(axes), 60))})
-    pairs = list(combinations(chosen, 2))
-    angles = [float(np.degrees(np.arccos(np.clip(axes[i] @ axes[j], -1.0, 1.0)))) for i, j in pairs]
-    rolls = [_from_right_angle(state.rotation[i] @ state.rotation[j].T) for i, j in pairs]
+    i, j = np.array(chosen)[np.array(np.triu_indices(len(chosen), 1))]
+    angles = np.degrees(np.arccos(np.clip(np.sum(axes[i] * axes[j], axis=1), -1.0, 1.0)))
+    rolls = _from_right_angle(state.rotation[i] @ np.swapaxes(state.rotation[j], 1, 2))
     inner = 0 if network.datum_points is None else DATUM_CONSTRAINTS
     flat = _across(state.points, axes)
     whole, middle_of_object = _hull_area(flat), (flat.min(axis=0) + flat.max(axis=0)) / 2.0
     return Shape(
         len(axes),
-        max(angles, default=0.0),
-        min(rolls, default=90.0),
+        float(angles.max(initial=0.0)),
+        float(rolls.min(initial=90.0)),
         float((high - low) / middle),
         float(median.max() / median.min()),
         int(known.sum() + np.isfinite(network.exposures.sigma).sum() + len(network.relations.kind) + inner),
@@ -149,10 +150,11 @@ def _at_least(code: str, found: float, needed: float, figures: Mapping[str, floa
     return _needed(code, met=found >= needed, figures={**both, **(figures or {})})
 
 
-def _from_right_angle(between: Floats) -> float:
-    """Give the distance of the roll between two photographs from 90 or 270 degrees, deg."""
-    twist = 2.0 * np.arctan2(between[0, 1] - between[1, 0], 1.0 + np.trace(between))
-    return float(abs(90.0 - abs(np.degrees(np.arctan2(np.sin(twist), np.cos(twist))))))
+def _from_right_angle(between: Floats) -> Floats:
+    """Give the distance of the rolls between two photographs each, (n, 3, 3), from 90 or 270 degrees, deg."""
+    trace = np.trace(between, axis1=1, axis2=2)
+    twist = 2.0 * np.arctan2(between[:, 0, 1] - between[:, 1, 0], 1.0 + trace)
+    return np.asarray(np.abs(90.0 - np.abs(np.degrees(np.arctan2(np.sin(twist), np.cos(twist))))))
 
 
 def _across(points: Floats, axes: Floats) -> Floats:

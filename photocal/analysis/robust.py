@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.factored import covariance_column
+from photocal.adjustment.factored import camera_covariance_column
 from photocal.adjustment.near import Removals
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by
@@ -128,9 +128,7 @@ def sandwich(fit: Fit) -> Floats:
         rest = own_images - len(parameters)
         few = np.sqrt(own_images / rest) if rest >= FEWEST else np.nan
         for parameter, column in zip(parameters, columns, strict=True):
-            right = np.zeros(layout.size)
-            right[column] = 1.0
-            step, moved = covariance_column(fit.factored, right, np.zeros_like(fit.state.points))
+            step, moved = camera_covariance_column(fit.factored, int(column))
             change = followed_by(fit.factored, step, moved)
             by_image = np.bincount(image, np.einsum("rk,rk->r", change, pull), images)
             parts: list[Floats] = [by_image.astype(np.float64)]
