@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
+from photocal.geometry.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,13 @@ def from_sigmas(
             remedy="give the full matrix in the order of the names",
         )
     return Estimates(tuple(names), x, r * np.outer(s, s))
+
+
+def estimates_of(camera: Camera) -> Estimates | None:
+    """Give the parameters of an adjusted camera whose sigmas are known; None without any."""
+    names = tuple(name for name in camera.free if camera.sigma_of(name) > 0)
+    values, sigmas = ([of(name) for name in names] for of in (camera.value, camera.sigma_of))
+    return from_sigmas(names, values, sigmas, camera.correlation_of(names)) if names else None
 
 
 def scaled(estimates: Estimates, variance_factor: float) -> Estimates:

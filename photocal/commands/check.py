@@ -178,12 +178,8 @@ def _interiors(path: Path) -> tuple[Camera, ...]:
 
     cameras = []
     for one in read_camera_file(path).calibrations:
-        sigma, correlation = np.full(len(PARAMETERS), np.inf), np.eye(len(PARAMETERS))
-        if one.uncertainty is not None:
-            at = [PARAMETERS.index(name) for name in one.uncertainty.names]
-            sigma[at] = one.uncertainty.sigmas
-            correlation[np.ix_(at, at)] = one.uncertainty.correlation
-        cameras.append(replace(one.camera, id=one.id, prior_sigma=sigma, prior_correlation=correlation))
+        sigma = np.array([one.sigma_of(name) or np.inf for name in PARAMETERS])
+        cameras.append(replace(one, prior_sigma=sigma, prior_correlation=one.correlation_of(PARAMETERS)))
     return tuple(cameras)
 
 

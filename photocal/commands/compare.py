@@ -64,7 +64,7 @@ def compare(
             picture_kind(path)
     flights = _flights(calibrations, exchange=exchange)
     asked = cameras_of(flights) if flights else read_camera_file(calibrations[0])
-    pixels = sensor_grid(asked.calibrations[0].camera.size_px, asked.grid_step_px)
+    pixels = sensor_grid(asked.calibrations[0].size_px, asked.grid_step_px)
     chosen = methods(len(pixels), asked.terrains, asked.terrains_each, asked.seed)
     count = len(asked.calibrations) * (len(asked.calibrations) - 1) // 2
     with progress("comparing pairs", count) as advance:

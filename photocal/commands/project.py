@@ -131,4 +131,4 @@ def _cameras(since: Path) -> tuple[Camera, ...]:
 
     if since.is_dir():
         return tuple(read_result(since).cameras.values())
-    return tuple(one.camera for one in read_camera_file(since).calibrations)
+    return read_camera_file(since).calibrations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,9 +12,9 @@ from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
 
 from acquire.checked_toml import Table, checked_tables, read_tables
 from drivers.errors import ConfigurationError, PhotocalError
-from photocal.analysis.estimates import Estimates, from_sigmas
+from photocal.analysis.estimates import from_sigmas
 from photocal.analysis.stability.comparison import Printed
-from photocal.analysis.stability.methods import Calibration, Terrain
+from photocal.analysis.stability.methods import Terrain
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 
@@ -89,7 +89,7 @@ class CameraFile:
     seed: of the random grounds and of the distributions.
     """
 
-    calibrations: tuple[Calibration, ...]
+    calibrations: tuple[Camera, ...]
     grid_step_px: float | None
     thresholds_px: tuple[float, ...]
     terrains: tuple[Terrain, ...]
@@ -121,23 +121,17 @@ def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
         for a, b, value in one.values
     )
     made = [(make_camera(one, path), one) for one in file.camera]
-    calibrations = (Calibration(own, _uncertainty(one, own, f"{path}, camera {one.id}")) for own, one in made)
+    calibrations = (_with_sigmas(own, one, f"{path}, camera {one.id}") for own, one in made)
     return _asked(tuple(calibrations), printed, file.comparison, path)
 
 
 def of_cameras(cameras: Sequence[Camera], path: Path) -> CameraFile:
     """Compare adjusted cameras as a file without choices of its own would; `path` is named in messages."""
-    calibrations = []
-    for own in cameras:
-        names = tuple(name for name in own.free if own.sigma_of(name) > 0)
-        values, sigmas = ([of(name) for name in names] for of in (own.value, own.sigma_of))
-        estimates = from_sigmas(names, values, sigmas, own.correlation_of(names)) if names else None
-        calibrations.append(Calibration(own, estimates))
-    return _asked(tuple(calibrations), (), _Setup(), path)
+    return _asked(tuple(cameras), (), _Setup(), path)
 
 
 def _asked(
-    calibrations: tuple[Calibration, ...], printed: tuple[Printed, ...], setup: _Setup, path: Path
+    calibrations: tuple[Camera, ...], printed: tuple[Printed, ...], setup: _Setup, path: Path
 ) -> CameraFile:
     return CameraFile(
         calibrations,
@@ -171,13 +165,14 @@ def _ours(entry: Any, path: Path) -> Any:
     return {**entry, "model": made.model, "pitch_mm": pitch, "size_px": given.size_px, "parameters": values}
 
 
-def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:
+def _with_sigmas(made: Camera, one: _Camera, where: str) -> Camera:
+    """The camera with what the file says of its parameters, as after an adjustment."""
     if one.sigma is None:
         if one.correlation is not None:
             raise ConfigurationError(
                 "has correlations but no sigma", where=where, remedy="add [camera.sigma]"
             )
-        return None
+        return made
     names = tuple(one.sigma) if one.correlation is None else tuple(one.correlation.names)
     stray = [name for name in names if name not in PARAMETERS or name not in one.sigma]
     if stray or len(set(names)) != len(one.sigma):
@@ -186,8 +181,8 @@ def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:
             where=where,
             remedy="name each estimated parameter once in both",
         )
-    rows = one.correlation.matrix if one.correlation else None
-    if rows is not None and any(len(row) != len(rows) for row in rows):
+    rows = one.correlation.matrix if one.correlation else np.eye(len(names)).tolist()
+    if any(len(row) != len(rows) for row in rows):
         raise ConfigurationError(
             "the correlation matrix is not square", where=where, remedy="give every row in full"
         )
@@ -196,7 +191,7 @@ def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:
             names,
             [made.value(name) for name in names],
             [one.sigma[name] for name in names],
-            None if rows is None else np.array(rows, dtype=np.float64),
+            np.array(rows, dtype=np.float64),
         )
     except PhotocalError as refusal:
         raise ConfigurationError(refusal.what, where=where, remedy=refusal.remedy) from None
@@ -207,7 +202,11 @@ def _uncertainty(one: _Camera, made: Camera, where: str) -> Estimates | None:
             where=where,
             remedy="correct the entry that was misprinted",
         )
-    return estimates
+    sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
+    at = [PARAMETERS.index(name) for name in names]
+    sigma[at], correlation[np.ix_(at, at)] = [one.sigma[name] for name in names], rows
+    estimated = np.array([name in names for name in PARAMETERS])
+    return replace(made, estimated=estimated, sigma=sigma, correlation=correlation)
 
 
 def brown_from_pix4d(

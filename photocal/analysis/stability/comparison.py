@@ -11,16 +11,16 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.analysis.stability.methods import (
-    Calibration,
     Method,
     Misfit,
     View,
     figure,
     fitted_pose,
     redundancy,
-    sensitivity,
     view,
+    wobble,
 )
+from photocal.geometry.camera import Camera
 
 PROBABILITY = 0.95
 
@@ -58,7 +58,7 @@ class Pair:
 
 
 def compare(
-    calibrations: tuple[Calibration, ...],
+    calibrations: tuple[Camera, ...],
     pixels: Floats,
     chosen: tuple[Method, ...],
     generator: np.random.Generator,
@@ -72,8 +72,8 @@ def compare(
     raises NotConvergedError: when two bundles cannot be brought together.
     """
     _check(calibrations)
-    views = {one.id: view(one.camera, pixels) for one in calibrations}
-    wobbles = {one.id: _wobble(one, pixels) for one in calibrations}
+    views = {one.id: view(one, pixels) for one in calibrations}
+    wobbles = {one.id: wobble(one, pixels) for one in calibrations}
     pairs = []
     for a, b in combinations(calibrations, 2):
         figures = tuple(
@@ -86,14 +86,6 @@ def compare(
 
 
 Wobble = tuple[View, ...]
-
-
-def _wobble(calibration: Calibration, pixels: Floats) -> Wobble | None:
-    """Give the change of the view for each independent unit normal variable of the calibration."""
-    if calibration.uncertainty is None:
-        return None
-    ideal, c = sensitivity(calibration, pixels)
-    return tuple(View(d, float(dc)) for d, dc in zip(ideal, c, strict=True))
 
 
 def _figure(
@@ -171,7 +163,7 @@ def _after_fit(changes: Floats, design: Floats) -> Floats:
     return np.asarray((flat - (flat @ basis) @ basis.T).reshape(changes.shape))
 
 
-def _check(calibrations: tuple[Calibration, ...]) -> None:
+def _check(calibrations: tuple[Camera, ...]) -> None:
     if len(calibrations) < 2:
         raise ConfigurationError(
             f"{len(calibrations)} calibration cannot be compared",
@@ -181,11 +173,11 @@ def _check(calibrations: tuple[Calibration, ...]) -> None:
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise ConfigurationError(f"camera {twice[0]} occurs twice", remedy="give each calibration its own id")
-    size = calibrations[0].camera.size_px
+    size = calibrations[0].size_px
     for one in calibrations[1:]:
-        if one.camera.size_px != size:
+        if one.size_px != size:
             raise ConfigurationError(
-                f"camera {one.id} has {one.camera.size_px[0]} x {one.camera.size_px[1]} px, "
+                f"camera {one.id} has {one.size_px[0]} x {one.size_px[1]} px, "
                 f"camera {names[0]} has {size[0]} x {size[1]} px",
                 remedy="compare calibrations of one image format",
             )

@@ -8,27 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, IllPosedError, NotConvergedError
-from photocal.analysis.estimates import Estimates
+from drivers.errors import IllPosedError, NotConvergedError
+from photocal.analysis.estimates import estimates_of
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import matrix_from_angles
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """One calibration of a camera.
-
-    uncertainty: the estimated parameters with their covariance, in the unit of the camera; None when unknown.
-    """
-
-    camera: Camera
-    uncertainty: Estimates | None = None
-
-    @property
-    def id(self) -> str:
-        """Name of the calibration."""
-        return self.camera.id
 
 
 @dataclass(frozen=True)
@@ -71,13 +55,11 @@ def view(camera: Camera, pixels: Floats) -> View:
     return View(ideal, camera.value("c") / camera.pitch[0])
 
 
-def sensitivity(calibration: Calibration, pixels: Floats) -> tuple[Floats, Floats]:
-    """Change of a view with each estimated parameter, times the square root of their covariance."""
-    known = calibration.uncertainty
+def wobble(camera: Camera, pixels: Floats) -> tuple[View, ...] | None:
+    """Change of a view for each independent unit normal variable of a calibration; None without sigmas."""
+    known = estimates_of(camera)
     if known is None:
-        raise ConfigurationError(
-            "has no sigmas", where=f"camera {calibration.id}", remedy="add a [camera.sigma] table"
-        )
+        return None
     # The factor of the correlation matrix, by its eigenvalues: rounded correlations may leave it a
     # little indefinite, which a Cholesky factor would not survive.
     eigenvalues, vectors = np.linalg.eigh(known.correlation)
@@ -85,13 +67,11 @@ def sensitivity(calibration: Calibration, pixels: Floats) -> tuple[Floats, Float
     ideal, c = [], []
     for name, sigma in zip(known.names, known.sigmas, strict=True):
         step = sigma * np.eye(len(PARAMETERS))[PARAMETERS.index(name)]
-        above, below = (
-            view(calibration.camera.with_values(calibration.camera.values + sign * step), pixels)
-            for sign in (1.0, -1.0)
-        )
+        above, below = (view(camera.with_values(camera.values + sign * step), pixels) for sign in (1.0, -1.0))
         ideal.append((above.ideal - below.ideal) / (2.0 * sigma))
         c.append((above.c - below.c) / (2.0 * sigma))
-    return np.tensordot(factor.T, np.array(ideal), axes=1), factor.T @ np.array(c)
+    changes = np.tensordot(factor.T, np.array(ideal), axes=1)
+    return tuple(View(d, float(dc)) for d, dc in zip(changes, factor.T @ np.array(c), strict=True))
 
 
 Misfit = Callable[[View, View, Floats], Floats]

@@ -10,7 +10,6 @@ import numpy as np
 from acquire.outputs import output_picture
 from drivers.arrays import Floats
 from photocal.analysis.stability.comparison import Pair
-from photocal.analysis.stability.methods import Calibration
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import polynomial_distortion, radial_profile
 
@@ -40,7 +39,7 @@ def displacements(camera: Camera, pixels: Floats) -> dict[str, Floats]:
     return found
 
 
-def draw_curves(calibrations: tuple[Calibration, ...], path: Path) -> None:
+def draw_curves(calibrations: tuple[Camera, ...], path: Path) -> None:
     """Draw the profiles of all calibrations, c, x0 and y0 over them, and vectors of the first and last."""
     with output_picture(path, (10.5, 9.5), font=10.0, dpi=130) as canvas:
         grid = canvas.add_gridspec(3, 12)
@@ -58,61 +57,53 @@ def draw_curves(calibrations: tuple[Calibration, ...], path: Path) -> None:
         for k, name in enumerate(("c", "x0", "y0")):
             _over_calibrations(calibrations, name, canvas.add_subplot(grid[1, 4 * k : 4 * k + 4]))
         first, last = calibrations[0], calibrations[-1]
-        width, height = first.camera.size_px
+        width, height = first.size_px
         steps = (np.arange(_ACROSS) + 0.5) / _ACROSS
         rows = (np.arange(round(_ACROSS * height / width)) + 0.5) / round(_ACROSS * height / width)
         pixels = np.column_stack([m.ravel() for m in np.meshgrid(steps * width, rows * height)]) - 0.5
-        fields = displacements(first.camera, pixels)
-        change = displacements(last.camera, pixels)["total"] - fields["total"]
+        fields = displacements(first, pixels)
+        change = displacements(last, pixels)["total"] - fields["total"]
         pictures = [(f"{name}, {first.id}", field) for name, field in fields.items()]
         if len(calibrations) > 1:
             pictures.append((f"total, {last.id} less {first.id}", change))
         for k, (title, field) in enumerate(pictures):
             axes = canvas.add_subplot(grid[2, 3 * k : 3 * k + 3])
-            _vectors(axes, first.camera, pixels, field, title)
+            _vectors(axes, first, pixels, field, title)
 
 
-def _profiles(one: Calibration, radial: Axes, decentring: Axes, dashes: object) -> None:
-    camera = one.camera
+def _profiles(camera: Camera, radial: Axes, decentring: Axes, dashes: object) -> None:
     pitch = float(np.mean(camera.pitch))
     half = np.array(camera.size_px) * camera.pitch / 2.0
     radius = np.linspace(0.0, float(np.hypot(*(half + np.abs(camera.values[1:3])))), 200)
     curve = radial_profile(camera, radius) / pitch
-    style = {"linestyle": dashes, "linewidth": 1.1, "label": one.id}
+    style = {"linestyle": dashes, "linewidth": 1.1, "label": camera.id}
     (line,) = radial.plot(radius / pitch, curve, **style)  # type: ignore[arg-type]
-    spread = _spread_of_profile(one, radius) / pitch
+    spread = _spread_of_profile(camera, radius) / pitch
     radial.fill_between(radius / pitch, curve - spread, curve + spread, color=line.get_color(), alpha=0.2)
     p1, p2, p3, p4 = camera.values[_DECENTRING]
     largest = 3.0 * np.hypot(p1, p2) * radius**2 * np.abs(1.0 + p3 * radius**2 + p4 * radius**4)
     decentring.plot(radius / pitch, largest / pitch, **style)  # type: ignore[arg-type]
 
 
-def _spread_of_profile(one: Calibration, radius: Floats) -> Floats:
+def _spread_of_profile(camera: Camera, radius: Floats) -> Floats:
     """Standard deviation of the radial profile, zero where no covariance is known."""
-    known = one.uncertainty
-    names = [] if known is None else [name for name in known.names if name in PARAMETERS[_RADIAL]]
-    if known is None or not names:
-        return np.zeros_like(radius)
-    at = [known.names.index(name) for name in names]
-    slopes = []
-    for name, step in zip(names, np.sqrt(np.diag(known.covariance)[at]).tolist(), strict=True):
-        ends = (one.camera.changed(**{name: one.camera.value(name) + side * step}) for side in (1, -1))
+    names = [name for name in PARAMETERS[_RADIAL] if camera.sigma_of(name) > 0.0]
+    slopes = np.zeros((len(names), len(radius)))
+    for k, name in enumerate(names):
+        step = camera.sigma_of(name)
+        ends = (camera.changed(**{name: camera.value(name) + side * step}) for side in (1, -1))
         more, less = (radial_profile(end, radius) for end in ends)
-        slopes.append((more - less) / (2 * step) if step else np.zeros_like(radius))
-    jacobian = np.array(slopes)
-    variance = np.einsum("in,ij,jn->n", jacobian, known.covariance[np.ix_(at, at)], jacobian)
+        slopes[k] = (more - less) / (2 * step)
+    variance = np.einsum("in,ij,jn->n", slopes, camera.covariance_of(names), slopes)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _over_calibrations(calibrations: tuple[Calibration, ...], name: str, axes: Axes) -> None:
+def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: Axes) -> None:
     values, sigmas = [], []
     for one in calibrations:
-        known = one.uncertainty
-        pitch = float(np.mean(one.camera.pitch))
-        estimated = known is not None and name in known.names
-        sigma = known.sigmas[known.names.index(name)] if known is not None and estimated else 0.0
-        values.append(one.camera.value(name) / pitch)
-        sigmas.append(float(sigma) / pitch)
+        pitch = float(np.mean(one.pitch))
+        values.append(one.value(name) / pitch)
+        sigmas.append(one.sigma_of(name) / pitch)
     axes.errorbar(
         range(len(values)), values, yerr=sigmas, fmt="o-", color="#1a1a1a", linewidth=0.8, capsize=3
     )

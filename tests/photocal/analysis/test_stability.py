@@ -19,7 +19,6 @@ from photocal.analysis.estimates import from_sigmas
 from photocal.analysis.stability.camera_file import CameraFile, brown_from_pix4d, read_camera_file
 from photocal.analysis.stability.comparison import Pair, compare, follow, likeness, sentences
 from photocal.analysis.stability.methods import (
-    Calibration,
     Method,
     Terrain,
     View,
@@ -29,7 +28,7 @@ from photocal.analysis.stability.methods import (
     sensor_grid,
     view,
 )
-from photocal.geometry.camera import Camera, camera
+from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.distortion import distorted
 from photocal.geometry.rotation import matrix_from_angles
 
@@ -45,7 +44,7 @@ def study() -> CameraFile:
 @pytest.fixture(scope="module")
 def pairs(study: CameraFile) -> tuple[Pair, ...]:
     """The seven calibrations without their sigmas."""
-    bare = tuple(replace(one, uncertainty=None) for one in study.calibrations)
+    bare = tuple(replace(one, sigma=None) for one in study.calibrations)
     pixels = sensor_grid((4608, 3456), 100.0)
     chosen = methods(len(pixels), study.terrains, study.terrains_each, study.seed)
     return compare(bare, pixels, chosen, np.random.default_rng(1))
@@ -173,9 +172,7 @@ CHOSEN = methods(len(GRID), (Terrain(250.0, 100.0),), 2, 5)
 
 
 def test_a_camera_is_like_itself() -> None:
-    (pair,) = compare(
-        (Calibration(simple("a")), Calibration(simple("b"))), GRID, CHOSEN, np.random.default_rng(1)
-    )
+    (pair,) = compare((simple("a"), simple("b")), GRID, CHOSEN, np.random.default_rng(1))
     assert max(figure.value_px for figure in pair.figures) < 1e-8
 
 
@@ -198,16 +195,14 @@ def test_rotation_and_resection_do_not_see_a_turned_bundle(omega: float, phi: fl
 
 def test_only_resection_hides_a_different_principal_distance_over_flat_ground() -> None:
     flat = methods(len(GRID), (Terrain(250.0, 0.0),), 1, 5)
-    (pair,) = compare(
-        (Calibration(simple("a")), Calibration(simple("b", c=3510.0))), GRID, flat, np.random.default_rng(1)
-    )
+    (pair,) = compare((simple("a"), simple("b", c=3510.0)), GRID, flat, np.random.default_rng(1))
     found = {(f.method, f.definition): f.value_px for f in pair.figures}
     assert found["SPR", "relief 0 m"] < 1e-6
     assert found["ZROT", "mean distance"] > 2.0
     assert found["ROT", "two principal distances"] > 1.0
 
 
-def uncertain(made: Camera, shift: np.ndarray[Any, np.dtype[np.float64]] | None = None) -> Calibration:
+def uncertain(made: Camera, shift: np.ndarray[Any, np.dtype[np.float64]] | None = None) -> Camera:
     names = ("c", "x0", "y0", "K1", "K2")
     sigmas = [1.0, 0.6, 0.5, 3e-10, 1e-17]
     r = np.eye(5)
@@ -217,7 +212,10 @@ def uncertain(made: Camera, shift: np.ndarray[Any, np.dtype[np.float64]] | None 
         values = made.values.copy()
         values[[0, 1, 2, 3, 4]] += np.linalg.cholesky(known.covariance) @ shift
         made = made.with_values(values)
-    return Calibration(made, known)
+    spread, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
+    spread[:5], correlation[:5, :5] = sigmas, r
+    estimated = spread > 0.0
+    return replace(made, estimated=estimated, sigma=spread, correlation=correlation)
 
 
 def test_different_beyond_noise_keeps_its_level() -> None:
@@ -242,8 +240,8 @@ def test_the_sigma_of_a_figure_is_its_scatter() -> None:
     (pair,) = compare((uncertain(simple("a")), uncertain(other)), GRID, CHOSEN, generator, draws=4000)
     drawn = []
     for _ in range(150):
-        a = replace(uncertain(simple("a"), generator.standard_normal(5)), uncertainty=None)
-        b = replace(uncertain(other, generator.standard_normal(5)), uncertainty=None)
+        a = replace(uncertain(simple("a"), generator.standard_normal(5)), sigma=None)
+        b = replace(uncertain(other, generator.standard_normal(5)), sigma=None)
         (again,) = compare((a, b), GRID, CHOSEN, generator)
         drawn.append([f.value_px for f in again.figures])
     scatter = np.std(np.array(drawn), axis=0)
@@ -256,7 +254,7 @@ def test_the_sigma_of_a_figure_is_its_scatter() -> None:
 def test_a_distortion_that_folds_is_refused() -> None:
     folded = replace(simple("b", K1=-1e-6), model="brown-ideal")
     with pytest.raises(IllPosedError, match="camera b: the distortion folds within the image"):
-        compare((Calibration(simple("a")), Calibration(folded)), GRID, CHOSEN, np.random.default_rng(1))
+        compare((simple("a"), folded), GRID, CHOSEN, np.random.default_rng(1))
 
 
 def test_methods_are_described(study: CameraFile) -> None:
