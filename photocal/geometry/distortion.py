@@ -89,6 +89,19 @@ def radial_profile(camera: Camera, radius: Floats) -> Floats:
     return np.asarray(projected(bare, q)[:, 0] - radius)
 
 
+def radial_profile_sigma(camera: Camera, radius: Floats) -> Floats:
+    """Standard deviation of the radial profile of an adjusted camera, shape (n,), by differences."""
+    names = [name for name in camera.free if name.startswith("K") and camera.sigma_of(name) > 0]
+    # By the steps of one sigma each: what they move, correlated as they are.
+    moved = np.zeros((len(radius), len(names)))
+    for k, n in enumerate(names):
+        ends = (camera.changed(**{n: camera.value(n) + side * camera.sigma_of(n)}) for side in (1, -1))
+        more, less = (radial_profile(one, radius) for one in ends)
+        moved[:, k] = (more - less) / 2
+    variance = np.einsum("ni,ij,nj->n", moved, camera.correlation_of(names), moved)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
 def _centred(camera: Camera) -> Camera:
     """The same lens without principal point and affinity; Brown's polynomial as it distorts ideal places."""
     bare = camera.changed(x0=0.0, y0=0.0, B1=0.0, B2=0.0)

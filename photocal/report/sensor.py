@@ -9,6 +9,7 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import radial_profile as beyond
+from photocal.geometry.distortion import radial_profile_sigma
 from photocal.report.stored_analysis import Run
 
 RADIAL = ("K1", "K2", "K3", "K4")
@@ -51,20 +52,12 @@ def radial_profile(camera: Camera, radius: Floats) -> RadialProfile:
 
 
 def _of_other_lens(camera: Camera, r: Floats) -> RadialProfile:
-    """The same of a lens that is not Brown's, its sigmas by differences."""
-    names = [name for name in camera.free if name.startswith("K") and camera.sigma_of(name) > 0]
-    # By the steps of one sigma each: what they move, correlated as they are.
-    moved = np.zeros((len(r), len(names)))
-    for k, n in enumerate(names):
-        ends = (camera.changed(**{n: camera.value(n) + side * camera.sigma_of(n)}) for side in (1, -1))
-        more, less = (beyond(one, r) for one in ends)
-        moved[:, k] = (more - less) / 2
-    variance = np.einsum("ni,ij,nj->n", moved, camera.correlation_of(names), moved)
+    """The same of a lens that is not Brown's."""
     c = camera.value("c")
     ray = r / c
     prism = np.hypot(*(camera.value(a) + camera.value(b) * ray**2 for a, b in (_PRISM[:2], _PRISM[2:])))
     swing = c * ray**2 * (3.0 * np.hypot(camera.value("P1"), camera.value("P2")) + prism)
-    return RadialProfile(r, beyond(camera, r), np.sqrt(np.maximum(variance, 0.0)), swing)
+    return RadialProfile(r, beyond(camera, r), radial_profile_sigma(camera, r), swing)
 
 
 def farthest_corner(camera: Camera) -> float:

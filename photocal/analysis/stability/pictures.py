@@ -10,8 +10,8 @@ import numpy as np
 from acquire.outputs import output_picture
 from drivers.arrays import Floats
 from photocal.analysis.stability.comparison import Pair
-from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
-from photocal.geometry.distortion import polynomial_distortion, radial_profile
+from photocal.geometry.camera import Camera, pixel_to_plane
+from photocal.geometry.distortion import polynomial_distortion, radial_profile, radial_profile_sigma
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,24 +78,11 @@ def _profiles(camera: Camera, radial: Axes, decentring: Axes, dashes: object) ->
     curve = radial_profile(camera, radius) / pitch
     style = {"linestyle": dashes, "linewidth": 1.1, "label": camera.id}
     (line,) = radial.plot(radius / pitch, curve, **style)  # type: ignore[arg-type]
-    spread = _spread_of_profile(camera, radius) / pitch
+    spread = radial_profile_sigma(camera, radius) / pitch
     radial.fill_between(radius / pitch, curve - spread, curve + spread, color=line.get_color(), alpha=0.2)
     p1, p2, p3, p4 = camera.values[_DECENTRING]
     largest = 3.0 * np.hypot(p1, p2) * radius**2 * np.abs(1.0 + p3 * radius**2 + p4 * radius**4)
     decentring.plot(radius / pitch, largest / pitch, **style)  # type: ignore[arg-type]
-
-
-def _spread_of_profile(camera: Camera, radius: Floats) -> Floats:
-    """Standard deviation of the radial profile, zero where no covariance is known."""
-    names = [name for name in PARAMETERS[_RADIAL] if camera.sigma_of(name) > 0.0]
-    slopes = np.zeros((len(names), len(radius)))
-    for k, name in enumerate(names):
-        step = camera.sigma_of(name)
-        ends = (camera.changed(**{name: camera.value(name) + side * step}) for side in (1, -1))
-        more, less = (radial_profile(end, radius) for end in ends)
-        slopes[k] = (more - less) / (2 * step)
-    variance = np.einsum("in,ij,jn->n", slopes, camera.covariance_of(names), slopes)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: Axes) -> None:
