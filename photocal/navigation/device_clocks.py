@@ -308,11 +308,6 @@ def device_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> Comp
         return None
 
 
-def _typical_rate(clock: ComparedClocks) -> float:
-    stretches = [s for model in clock.cycles for s in model.segments]
-    return max(stretches, key=lambda s: s.readings).rate
-
-
 def clock_sentences(clocks: list[ComparedClocks]) -> list[str]:
     """Return what a person should know of the clocks: restarts, jumps, wrong speeds."""
     found = []
@@ -324,8 +319,8 @@ def clock_sentences(clocks: list[ComparedClocks]) -> list[str]:
             told = ", ".join(f"{jump:+.3f} s" for jump in jumps[:5])
             found.append(f"{clock.name}: {len(jumps)} jumps, {told}{', ...' if len(jumps) > 5 else ''}")
         if clock.played_back:
-            # The median of the stretches, by their readings.
-            speed = _typical_rate(clock)
+            stretches = [stretch for model in clock.cycles for stretch in model.segments]
+            speed = max(stretches, key=lambda stretch: stretch.readings).rate
             found.append(
                 f"{clock.name}: not real time, mostly {speed:.2f} times the speed: "
                 "times of arrival are not used"

@@ -240,10 +240,12 @@ def check_images(
     """
     paths = [image.path for image in images if image.path is not None and image.name in exposures.image]
     try:
-        oriented = oriented_by_ties(paths, exposures.image, how.plan, how.progress)
+        block = measure_images(paths, "images", how.plan, how.progress).block
     except PhotocalError as refusal:
         return [untested(CODE, "images-not-oriented", {"source": "tie-points", "reason": refusal.what})]
-    return check_oriented(oriented, exposures, rig, "tie-points")
+    made = block.images
+    oriented = OrientedImages(made.names, block.cameras, made.camera, made.values)
+    return check_oriented(_in_order(oriented, exposures.image), exposures, rig, "tie-points")
 
 
 def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
@@ -251,23 +253,13 @@ def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
     if (folder / RESULT).is_file():
         return _in_order(read_result(folder).images, images)
     path = folder / "images.csv" if folder.is_dir() else folder
-    angles = ("omega", "phi", "kappa")
     table = read_wider_table(path, ("image", "X", "Y", "Z"))
     # Without angles the positions serve all the same.
-    values = [np.radians(table.numbers(name, empty=np.nan)) for name in angles]
-    values += [table.numbers(axis) for axis in "XYZ"]
+    angles = np.radians(table.matrix(("omega", "phi", "kappa"), empty=np.nan))
+    values = np.hstack([angles, table.matrix("XYZ")])
     names = table.unique_names("image")
-    found = OrientedImages(names, (), np.full(len(names), -1), np.column_stack(values))
+    found = OrientedImages(names, (), np.full(len(names), -1), values)
     return _in_order(found, images)
-
-
-def oriented_by_ties(
-    paths: list[Path], images: list[str], plan: MatchingPlan, progress: Progress
-) -> OrientedImages:
-    """Orient images by tie points, see `photocal.measurement.image_block`."""
-    block = measure_images(paths, "images", plan, progress).block
-    made = block.images
-    return _in_order(OrientedImages(made.names, block.cameras, made.camera, made.values), images)
 
 
 def _in_order(found: OrientedImages, images: list[str]) -> OrientedImages:

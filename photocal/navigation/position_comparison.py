@@ -275,10 +275,15 @@ def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: Rig, free
         return untested(code, "few-common", {**beside, "n": float(known.sum())})
     origin = np.array([np.mean(c[known]) for c in (p.lat_deg, p.lon_deg, p.height_m)])
     here = p.rows(known).offsets(origin)
-    there = _aligned(theirs[known], here) if free == "similarity" else _offsets(theirs[known], origin)
+    if free == "similarity":
+        aligned = similarity(theirs[known], here)
+        if aligned is None:
+            return untested(code, "on-one-line", beside)
+        there = aligned.applied(theirs[known])
+    else:
+        lat, lon, height = theirs[known].T
+        there = enu_offsets(lat, lon, height, origin)
     body = ours.carrier if ours.carrier is not None else ours.attitude
-    if there is None:
-        return untested(code, "on-one-line", beside)
     velocity = p.velocity_m_s[known]
     turn = np.swapaxes(body.rotation[known], 1, 2)
     lever_sigma = None if rig.lever_m is None else rig.lever_sigma_m
@@ -330,12 +335,3 @@ def _judged(found: PositionComparison, beside: dict[str, str], lever_m: Floats |
 
 def _axes(text: str) -> tuple[str, ...]:
     return tuple(f"m {part}" for part in text.split(", "))
-
-
-def _offsets(place: Floats, origin: Floats) -> Floats:
-    return enu_offsets(place[:, 0], place[:, 1], place[:, 2], origin)
-
-
-def _aligned(theirs: Floats, ours: Floats) -> Floats | None:
-    found = similarity(theirs, ours)
-    return None if found is None else found.applied(theirs)

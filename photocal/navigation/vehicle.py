@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.mounting import Mounting, mounting_of
 from acquire.log.reader import read_json
@@ -61,29 +59,15 @@ class VehicleTrack:
     mounting: Mounting = field(default_factory=lambda: Mounting(()))
 
 
-@dataclass
-class _Received:
-    """Messages of one kind: fields with arrival and the device's UTC as the log has it."""
-
-    host: list[Integers] = field(default_factory=list)
-    device: list[Integers] = field(default_factory=list)
-    fields: list[NDArray[Any]] = field(default_factory=list)
-
-    def joined(self) -> Received | None:
-        if not self.fields:
-            return None
-        return np.concatenate(self.host), np.concatenate(self.device), np.concatenate(self.fields)
-
-
 def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks | None = None) -> VehicleTrack:
     """Read positions, attitudes and clocks of the autopilot from a flight log."""
     # Raw MAVLink frames go first; what was imported from an autopilot's own log stands in decoded topics.
     found = _received(log, link)
-    if not any(received.fields for received in found.values()):
+    if not found:
         return _of_topics(log, link or "vehicle")
-    clocks = vehicle_clocks(found["SYSTEM_TIME"].joined(), found["TIMESYNC"].joined(), gnss)
+    clocks = vehicle_clocks(found.get("SYSTEM_TIME"), found.get("TIMESYNC"), gnss)
     clock = clocks.clock
-    tracks = {name: _timed(found[name], clocks) for name in _TRACKS}
+    tracks = {name: _timed(found.get(name), clocks) for name in _TRACKS}
     p = tracks["GLOBAL_POSITION_INT"]
     none = np.empty(0, np.int64)
     scale = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3}
@@ -97,7 +81,7 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
         _attitude(tracks),
         0.0 if clock is None else clock.sigma_s,
         clocks.compared,
-        _geoid(found["GPS_RAW_INT"]),
+        _geoid(found.get("GPS_RAW_INT")),
         clock,
         clocks.sync,
         told_mounting(log, link or "vehicle"),
@@ -118,10 +102,11 @@ def _of_topics(log: FlightLog, link: str) -> VehicleTrack:
     )
 
 
-def _received(log: FlightLog, link: str | None) -> dict[str, _Received]:
+def _received(log: FlightLog, link: str | None) -> dict[str, Received]:
+    """Messages by their kinds: arrival, the device's UTC as the log has it, and fields."""
     dialect = ardupilotmega()
     kinds = {name: dialect.number(name) for name in _KINDS}
-    found = {name: _Received() for name in kinds}
+    found: dict[str, list[Received]] = {}
     owner: int | None = None
     for _, messages in log.raw(Wire.MAVLINK, link=link):
         batch = batch_of_payloads(Wire.MAVLINK, messages.payloads, dialect)
@@ -132,19 +117,21 @@ def _received(log: FlightLog, link: str | None) -> dict[str, _Received]:
             if owner is None and name in _TRACKS:
                 owner = int(got.system[0])
             own = np.ones(len(got), bool) if owner is None else got.system == owner
-            into = found[name]
-            into.host.append(messages.log_ns[got.index][own])
-            into.device.append(messages.publish_ns[got.index][own])
-            into.fields.append(got.fields[own])
-    return found
+            rows = got.index[own]
+            parts = found.setdefault(name, [])
+            parts.append((messages.log_ns[rows], messages.publish_ns[rows], got.fields[own]))
+    columns = {name: zip(*parts, strict=True) for name, parts in found.items()}
+    return {
+        name: (np.concatenate(host), np.concatenate(device), np.concatenate(fields))
+        for name, (host, device, fields) in columns.items()
+    }
 
 
-def _timed(received: _Received, clocks: VehicleClocks) -> Received | None:
+def _timed(received: Received | None, clocks: VehicleClocks) -> Received | None:
     """Return arrival, UTC and fields in the order of UTC, without the messages that had no time."""
-    joined = received.joined()
-    if joined is None:
+    if received is None:
         return None
-    host, device, fields = joined
+    host, device, fields = received
     # Where the device told no time the log repeats the time of arrival.
     timed = np.ones(len(host), bool) if clocks.clock is not None and not clocks.told else host != device
     host, device, fields = host[timed], device[timed], fields[timed]
@@ -171,11 +158,10 @@ def _attitude(tracks: Mapping[str, Received | None]) -> AttitudeTrack | None:
     return max(made, key=len, default=None)
 
 
-def _geoid(received: _Received) -> float | None:
-    joined = received.joined()
-    if joined is None or "alt_ellipsoid" not in (joined[2].dtype.names or ()):
+def _geoid(received: Received | None) -> float | None:
+    if received is None or "alt_ellipsoid" not in (received[2].dtype.names or ()):
         return None
-    fields = joined[2]
+    fields = received[2]
     told = (fields["alt_ellipsoid"] != 0) & (fields["fix_type"] >= 3)
     if not told.any():
         return None
