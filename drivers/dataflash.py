@@ -98,7 +98,7 @@ class DataflashFormats:
             return
         if not all(letter in _TYPES for letter in form) or name in self._types:
             return
-        row = np.dtype([(c, *_member(_TYPES[letter])) for c, letter in zip(columns, form, strict=True)])
+        row = np.dtype([(c, _TYPES[letter]) for c, letter in zip(columns, form, strict=True)])
         if row.itemsize + HEAD_BYTES != length:
             return
         self._types[name] = kind
@@ -147,10 +147,6 @@ class DataflashFormats:
     def _fields(self, batch: Batch, index: Integers, kind: int) -> NDArray[Any]:
         start, length = batch.start[index] + HEAD_BYTES, batch.length[index] - HEAD_BYTES
         return gather(batch.data, start, length, self._rows[kind])
-
-
-def _member(kind: Any) -> tuple[Any, ...]:
-    return kind if isinstance(kind, tuple) else (kind,)
 
 
 def _time_column(name: str, columns: tuple[str, ...]) -> tuple[str, int] | None:

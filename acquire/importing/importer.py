@@ -95,7 +95,8 @@ def import_recordings(
         for name, path in [*named, *(("", path) for path in unnamed)]:
             with open_recording(path) as source:
                 form = identify(source, dialect)
-                link = name or _link_name(path, form)
+                plain = re.sub(r"[^A-Za-z0-9_-]+", "-", path.name.split(".")[0]).strip("-")
+                link = name or form.link or plain or "receiver"
                 if link in links:
                     raise ConfigurationError(
                         f"two recordings would be the link {link!r}",
@@ -147,7 +148,3 @@ def _import(
     )
     writer.metadata(f"import {link}", imported.metadata())
     return imported
-
-
-def _link_name(path: Path, form: Format) -> str:
-    return form.link or re.sub(r"[^A-Za-z0-9_-]+", "-", path.name.split(".")[0]).strip("-") or "receiver"

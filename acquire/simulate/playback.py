@@ -183,7 +183,11 @@ class FlownAutopilot(Autopilot):
         self._name, self._line, self._clock = name, line, clock
         self._tape = _Tape(line)
         self._seeds = ardupilotmega().seeds
-        self._kinds = [_kind(frame) for frame in line.frames]
+        # Damage leaves some frames without a message.
+        self._kinds = [
+            int.from_bytes(frame[7:10], "little") if len(frame) >= 12 and frame[0] == V2 else -1
+            for frame in line.frames
+        ]
         self._period_s = _periods(line, self._kinds)
         self._passed: dict[int, int] = {}
         self._shift = 0
@@ -240,11 +244,6 @@ class FlownAutopilot(Autopilot):
         self._number = self._mav.seq
         self._shift += 1
         return packed
-
-
-def _kind(frame: bytes) -> int:
-    """Give the message of a frame; -1 where damage has left none."""
-    return int.from_bytes(frame[7:10], "little") if len(frame) >= 12 and frame[0] == V2 else -1
 
 
 def _periods(line: Wire, kinds: list[int]) -> dict[int, float]:

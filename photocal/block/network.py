@@ -201,7 +201,11 @@ def assemble(block: Block) -> NetworkOfBlock:
         exposures = replace(exposures, motion=motion, motion_sigma=motion_sigma)
         # Where nothing is known of the flight a readout scales nothing: it cannot be an unknown.
         flown = [known[block.images.camera == k].any() for k in range(len(cameras))]
-        cameras = tuple(c if seen else _held_readout(c) for c, seen in zip(cameras, flown, strict=True))
+        others = np.array(PARAMETERS) != "readout"
+        cameras = tuple(
+            c if seen else replace(c, estimated=c.estimated & others, shutter="global")
+            for c, seen in zip(cameras, flown, strict=True)
+        )
     rig = rig_of(
         block.heads,
         [camera.id for camera in cameras],
@@ -225,10 +229,6 @@ def assemble(block: Block) -> NetworkOfBlock:
         rig,
     )
     return NetworkOfBlock(network, used, order, frame)
-
-
-def _held_readout(camera: Camera) -> Camera:
-    return replace(camera, estimated=camera.estimated & (np.array(PARAMETERS) != "readout"), shutter="global")
 
 
 def block_frame(block: Block) -> Frame:

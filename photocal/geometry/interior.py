@@ -61,7 +61,9 @@ def interior_orientation(
     # Both systems are centred and scaled, so that the equations do not depend on the units.
     to_unit, unit_readings = _normalised(readings)
     from_unit, unit_known = _normalised(known)
-    mirrored = _mirrored(unit_readings, unit_known)
+    # Whether a reflection brings the marks closer to their known places than a rotation: the sign of the
+    # determinant of the products of both systems decides (Kabsch 1976).
+    mirrored = bool(np.linalg.det(unit_known.T @ unit_readings) < 0)
     if kind == "conformal":
         matrix = _conformal(unit_readings, unit_known, mirrored)
     elif kind == "affine":
@@ -115,12 +117,6 @@ def _affine(readings: Floats, known: Floats) -> Floats:
     design = np.column_stack([readings, np.ones(len(readings))])
     rows = np.linalg.lstsq(design, known, rcond=None)[0].T
     return np.vstack([rows, [0.0, 0.0, 1.0]])
-
-
-def _mirrored(readings: Floats, known: Floats) -> bool:
-    """Whether a reflection brings the marks closer to their known places than a rotation."""
-    # The sign of the determinant of the products of both systems decides (Kabsch 1976).
-    return bool(np.linalg.det(known.T @ readings) < 0)
 
 
 def _conformal(readings: Floats, known: Floats, mirrored: bool) -> Floats:

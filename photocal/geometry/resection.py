@@ -56,7 +56,7 @@ def resection(xyz: Floats, rays: Floats) -> Resection | None:
     size = float(np.abs(xyz - middle).max())
     world = (xyz - middle) / size
     best = _direct(world, rays)
-    if best is None or _uneven(best.residual):
+    if best is None or best.residual.max() > min(UNEVEN * np.median(best.residual), LARGE):
         robust = _least_median(world, rays)
         if robust is not None and (best is None or _misfit(robust.residual) < 0.5 * _misfit(best.residual)):
             best = robust
@@ -78,10 +78,6 @@ def ray_residuals(rotation: Floats, centre: Floats, xyz: Floats, rays: Floats) -
     with np.errstate(divide="ignore", invalid="ignore"):
         miss = np.linalg.norm(-q[..., :2] / q[..., 2:] - rays, axis=-1)
     return np.where(q[..., 2] < 0, miss, np.inf)
-
-
-def _uneven(residual: Floats) -> bool:
-    return bool(residual.max() > min(UNEVEN * np.median(residual), LARGE))
 
 
 def _misfit(residual: Floats) -> Floats:

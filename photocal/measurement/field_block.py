@@ -34,11 +34,6 @@ class _View:
     sigma: Floats
 
 
-def corner_name(code: int, corner: int) -> str:
-    """Name of a corner: 17.1 is the target's own first one, then clockwise as it is printed."""
-    return f"{code}.{corner + 1}"
-
-
 def measure_field(
     paths: Sequence[Path],
     dictionary_name: str,
@@ -123,7 +118,8 @@ def _block(views: Sequence[_View], codes: list[int], distances: Path | None, nam
                 point += [4 * row[code] + corner for corner in range(4)]
                 pixels += corners.tolist()
                 sigmas += [[sigma, sigma]] * 4
-    names = tuple(corner_name(code, corner) for code in codes for corner in range(4))
+    # 17.1 is the target's own first corner, then clockwise as it is printed.
+    names = tuple(f"{code}.{corner}" for code in codes for corner in (1, 2, 3, 4))
     free = np.full((len(names), 3), np.inf)
     nowhere = np.full((len(facts), 6), np.nan)
     return Block(

@@ -108,7 +108,10 @@ def match(first: Features, second: Features, settings: MatchSettings) -> Integer
     large = len(first.scale) > 2 * settings.sketch and len(second.scale) > 2 * settings.sketch
     windows: Iterable[Window] | None = None
     if large:
-        coarse = [_coarsest(features, settings.sketch) for features in (first, second)]
+        orders = [np.argsort(-features.scale, kind="stable") for features in (first, second)]
+        coarse = [
+            own.some(order[: settings.sketch]) for own, order in zip((first, second), orders, strict=True)
+        ]
         known = _verified(coarse[0], coarse[1], settings)
         if len(known) < settings.sketch_fewest:
             return np.zeros((0, 2), dtype=np.int64)
@@ -116,10 +119,6 @@ def match(first: Features, second: Features, settings: MatchSettings) -> Integer
         windows = search_windows(first.pixels, second.pixels, places[0], places[1])
     pairs = _verified(first, second, settings, windows)
     return pairs if len(pairs) >= settings.fewest else pairs[:0]
-
-
-def _coarsest(features: Features, count: int) -> Features:
-    return features.some(np.argsort(-features.scale, kind="stable")[:count])
 
 
 def _verified(

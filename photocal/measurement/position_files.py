@@ -134,7 +134,9 @@ def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
     if not events:
         raise InputMalformedError("has no events", where=path, remedy="is it a Timestamp.MRK file?")
     numbers = {int(event["number"]): event for event in events}
-    by_name = {name: numbers.get(k) for name in names for k in _numbers(name) if k in numbers}
+    # Cameras count with numbers of four digits.
+    counts = {name: map(int, re.findall(r"(?<!\d)\d{4}(?!\d)", Path(name).stem)) for name in names}
+    by_name = {name: numbers.get(k) for name in names for k in counts[name] if k in numbers}
     if not by_name and len(names) == len(events):
         by_name = dict(zip(sorted(names), events, strict=True))
     keys = ("longitude_deg", "latitude_deg", "height_m", "sigma_east_m", "sigma_north_m", "sigma_up_m")
@@ -144,11 +146,6 @@ def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
             longitude, latitude, height, east, north, up = (event[key] for key in keys)
             found[name] = (longitude, latitude, height, east, north, up)
     return found
-
-
-def _numbers(name: str) -> list[int]:
-    """Numbers of four digits in a name: cameras count so."""
-    return [int(text) for text in re.findall(r"(?<!\d)\d{4}(?!\d)", Path(name).stem)]
 
 
 def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -> dict[str, _Place]:

@@ -58,7 +58,7 @@ from photocal.measurement.start_block import (
     without_images,
     without_single_rays,
 )
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, camera_figures, pixel_residuals
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, by_ray, camera_figures
 from photocal.measurement.tie_block import GROSS, brought_nearer, marked_control, place, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.project import Project
@@ -447,11 +447,9 @@ def _expected_of_c(finding: Finding, cameras: Sequence[Camera]) -> bool:
 
 def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str, Any]]:
     """Marks whose residual is too large for their sigma, the largest first."""
-    block, solution, rays = adjusted.block, adjusted.solution, adjusted.assembly.rays
-    residual, redundancy = pixel_residuals(adjusted.assembly, solution), np.empty(len(rays))
-    redundancy[rays] = solution.redundancy.mean(axis=1)
+    block = adjusted.block
+    size, redundancy = by_ray(adjusted.assembly, adjusted.solution)
     seen = block.observations
-    size = np.hypot(*residual.T)
     spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, 0.05))
     share = size / spread
     marked = seen.point < len(control.names)

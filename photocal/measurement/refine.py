@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Columns, Flags, Floats, Integers
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.features import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import as_eight_bit, read_grey
@@ -50,16 +50,13 @@ class Source:
 
 
 @dataclass(frozen=True)
-class _Rays:
+class _Rays(Columns):
     """Where to look for which track in which image: place and affinity from its patch, px."""
 
     track: Integers
     image: Integers
     place: Floats
     affinity: Floats
-
-    def some(self, index: Flags | Integers) -> _Rays:
-        return _Rays(self.track[index], self.image[index], self.place[index], self.affinity[index])
 
 
 def refine(
@@ -88,7 +85,7 @@ def refine(
         patches[(own == k) & inside] = cut
         done(1)
     found = []
-    jobs = ((sources[k], part, patches[part.track]) for k in images for part in [rays.some(rays.image == k)])
+    jobs = ((sources[k], part, patches[part.track]) for k in images for part in [rays.rows(rays.image == k)])
     for result in run_tasks(_match_image, jobs, processes):
         found.append(result)
         done(1)
@@ -200,7 +197,7 @@ def _expected(
     affinity = _jacobians(views, image, anchor[track], axes[track]) @ np.linalg.inv(base[track])
     zoom = np.sqrt(np.abs(np.linalg.det(affinity)))
     alike = np.isfinite(affinity).all(axis=(1, 2)) & (zoom < _ZOOM) & (zoom > 1 / _ZOOM)
-    return _Rays(track, image, place, affinity).some(alike)
+    return _Rays(track, image, place, affinity).rows(alike)
 
 
 def _inside(place: Floats, size: Floats) -> Flags:

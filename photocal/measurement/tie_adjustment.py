@@ -129,7 +129,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
             ties, block = _robustly(ties, block).held()
             ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
         ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
-        size, redundancy = _by_ray(assembly, solution)
+        size, redundancy = by_ray(assembly, solution)
         own = slice(len(start.observations.image), None)
         sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[own], redundancy[own])
         # A residual shows the part of the error that the redundancy number says.
@@ -291,7 +291,7 @@ def pixel_residuals(assembly: NetworkOfBlock, solution: Solution) -> Floats:
     return residuals
 
 
-def _by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats]:
+def by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats]:
     """Length of the residual, px, and mean redundancy number of each observation of the block."""
     size = np.hypot(*pixel_residuals(assembly, solution).T)
     redundancy = np.empty(len(assembly.rays))

@@ -154,7 +154,7 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
         measured = oriented.rotation[b] @ oriented.rotation[a].T
         turns, angle = least_turn(measured, recorded[b] @ recorded[a].T)
         ways = (
-            rotation[a] @ _direction(where[b] - where[a])
+            rotation[a] @ ((where[b] - where[a]) / np.linalg.norm(where[b] - where[a]))
             for rotation, where in ((oriented.rotation, oriented.station), (recorded, place))
         )
         along = float(next(ways) @ next(ways))
@@ -200,10 +200,6 @@ def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) ->
 def _common(exposures: Exposures, oriented: OrientedImages) -> Integers:
     known = exposures.attitude.known & np.isfinite(oriented.rotation).all(axis=(1, 2))
     return np.flatnonzero(known)
-
-
-def _direction(way: Floats) -> Floats:
-    return np.asarray(way / np.linalg.norm(way))
 
 
 def _inflation(error: Floats) -> Floats:

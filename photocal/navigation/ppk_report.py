@@ -134,7 +134,7 @@ def _validation(result: PpkResult, judgement: Judgement) -> dict[str, Any]:
     return {
         "fixed_by_the_engine": int((result.combined.quality == 1).sum()),
         "demoted": {reason: int(rows.sum()) for reason, rows in judgement.demoted.items()},
-        "median_ratio_of_fixes": _median(result.combined.ratio[fixed]),
+        "median_ratio_of_fixes": float(np.median(result.combined.ratio[fixed])) if fixed.any() else None,
         "float_sigma_factor_enu": [float(v) for v in judgement.float_factor],
         "combinations_replaced": result.replaced,
         "directions_apart": _directions_apart(judgement),
@@ -165,10 +165,6 @@ def _directions_apart(judgement: Judgement) -> list[dict[str, Any]]:
             }
         )
     return places
-
-
-def _median(values: Floats) -> float | None:
-    return float(np.median(values)) if len(values) else None
 
 
 def _rms(values: Floats) -> list[float] | None:

@@ -101,7 +101,8 @@ class UtcTime(Instants):
         """Convert to GPS time, the inverse of `GpsTime.to_utc`; a leap second itself counts as the next."""
         _refuse_expired(self)
         civil = self.ns - GPS_EPOCH_NS
-        before, after = (civil + _offset_ns(civil + late) for late in (0, 60 * SECOND_NS))
+        sooner_or_later = (civil, civil + 60 * SECOND_NS)
+        before, after = (civil + t + GPS_EPOCH_NS - gnsstime.gps_to_utc_ns(t) for t in sooner_or_later)
         # The larger offset holds from the step on, that is where it leads back to the same UTC.
         gps = np.where(gnsstime.gps_to_utc_ns(after) == self.ns, after, before)
         return GpsTime(gps)
@@ -114,10 +115,6 @@ class UtcTime(Instants):
 def leap_seconds(time: GpsTime) -> Integers:
     """Return GPS time minus UTC in seconds by the table."""
     return (time.ns + GPS_EPOCH_NS - time.to_utc().ns) // SECOND_NS
-
-
-def _offset_ns(gps_ns: Integers) -> Integers:
-    return gps_ns + GPS_EPOCH_NS - gnsstime.gps_to_utc_ns(gps_ns)
 
 
 def _refuse_expired(time: UtcTime) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import RLock
 
@@ -18,13 +18,8 @@ Key = tuple[str, str]
 COLUMNS = ("image", "point", "x", "y", "sx", "sy")
 
 
-@dataclass(frozen=True)
-class Change:
-    """What a mark was and became; None for no mark."""
-
-    key: Key
-    before: Mark | None
-    after: Mark | None
+# What the mark of a key was and became; None for no mark.
+Change = tuple[Key, Mark | None, Mark | None]
 
 
 class MarkStore:
@@ -81,9 +76,8 @@ class MarkStore:
             before = self._marks.get(key)
             if before == after:
                 return
-            change = Change(key, before, after)
-            self._apply(change)
-            self._done.append(change)
+            self._apply(key, after)
+            self._done.append((key, before, after))
             self._undone.clear()
 
     def _step(self, source: list[Change], target: list[Change]) -> Key | None:
@@ -91,19 +85,18 @@ class MarkStore:
             self._refresh()
             if not source:
                 return None
-            last = source[-1]
-            change = Change(last.key, last.after, last.before)
-            self._apply(change)
+            key, before, after = source[-1]
+            self._apply(key, before)
             source.pop()
-            target.append(change)
-            return change.key
+            target.append((key, after, before))
+            return key
 
-    def _apply(self, change: Change) -> None:
+    def _apply(self, key: Key, after: Mark | None) -> None:
         marks = dict(self._marks)
-        if change.after is None:
-            marks.pop(change.key, None)
+        if after is None:
+            marks.pop(key, None)
         else:
-            marks[change.key] = change.after
+            marks[key] = after
         # Only what is on disk counts: when writing fails, nothing has changed here either.
         write_marks(self.path, marks.values())
         self._marks, self._seen = marks, _fingerprint(self.path)
