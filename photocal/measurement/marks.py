@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Integers
 from photocal.block.model import Block
 from photocal.block.table import read_table, refuse
 from photocal.exchange.parts import Mark
@@ -22,7 +21,8 @@ def read_marks(path: Path) -> tuple[Mark, ...]:
     table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
     xy, sigma = table.matrix("xy"), table.matrix(("sx", "sy"), empty=BY_HAND_PX)
     refuse(table, (sigma <= 0).any(axis=1), "the sigma is not positive", "give a positive number")
-    images, points = (_cells(table.names(column)) for column in ("image", "point"))
+    names = (table.names(column) for column in ("image", "point"))
+    images, points = ([found[k] for k in index] for index, found in names)
     seen: set[tuple[str, str]] = set()
     again = np.zeros(len(xy), dtype=np.bool_)
     for row, pair in enumerate(zip(images, points, strict=True)):
@@ -51,8 +51,3 @@ def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, 
     sigma = np.array([m.sigma for m in rows.values()]).reshape(-1, 2)
     seen = block.observations.plus(keys[:, 0], keys[:, 1], xy, sigma)
     return replace(block, observations=seen), tuple(unknown)
-
-
-def _cells(names: tuple[Integers, Sequence[str]]) -> list[str]:
-    index, found = names
-    return [found[k] for k in index]

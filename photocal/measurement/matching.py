@@ -108,10 +108,8 @@ def match(first: Features, second: Features, settings: MatchSettings) -> Integer
     large = len(first.scale) > 2 * settings.sketch and len(second.scale) > 2 * settings.sketch
     windows: Iterable[Window] | None = None
     if large:
-        orders = [np.argsort(-features.scale, kind="stable") for features in (first, second)]
-        coarse = [
-            own.some(order[: settings.sketch]) for own, order in zip((first, second), orders, strict=True)
-        ]
+        orders = ((own, np.argsort(-own.scale, kind="stable")) for own in (first, second))
+        coarse = [features.some(order[: settings.sketch]) for features, order in orders]
         known = _verified(coarse[0], coarse[1], settings)
         if len(known) < settings.sketch_fewest:
             return np.zeros((0, 2), dtype=np.int64)

@@ -212,18 +212,13 @@ def told_by_receiver(batch: Batch, payloads: list[bytes]) -> list[float]:
         fields = ubx.decode(batch, kind).fields
         if kind == ubx.NAV_PVT:
             fields = fields[(fields["flags"] & 1) != 0]
-        found.extend(_difference(fields))
+        found += ((fields["height"].astype(float) - fields["hMSL"]) * 1e-3).tolist()
     found.extend(
         separation
         for row in np.flatnonzero(batch.kind == _GGA).tolist()
         if (separation := _of_sentence(payloads[row])) is not None
     )
     return found
-
-
-def _difference(fields: NDArray[np.void]) -> list[float]:
-    difference = (fields["height"].astype(float) - fields["hMSL"]) * 1e-3
-    return [float(v) for v in difference.tolist()]
 
 
 def _of_sentence(sentence: bytes) -> float | None:

@@ -12,7 +12,6 @@ from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError
 from photocal.navigation.device_clocks import (
     AutopilotClock,
-    ClockModel,
     ComparedClocks,
     autopilot_clock,
     device_by_arrival,
@@ -57,8 +56,9 @@ def time_sync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> 
     # A single middle is uncertain by what its trip goes over the shortest.
     resolution = max(float(np.median(trip - round_trip_ns.min())) / 1e9, 1e-4)
     jump = _JUMP_TRIPS * shortest / 1e9
-    models = _both_ways(boot, middle, resolution, jump)
-    if models is None:
+    try:
+        models = [fit_clock(a, b, resolution, jump) for a, b in ((boot, middle), (middle, boot))]
+    except IllPosedError:
         return None
     names = (
         "recording computer by the autopilot's time since boot (TIMESYNC)",
@@ -67,15 +67,6 @@ def time_sync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> 
     constant = float(round_trip_ns.min()) / 1e9 / np.sqrt(12)
     one, other = (ComparedClocks(name, (model,), constant) for name, model in zip(names, models, strict=True))
     return TimeSync(one, other)
-
-
-def _both_ways(
-    boot: Integers, host: Integers, resolution_s: float, jump_s: float
-) -> tuple[ClockModel, ClockModel] | None:
-    try:
-        return fit_clock(boot, host, resolution_s, jump_s), fit_clock(host, boot, resolution_s, jump_s)
-    except IllPosedError:
-        return None
 
 
 def clock_through_host(
