@@ -126,26 +126,18 @@ def _growth(state: State, look: Look, before: Look | None) -> tuple[tuple[int, i
 
 
 # Worth of a fix, and how it is called.
-WORTH = {
-    "none": 0,
-    "time_only": 0,
-    "dead_reckoning": 1,
-    "2d": 1,
-    "3d": 2,
-    "differential": 3,
-    "rtk_float": 4,
-    "rtk_fixed": 5,
+_FIXES = {
+    "none": (0, "no fix"),
+    "time_only": (0, "time only"),
+    "dead_reckoning": (1, "dead reckoning"),
+    "2d": (1, "2D"),
+    "3d": (2, "3D"),
+    "differential": (3, "3D differential"),
+    "rtk_float": (4, "RTK float"),
+    "rtk_fixed": (5, "RTK fixed"),
 }
-NAMES = {
-    "none": "no fix",
-    "time_only": "time only",
-    "dead_reckoning": "dead reckoning",
-    "2d": "2D",
-    "3d": "3D",
-    "differential": "3D differential",
-    "rtk_float": "RTK float",
-    "rtk_fixed": "RTK fixed",
-}
+WORTH = {fix: worth for fix, (worth, _) in _FIXES.items()}
+NAMES = {fix: name for fix, (_, name) in _FIXES.items()}
 # A fix in space: with less nothing can be measured.
 LEAST_WORTH = WORTH["3d"]
 # A better fix is expected to stay only after it has stayed so long: one that flickers is told once.

@@ -89,13 +89,11 @@ def plan_strips(
 
 
 def _along(points: Floats, azimuth: float) -> Floats:
-    result: Floats = points @ np.array([math.sin(azimuth), math.cos(azimuth)])
-    return result
+    return np.asarray(points @ np.array([math.sin(azimuth), math.cos(azimuth)]))
 
 
 def _across(points: Floats, azimuth: float) -> Floats:
-    result: Floats = points @ np.array([math.cos(azimuth), -math.sin(azimuth)])
-    return result
+    return np.asarray(points @ np.array([math.cos(azimuth), -math.sin(azimuth)]))
 
 
 def _to_plane(along: Floats, across: float, azimuth: float) -> Floats:
