@@ -8,7 +8,6 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
-from photocal.adjustment.intersection import intersect
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import (
     Exposures,
@@ -27,7 +26,7 @@ from photocal.block.rig import rig_of
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
-from photocal.geometry.resection import ray_residuals
+from photocal.geometry.resection import intersect, ray_residuals
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
 # Start coordinates are impossible where a ray misses them by this many principal distances, and by this many

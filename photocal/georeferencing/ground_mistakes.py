@@ -24,7 +24,6 @@ from photocal.accuracy.ground_points import (
 )
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
-from photocal.adjustment.intersection import intersect
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.mounting import body_to_camera
 from photocal.adjustment.network import covariance_matrices
@@ -32,6 +31,7 @@ from photocal.block.model import Block, Role
 from photocal.block.network import assemble, observed_plane
 from photocal.findings.finding import Finding
 from photocal.geometry.distortion import undistorted
+from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.georeferencing.methods import checkable, local_origin, with_roles, without_georeference
 

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from drivers.arrays import Floats, Integers
-from photocal.adjustment.intersection import intersect
 from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
 from photocal.block.network import observed_plane, plane_per_unit
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.distortion import undistorted
+from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import skew
 from photocal.georeferencing.direct import DirectOrientation, MovedRays, moved_rays
 

@@ -13,10 +13,14 @@ from photocal.block.model import Block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import told
 from photocal.measurement.block_files import Measured
-from photocal.measurement.control_files import ControlMarks, in_map_system, read_control_marks
 from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
-from photocal.measurement.marks import with_marks
-from photocal.measurement.marks_files import named_after
+from photocal.measurement.marks import (
+    ControlMarks,
+    in_map_system,
+    named_after,
+    read_control_marks,
+    with_marks,
+)
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, position_figures, sight, stated_footprints, tie_record
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, Oriented, Progress, orient_ties

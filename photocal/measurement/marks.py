@@ -1,16 +1,22 @@
-"""Marks: points that were measured in images by hand or found as targets."""
+"""Marks of points, by hand or found as targets, and control with its marks, as we and others write them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from photocal.block.model import Block
+from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.block.model import Block, ObjectPoints
 from photocal.block.table import read_table, refuse
-from photocal.exchange.parts import Mark
+from photocal.exchange.ground_points import read_gcp_list
+from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
+from photocal.exchange.source import Line, number, read_lines, read_xml, require_readable
 
 # A point that somebody clicked, when the table does not say how well.
 BY_HAND_PX = 1.0
@@ -51,3 +57,289 @@ def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, 
     sigma = np.array([m.sigma for m in rows.values()]).reshape(-1, 2)
     seen = block.observations.plus(keys[:, 0], keys[:, 1], xy, sigma)
     return replace(block, observations=seen), tuple(unknown)
+
+
+Sizes = Mapping[str, tuple[int, int]]
+Sigma = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ControlMarks:
+    """Control points and where images show them.
+
+    crs: of the coordinates; "local" without one. Geographic ones are longitude, latitude (deg), height.
+    marks: px of the stored pixel grid.
+    without_coordinates: points that have marks but no coordinates: they are left out.
+    """
+
+    crs: str
+    points: ObjectPoints
+    marks: tuple[Mark, ...]
+    without_coordinates: tuple[str, ...] = ()
+
+
+def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
+    """Read ODM's gcp_list.txt, Metashape's XML of markers, or OpenSfM's ground_control_points.json."""
+    kind = path.suffix.lower()
+    if kind == ".xml":
+        return _metashape(path, sigma_m)
+    if kind == ".json":
+        return _opensfm(path, sigma_m, sizes)
+    return _gcp_list(path, sigma_m)
+
+
+def in_map_system(given: ControlMarks) -> ControlMarks:
+    """Take geographic coordinates to the UTM zone of their middle; others stay as they are.
+
+    Heights stay as they are.
+    """
+    from pyproj import CRS, Transformer
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_utm_crs_info
+    from pyproj.exceptions import CRSError
+
+    if given.crs == "local":
+        return given
+    try:
+        system = CRS.from_user_input(given.crs)
+    except CRSError as refusal:
+        raise ConfigurationError(
+            f"system {given.crs!r} of the control points is not known", remedy="write it as EPSG:32722"
+        ) from refusal
+    if not system.is_geographic:
+        authority = system.to_authority()
+        return replace(given, crs=":".join(authority) if authority else given.crs)
+    longitude, latitude = given.points.values[:, :2].mean(axis=0).tolist()
+    if not (abs(latitude) <= 84 and abs(longitude) <= 180):
+        raise ConfigurationError(
+            f"control at longitude {longitude:.6f}, latitude {latitude:.6f} is impossible",
+            remedy="are latitude and longitude exchanged?",
+        )
+    area = AreaOfInterest(longitude, latitude, longitude, latitude)
+    zone = query_utm_crs_info("WGS 84", area)[0]
+    name = f"{zone.auth_name}:{zone.code}"
+    east, north = Transformer.from_crs(system.to_2d(), name, always_xy=True).transform(
+        given.points.values[:, 0], given.points.values[:, 1], errcheck=True
+    )
+    values = np.column_stack([east, north, given.points.values[:, 2]])
+    return replace(given, crs=name, points=replace(given.points, values=values))
+
+
+def _gcp_list(path: Path, sigma_m: Sigma) -> ControlMarks:
+    crs, rows = read_gcp_list(path)
+    places = {row.point: row.xyz for row in rows}
+    sigma = (sigma_m[0], sigma_m[0], sigma_m[1])
+    marks = tuple(
+        Mark(row.image, row.point, row.column, row.row, (BY_HAND_PX, BY_HAND_PX), row.place) for row in rows
+    )
+    entries = [PointEntry(name, "control", xyz, sigma) for name, xyz in places.items()]
+    return ControlMarks(crs, object_points(entries), marks)
+
+
+def metashape_marks(path: Path) -> tuple[Mark, ...]:
+    """Read the pinned projections of Metashape's markers, of all of them."""
+    return _marks(_chunk(path), path)
+
+
+def _chunk(path: Path) -> Element:
+    chunks = list(read_xml(path).iter("chunk"))
+    if not chunks:
+        raise InputMalformedError(
+            "is no XML of Metashape's markers, the only one that is read",
+            where=path,
+            remedy="from Pix4D export the marks as text (*.txt or *.csv: image, point, x, y)",
+        )
+    if len(chunks) != 1:
+        raise InputMalformedError(
+            f"has {len(chunks)} chunks where one was expected",
+            where=path,
+            remedy="export the markers of one chunk as XML",
+        )
+    return chunks[0]
+
+
+def _marks(chunk: Element, path: Path) -> tuple[Mark, ...]:
+    """Pinned projections; the upper-left pixel's centre is (0.5, 0.5) there."""
+    images = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("cameras//camera")}
+    names = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("markers//marker")}
+    return tuple(
+        mark
+        for own in chunk.iterfind("frames/frame/markers/marker")
+        for mark in _locations(own, names, images, path)
+    )
+
+
+def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
+    chunk = _chunk(path)
+    entries, bare = [], []
+    for own in chunk.iterfind("markers//marker"):
+        name = own.get("label", "")
+        reference = own.find("reference")
+        if reference is None or reference.get("x") is None:
+            bare.append(name)
+        else:
+            entries.append(_marker(name, reference, sigma_m, path))
+    known = {entry.name for entry in entries}
+    marks = tuple(mark for mark in _marks(chunk, path) if mark.point in known)
+    if not marks:
+        raise InputMalformedError(
+            "has no placed markers with coordinates", where=path, remedy="export the markers as XML"
+        )
+    crs = (chunk.findtext("reference") or "").strip()
+    local = not crs or crs.startswith("LOCAL_CS")
+    return ControlMarks("local" if local else crs, object_points(entries), marks, tuple(bare))
+
+
+def _marker(name: str, reference: Element, sigma_m: Sigma, path: Path) -> PointEntry:
+    xyz = [number(reference.get(axis, ""), path, f"marker {name}") for axis in "xyz"]
+    stated = [reference.get(f"s{axis}") for axis in "xyz"]
+    assumed = (sigma_m[0], sigma_m[0], sigma_m[1])
+    sigma = [number(s, path, f"accuracy of {name}") if s else a for s, a in zip(stated, assumed, strict=True)]
+    enabled = reference.get("enabled", "true").lower() in ("true", "1")
+    return PointEntry(name, "control" if enabled else "check", xyz, sigma)
+
+
+def _locations(own: Element, names: Mapping[str, str], images: Mapping[str, str], path: Path) -> list[Mark]:
+    name = names.get(own.get("marker_id", ""), "")
+    marks = []
+    for seen in own.iterfind("location"):
+        image = images.get(seen.get("camera_id", ""))
+        # What is not pinned was predicted, not measured.
+        if image is None or seen.get("pinned", "true").lower() in ("false", "0"):
+            continue
+        x, y = (number(seen.get(axis, ""), path, f"marker {name}") - 0.5 for axis in "xy")
+        marks.append(Mark(image, name, x, y, (BY_HAND_PX, BY_HAND_PX), path))
+    return marks
+
+
+def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
+    """Marks from the middle of the image, over its longer side."""
+    require_readable(path)
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        entries, bare, marks = [], [], []
+        for own in content["points"]:
+            name = str(own["id"])
+            place = own.get("position")
+            if place is None:
+                bare.append(name)
+                continue
+            xyz = [float(place[key]) for key in ("longitude", "latitude", "altitude")]
+            entries.append(PointEntry(name, "control", xyz, (sigma_m[0], sigma_m[0], sigma_m[1])))
+            for seen in own["observations"]:
+                image = str(seen["shot_id"])
+                x, y = (float(value) for value in seen["projection"])
+                if image in sizes:
+                    width, height = sizes[image]
+                    x = x * max(width, height) + (width - 1) / 2
+                    y = y * max(width, height) + (height - 1) / 2
+                    marks.append(Mark(image, name, x, y, (BY_HAND_PX, BY_HAND_PX), path))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as failure:
+        raise InputMalformedError(
+            f"is no ground_control_points.json ({failure})", where=path, remedy="is it the right file?"
+        ) from failure
+    if not entries:
+        raise InputMalformedError("has no point with coordinates", where=path, remedy="is it the right file?")
+    return ControlMarks("EPSG:4326", object_points(entries), tuple(marks), tuple(bare))
+
+
+# Words that head the columns of such tables, in the order in which tables without a head have them.
+_HEADS = (
+    ("image", ("image", "image_name", "imagename", "image_label", "camera", "camera_label", "photo")),
+    ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label")),
+    ("x", ("x", "u", "image_u", "image_x", "x_px")),
+    ("y", ("y", "v", "image_v", "image_y", "y_px")),
+)
+# Of our own tables, whose upper-left pixel has its centre at (0, 0).
+_OWN = ("image", "point", "x", "y")
+# In all others the corner of that pixel is (0, 0).
+_HALF = 0.5
+
+
+def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Mark, ...]:
+    """Read marks of ours, of Pix4D, of Metashape (XML or table), gcp_list.txt or OpenSfM's control.
+
+    A table of Pix4D has image, point, x, y and no head; its fifth column is the zoom in one program and an
+    accuracy in another, and is not used. Tables of Metashape's scripts have a head and the same order. In
+    both the upper-left corner of the upper-left pixel is (0, 0). A table with the head of our marks.csv is
+    taken as ours.
+    """
+    kind = path.suffix.lower()
+    if kind == ".xml":
+        marks = metashape_marks(path)
+    elif kind == ".json":
+        marks = read_control_marks(path, (1.0, 1.0), sizes).marks
+    else:
+        marks = _text(path)
+    if not marks:
+        raise InputMalformedError("has no marks", where=path, remedy="is it the right file?")
+    marks = named_after(marks, sizes)
+    require_unique([f"{mark.point} in image {mark.image}" for mark in marks], "point", path)
+    return marks
+
+
+def named_after(marks: Iterable[Mark], images: Iterable[str]) -> tuple[Mark, ...]:
+    """Give marks the names of image files: other programs leave out endings, or name folders, too."""
+    names = set(images)
+    stems: dict[str, list[str]] = {}
+    for name in names:
+        stems.setdefault(Path(name).stem.casefold(), []).append(name)
+
+    def named(image: str) -> str:
+        last = image.replace("\\", "/").rsplit("/", 1)[-1]
+        alike = stems.get(last.casefold(), []) or stems.get(Path(last).stem.casefold(), [])
+        return last if last in names else alike[0] if len(alike) == 1 else image
+
+    return tuple(replace(mark, image=named(mark.image)) for mark in marks)
+
+
+def _text(path: Path) -> tuple[Mark, ...]:
+    lines = read_lines(path)
+    first = lines[0].text.strip() if lines else ""
+    delimiter = next((one for one in ("\t", ";", ",") if one in first), None)
+    if delimiter is None:
+        # Blanks between coordinates, and the system in the first line.
+        return read_control_marks(path, (1.0, 1.0), {}).marks
+    head = [cell.strip().strip('"').lower().replace(" ", "_") for cell in first.split(delimiter)]
+    if tuple(head[:4]) == _OWN:
+        return read_marks(path)
+    order = _order(head, path)
+    body = lines if order is None else lines[1:]
+    return tuple(_mark(line, delimiter, order or (0, 1, 2, 3)) for line in body)
+
+
+def _order(head: Sequence[str], path: Path) -> tuple[int, ...] | None:
+    """Where image, point, x and y stand in a head; None for a first row that is a mark."""
+    if len(head) >= 4 and _is_number(head[2]) and _is_number(head[3]):
+        return None
+    order = []
+    for what, words in _HEADS:
+        here = [k for k, cell in enumerate(head) if cell in words]
+        if len(here) != 1:
+            raise InputMalformedError(
+                f"its head {', '.join(head)!r} does not say which column is the {what}",
+                where=path,
+                remedy="head them image_name,gcp_name,image_u,image_v, or leave the head out",
+            )
+        order.append(here[0])
+    return tuple(order)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _mark(line: Line, delimiter: str, order: Sequence[int]) -> Mark:
+    cells = [cell.strip().strip('"') for cell in line.text.split(delimiter)]
+    if len(cells) <= max(order) or not cells[order[0]] or not cells[order[1]]:
+        raise InputMalformedError(
+            f"has {len(cells)} cells where image, point, x, y were expected", where=line.place
+        )
+    if delimiter != ",":
+        cells = [cell.replace(",", ".") for cell in cells]
+    x, y = (number(cells[k], line.place, "mark") - _HALF for k in order[2:])
+    return Mark(cells[order[0]], cells[order[1]], x, y, (BY_HAND_PX, BY_HAND_PX), line.place)

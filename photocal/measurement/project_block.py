@@ -34,8 +34,7 @@ from photocal.measurement.image_facts import ImageFacts, clock_seconds, read_fac
 from photocal.measurement.image_file import list_images
 from photocal.measurement.lens_choice import before_the_choice, with_chosen_lenses
 from photocal.measurement.maker_camera import NO_LENS
-from photocal.measurement.marks import read_marks, with_marks
-from photocal.measurement.marks_files import read_any_marks
+from photocal.measurement.marks import read_any_marks, read_marks, with_marks
 from photocal.measurement.match_images import Footprints, MatchingPlan, footprints
 from photocal.measurement.measure_ties import (
     Sighted,

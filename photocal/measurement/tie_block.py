@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
-from photocal.adjustment.intersection import intersect
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_pixels, observed_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages, given_places, given_poses, local_poses
-from photocal.geometry.resection import ray_residuals
+from photocal.geometry.resection import intersect, ray_residuals
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.tracks import Tracks
 

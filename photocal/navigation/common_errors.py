@@ -9,11 +9,11 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.navigation.engine_output import (
+    PER_METRE,
     SatelliteResiduals,
     correlation_time_s,
     shift_by_zenith_delay,
 )
-from photocal.navigation.static_position import PER_METRE
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geodetic
 from photocal.navigation.troposphere import DelayLapse, Weather, remaining_lapse

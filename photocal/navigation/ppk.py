@@ -12,13 +12,22 @@ import numpy as np
 from acquire.console import numbers_of
 from drivers.arrays import Flags, Floats
 from drivers.errors import ConfigurationError, IllPosedError
-from photocal.navigation.antex import antenna_named, read_antennas
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Mode, ProcessingOptions, Rtklib
-from photocal.navigation.engine_output import EngineSolution, SatelliteResiduals
+from photocal.navigation.engine_output import (
+    EngineSolution,
+    SatelliteResiduals,
+    in_order,
+    static_position,
+    trajectory_of,
+)
 from photocal.navigation.fix_validation import Judgement, judge
-from photocal.navigation.precise_results import ObservationFile, count_ephemerides
-from photocal.navigation.static_position import in_order, static_position, trajectory_of
+from photocal.navigation.precise_results import (
+    ObservationFile,
+    antenna_named,
+    count_ephemerides,
+    read_antennas,
+)
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
 from photocal.navigation.troposphere import Weather

@@ -11,15 +11,15 @@ from pydantic import Field
 
 from acquire.checked_toml import Table
 from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputNotFoundError
+from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
-from photocal.navigation.engine import Rtklib
+from photocal.navigation.engine import ProcessingOptions, Rtklib
+from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajectory_of
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
-from photocal.navigation.static_position import precise_point
 from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric
 from photocal.navigation.troposphere import measured_weather
 from photocal.project import AirAtBase
@@ -211,7 +211,7 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]
     named = [survey.folder / p for p in (*point.nav, *point.products)]
     options = replace(options_for(observed, observed), rover_antenna_m=point.rover_antenna_m, precise=True)
     options = with_antennas(options, survey.antex, (observed, point.rover_antenna), None)
-    found = precise_point(observed, [*recorded, *named], options, survey.engine, own)
+    found = _precise_point(observed, [*recorded, *named], options, survey.engine, own)
     place, covariance = _earth_centred(found)
     session = {
         "name": f"precise point {point.name}",
@@ -242,3 +242,34 @@ def _earth_centred(t: Trajectory) -> tuple[Floats, Floats]:
     axes = enu_axes(float(t.lat_deg[0]), float(t.lon_deg[0]))
     place = t.xyz_m[0]
     return np.asarray(place), np.asarray(axes.T @ t.covariance_m2[0] @ axes)
+
+
+# How the engine numbers precise positions.
+_PRECISE = 6
+
+
+def _precise_point(
+    rover: ObservationFile, files: list[Path], options: ProcessingOptions, engine: Rtklib, folder: Path
+) -> Trajectory:
+    """Compute the position of a receiver that stood still by itself, with precise orbits and clocks."""
+    if "2" not in rover.bands:
+        raise IllPosedError(
+            "a precise point needs two frequencies",
+            where=rover.path.name,
+            remedy="measure a baseline instead",
+        )
+    found = in_order(engine.solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
+    found = found.rows(found.quality == _PRECISE)
+    if not len(found):
+        raise IllPosedError(
+            "the engine found no precise position",
+            where=rover.path.name,
+            remedy="check that the products cover the observations",
+        )
+    last = found.rows(np.array([len(found) - 1]))
+    origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
+    half = found.rows(np.arange(len(found) // 2, len(found)))
+    way = half.offsets(origin)
+    spread = np.maximum(np.sqrt(np.mean(way**2, axis=0)), 10 * STATIC_FLOOR_M)
+    settled = last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
+    return trajectory_of(settled, 0.0, geocentric(*origin[:, None])[0])

@@ -24,9 +24,7 @@ from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import similarity
 from photocal.measurement.block_files import write_block
-from photocal.measurement.control_files import in_map_system, read_control_marks
-from photocal.measurement.marks import with_marks
-from photocal.measurement.marks_files import named_after
+from photocal.measurement.marks import in_map_system, named_after, read_control_marks, with_marks
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_block import intersected, views_of
 from photocal.measurement.tracks import Tracks

@@ -13,10 +13,9 @@ from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.table import Table, read_columns
 from photocal.exchange.parts import Mark, PointEntry, object_points
 from photocal.geometry.camera import Camera
-from photocal.measurement.control_files import ControlMarks, read_control_marks
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES
-from photocal.measurement.marks_files import read_any_marks
+from photocal.measurement.marks import ControlMarks, read_any_marks, read_control_marks
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
 ASSUMED_M = (0.02, 0.03)

@@ -16,10 +16,9 @@ from drivers.errors import InputNotFoundError, OutputError, PhotocalError
 from photocal.block.model import ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.measurement.control_files import ControlMarks, in_map_system
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
-from photocal.measurement.marks_files import named_after
+from photocal.measurement.marks import ControlMarks, in_map_system, named_after
 from photocal.measurement.rigs import Frame, recognised
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting

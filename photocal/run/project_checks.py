@@ -19,9 +19,9 @@ from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import block_frame
 from photocal.exchange.parts import PointEntry, object_points
 from photocal.geometry.oriented_images import given_places
-from photocal.measurement.control_files import ControlMarks, in_map_system
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
+from photocal.measurement.marks import ControlMarks, in_map_system
 from photocal.measurement.position_files import map_places
 from photocal.measurement.project_block import better_known, control_points
 from photocal.measurement.tie_block import intersected, views_of

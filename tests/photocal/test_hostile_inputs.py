@@ -24,10 +24,9 @@ from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opencv import read_opencv
 from photocal.exchange.opensfm import read_cameras
 from photocal.exchange.reference_table import read_references
-from photocal.measurement.control_files import read_control_marks
 from photocal.measurement.image_file import opened
 from photocal.measurement.marking.tiles import TileAddress, Tiles
-from photocal.measurement.marks_files import read_any_marks
+from photocal.measurement.marks import read_any_marks, read_control_marks
 from photocal.navigation.image_metadata import read_images
 from photocal.planning.area import read_area
 from photocal.project import read_project

@@ -8,14 +8,13 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.datum import with_datum
-from photocal.adjustment.intersection import intersect
 from photocal.adjustment.network import Exposures, Network, Points, Rays
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import robust_state
 from photocal.adjustment.start.bearings import Bearings
 from photocal.adjustment.state import start_state
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.geometry.resection import ray_residuals, resection
+from photocal.geometry.resection import intersect, ray_residuals, resection
 from photocal.geometry.rotation import angles_from_matrix
 
 # Rays of a point have to meet at more than this angle (radians) to say how far it is.

@@ -9,8 +9,7 @@ import pytest
 from pyproj import Transformer
 
 from drivers.errors import ConfigurationError, InputMalformedError, PhotocalError
-from photocal.measurement.control_files import in_map_system, read_control_marks
-from photocal.measurement.marks import BY_HAND_PX, read_marks
+from photocal.measurement.marks import BY_HAND_PX, in_map_system, read_control_marks, read_marks
 
 SIGMA = (0.02, 0.03)
 MARKERS = """<?xml version="1.0" encoding="UTF-8"?>

@@ -8,8 +8,7 @@ import pytest
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.parts import Mark
-from photocal.measurement.marks import BY_HAND_PX
-from photocal.measurement.marks_files import named_after, read_any_marks
+from photocal.measurement.marks import BY_HAND_PX, named_after, read_any_marks
 
 from .test_control_files import MARKERS
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.navigation.antex import antenna_named, read_antennas
 from photocal.navigation.engine import ProcessingOptions, configuration
 from photocal.navigation.ppk import with_antennas
+from photocal.navigation.precise_results import antenna_named, read_antennas
 from tests.photocal.navigation.conftest import Run, ppk
 
 # North, east, up of the phase centre over the reference point, mm.
