@@ -123,12 +123,13 @@ def _converse(device: Device, line: socket.socket, stop: threading.Event, start:
             return
 
 
-class _Send(Protocol):
-    def __call__(self, data: bytes, stop: threading.Event, /) -> None: ...
-
-
 @contextlib.contextmanager
-def _serving(device: Device, descriptor: int, read: Callable[[int], bytes], send: _Send) -> Iterator[None]:
+def _serving(
+    device: Device,
+    descriptor: int,
+    read: Callable[[int], bytes],
+    send: Callable[[bytes, threading.Event], None],
+) -> Iterator[None]:
     stop = threading.Event()
     start = time.monotonic()
 

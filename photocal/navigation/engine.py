@@ -55,30 +55,25 @@ class ProcessingOptions:
 
 
 @dataclass(frozen=True)
-class RinexFiles:
-    """Observations and ephemerides of one receiver; a file that would be empty does not exist."""
-
-    observations: Path
-    navigation: Path
-
-
-@dataclass(frozen=True)
 class Rtklib:
     """RTKLIB's command line programs: what converts and computes."""
 
     name: str = "RTKLIB 2.4.3 (rnx2rtkp)"
 
-    def convert(self, raw: bytes, form: Literal["ubx", "rtcm3"], stem: Path, near: GpsTime) -> RinexFiles:
-        """Write RINEX files beside `stem` from intact frames by `convbin`; `near` settles RTCM's week."""
+    def convert(
+        self, raw: bytes, form: Literal["ubx", "rtcm3"], stem: Path, near: GpsTime
+    ) -> tuple[Path, Path]:
+        """Write observations and ephemerides as RINEX beside `stem` from intact frames, by `convbin`."""
+        # A file that would be empty is not written. `near` settles RTCM's week.
         source = stem.with_suffix(f".{form}")
         source.write_bytes(raw)
-        made = RinexFiles(stem.with_suffix(".obs"), stem.with_suffix(".nav"))
+        observations, navigation = stem.with_suffix(".obs"), stem.with_suffix(".nav")
         date, time = near.iso()[0].split(" ")
-        arguments = ["-r", form, "-v", "3.03", "-od", "-os", "-o", made.observations, "-n", made.navigation]
+        arguments = ["-r", form, "-v", "3.03", "-od", "-os", "-o", observations, "-n", navigation]
         if form == "rtcm3":
             arguments += ["-tr", date.replace("-", "/"), time[:8]]
         _run("convbin", [*map(str, arguments), str(source)])
-        return made
+        return observations, navigation
 
     def solve(
         self,

@@ -11,7 +11,7 @@ from acquire.console import numbers_of
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
 from drivers.gnsstime import GPS_EPOCH_NS
-from photocal.navigation.engine import RinexFiles, Rtklib
+from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file, read_precise_result
@@ -78,7 +78,6 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     """
     receivers = read_receivers(sources.log)
     remarks: list[str] = []
-    near = None
     navigation: list[Path] = []
     rover_path = sources.rover
     if rover_path is None:
@@ -86,9 +85,8 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
         recording = pick(receivers, sources.rover_link, "rover", log)
         refuse_unusable(recording, "rover", log)
         _refuse_without_ephemerides(recording, sources)
-        made = converted(recording, engine, folder / "rover", None)
-        rover_path = made.observations
-        navigation.append(made.navigation)
+        rover_path, ephemerides = converted(recording, engine, folder / "rover")
+        navigation.append(ephemerides)
         remarks += _remarks(recording, "rover")
     rover = read_observation_file(rover_path)
     near = rover.time[[0]]
@@ -97,9 +95,8 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
         log = _needed(sources.log, "base")
         base_recording = pick(receivers, sources.base_link, "base", log)
         refuse_unusable(base_recording, "base", log)
-        made = converted(base_recording, engine, folder / "base", near)
-        base_path = made.observations
-        navigation.append(made.navigation)
+        base_path, ephemerides = converted(base_recording, engine, folder / "base", near)
+        navigation.append(ephemerides)
         remarks += _remarks(base_recording, "base")
     base = read_observation_file(base_path)
     for name in sources.navigation:
@@ -142,7 +139,7 @@ def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources) 
 
 def converted(
     recording: ReceiverRecording, engine: Rtklib, stem: Path, near: GpsTime | None = None
-) -> RinexFiles:
+) -> tuple[Path, Path]:
     """Convert what a receiver recorded to RINEX; raises IllPosedError when no observations come out."""
     # A base that sends both repeats the same observations; the raw ones are finer.
     form = "ubx" if recording.epochs else "rtcm3"
@@ -154,7 +151,7 @@ def converted(
             GpsTime(epochs[:1]) if len(epochs) else GpsTime(np.array([recording.first_log_ns - GPS_EPOCH_NS]))
         )
     made = engine.convert(b"".join(frames), "ubx" if form == "ubx" else "rtcm3", stem, near)
-    if not made.observations.exists():
+    if not made[0].exists():
         raise IllPosedError(
             "the observations could not be converted to RINEX",
             where=f"link {recording.link}",

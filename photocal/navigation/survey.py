@@ -151,9 +151,8 @@ def _observations(
     log = FlightLog((source,))
     recording = pick(read_receivers(log), link, role, log)
     refuse_unusable(recording, role, log)
-    made = converted(recording, survey.engine, stem)
-    recorded = [made.navigation] if made.navigation.exists() else []
-    return read_observation_file(made.observations), recorded
+    observations, navigation = converted(recording, survey.engine, stem)
+    return read_observation_file(observations), [navigation] if navigation.exists() else []
 
 
 def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tuple[Baseline, dict[str, Any]]:

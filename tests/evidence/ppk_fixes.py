@@ -114,10 +114,10 @@ def flown(case: Case, seed: int, folder: Path) -> tuple[PpkResult, Floats]:
         engine.convert(stream.data, "ubx", folder / name, near)
         for name, stream in (("rover", rover_stream), ("base", base_ubx(session)))
     ]
-    for files in made:
-        _thin(files.observations, case.every_s)
-    observed = [read_observation_file(files.observations) for files in made]
-    inputs = Inputs(observed[0], observed[1], [files.navigation for files in made], BASE_M, "truth")
+    for observations, _ in made:
+        _thin(observations, case.every_s)
+    observed = [read_observation_file(observations) for observations, _ in made]
+    inputs = Inputs(observed[0], observed[1], [navigation for _, navigation in made], BASE_M, "truth")
     options = replace(options_for(observed[0], observed[1]), two_frequencies=case.two_frequencies)
     result = process(inputs, options, "kinematic", engine, folder)
     t = result.trajectory

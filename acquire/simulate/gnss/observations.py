@@ -175,22 +175,11 @@ _COARSE_S = 60
 
 ROW = np.dtype(
     [
-        ("epoch", "i8"),
-        ("satellite", "i8"),
-        ("signal", "i8"),
-        ("code_m", "f8"),
-        ("phase_cycles", "f8"),
-        ("doppler_hz", "f8"),
-        ("cn0_dbhz", "f8"),
-        ("lock_s", "f8"),
-        ("azimuth", "f8"),
-        ("elevation", "f8"),
-        ("code_sigma_m", "f8"),
-        ("phase_sigma_cycles", "f8"),
-        ("doppler_sigma_hz", "f8"),
-        ("has_phase", "?"),
-        ("half_valid", "?"),
-        ("half_subtracted", "?"),
+        *((name, "i8") for name in ("epoch", "satellite", "signal")),
+        *((name, "f8") for name in ("code_m", "phase_cycles", "doppler_hz", "cn0_dbhz", "lock_s")),
+        *((name, "f8") for name in ("azimuth", "elevation")),
+        *((name, "f8") for name in ("code_sigma_m", "phase_sigma_cycles", "doppler_sigma_hz")),
+        *((name, "?") for name in ("has_phase", "half_valid", "half_subtracted")),
     ]
 )
 

@@ -104,8 +104,8 @@ def observed(
     engine, near = Rtklib(), GpsTime(np.array([START]))
     streams = ("rover", rover_ubx(session, None, rng=np.random.default_rng(1))), ("base", base_ubx(session))
     made = [engine.convert(stream.data, "ubx", folder / name, near) for name, stream in streams]
-    rover, base = (read_observation_file(files.observations) for files in made)
-    return rover, base, [files.navigation for files in made]
+    rover, base = (read_observation_file(observations) for observations, _ in made)
+    return rover, base, [ephemerides for _, ephemerides in made]
 
 
 def flown(humidity: float, weather: Weather | None, folder: Path) -> tuple[PpkResult, Floats]:
