@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
 
 import numpy as np
 
@@ -177,14 +180,26 @@ def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
     longer = max(facts.size_px)
     if math.isfinite(facts.c_px):
         return facts.c_px, "given"
-    tags, equivalent = facts.focal_mm / facts.pitch_mm, longer * facts.focal_35mm / FRAME_WIDTH_MM
-    # Tags of pictures that were made smaller may be of the larger ones.
-    believed = LEAST_WIDTHS < tags / longer < MOST_WIDTHS and not abs(math.log(tags / equivalent)) > UNLIKE
-    if believed:
-        return tags, "EXIF focal length and FocalPlane tags"
+    equivalent = longer * facts.focal_35mm / FRAME_WIDTH_MM
+    width = _sensor_widths_mm().get(facts.model.strip().lower(), math.nan)
+    for c, source in (
+        (facts.focal_mm / facts.pitch_mm, "EXIF focal length and FocalPlane tags"),
+        (facts.focal_mm / width * longer, "EXIF focal length and the known width of the sensor"),
+    ):
+        # Tags of pictures that were made smaller may be of the larger ones.
+        if LEAST_WIDTHS < c / longer < MOST_WIDTHS and not abs(math.log(c / equivalent)) > UNLIKE:
+            return c, source
     if math.isfinite(facts.focal_35mm) and 5 <= facts.focal_35mm <= 2000:
         return equivalent, "EXIF focal length, 35 mm equivalent"
     return longer * UNKNOWN_WIDTHS, "assumed (60 degrees along the longer side)"
+
+
+@cache
+def _sensor_widths_mm() -> dict[str, float]:
+    """Widths of known sensors by EXIF model in lower case."""
+    table = resources.files("photocal.block").joinpath("sensors.toml").read_text("utf-8")
+    widths: dict[str, float] = tomllib.loads(table)["width_mm"]
+    return widths
 
 
 def start_camera(name: str, facts: ImageFacts, c: float, estimate: tuple[str, ...]) -> Camera:

@@ -104,6 +104,28 @@ def test_the_camera_of_dewarp_data(tmp_path: Path) -> None:
     assert stated.prior_sigma()["c"] == pytest.approx(0.003 * 3668.25)
 
 
+def test_the_sensor_of_a_known_camera(tmp_path: Path) -> None:
+    """The maker writes only 8.8 mm; its data sheet says 13.2 by 8.8 mm of the sensor."""
+
+    def c_px(model: str, equivalent: int = 0) -> float:
+        exif = Image.Exif()
+        exif[0x0110] = model
+        more = exif.get_ifd(0x8769)
+        more[0x920A] = IFDRational(88, 10)
+        if equivalent:
+            more[0xA405] = equivalent
+        Image.new("L", (160, 120)).save(tmp_path / "a.jpg", exif=exif)
+        stated = stated_camera("a", read_facts(tmp_path / "a.jpg"))
+        assert stated.guessed == (stated.source.startswith("assumed"))
+        return stated.camera.value("c")
+
+    assert c_px("FC6310") == pytest.approx(160 * 8.8 / 13.2, rel=0.01)
+    # 24 mm of 36 are two thirds of the width; a lens that another length is written of is not believed.
+    assert c_px("FC6310", 24) == pytest.approx(160 * 8.8 / 13.2, rel=0.01)
+    assert c_px("FC6310", 50) == pytest.approx(160 * 50 / 36)
+    assert c_px("NoSuchCam") == pytest.approx(160 * 0.866, rel=0.001)
+
+
 def test_sigmas_of_dji_rtk(tmp_path: Path) -> None:
     names = zip(("Lon", "Lat", "Hgt"), ("0.012", "0.011", "0.025"), strict=True)
     picture(tmp_path / "a.jpg", xmp=" ".join(f'drone-dji:RtkStd{n}="{v}"' for n, v in names))
