@@ -77,17 +77,27 @@ class Removals:
         self._known = (weighted | (design.point_free == 0.0)).any(axis=1)
 
     def without(self, out: Flags, near: float) -> Near | None:
-        """Minimum without images; None where an adjustment anew must tell."""
+        """Minimum without images; None where an adjustment anew must tell.
+
+        Where one step does not come near, the equations are set up again at the place that it led to.
+        """
+        found, moved = self.stepped(out, near)
+        if found is None and moved is not None:
+            found, _ = Removals(self._problem, moved).stepped(out, near)
+        return found
+
+    def stepped(self, out: Flags, near: float) -> tuple[Near | None, State | None]:
+        """Minimum without images, if it is near; and where the first step leads, if there is one."""
         problem, state = self._problem, self._state
         columns = np.zeros(problem.layout.size, dtype=np.bool_)
         columns[problem.layout.image_columns[out]] = True
         own = problem.layout.own_columns[out]
         columns[own[own >= 0]] = True
         if not self._determined or columns[problem.stiffened].any():
-            return None
+            return None, None
         with self._downdated(out) as (design, normal, singular):
             if singular:
-                return None
+                return None, None
             held = problem.held | columns
             changed = replace(problem, design=design, held=held)
 
@@ -101,12 +111,12 @@ class Removals:
             normal.matrix[diagonal[problem.stiffened]] *= 2.0
             step = reduced_step(changed, normal, 0.0)
             if step is None:
-                return None
+                return None, None
             moved, length = moved_by(changed, state, normal, step)
             try:
-                return chords(changed, normal, moved, near, equations, length)
+                return chords(changed, normal, moved, near, equations, length), moved
             except NotConvergedError:
-                return None
+                return None, moved
 
     @contextmanager
     def _downdated(self, out: Flags) -> Iterator[tuple[Design, Normal, bool]]:

@@ -63,7 +63,7 @@ def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]
             cameras = list(fitted.network.cameras)
             cameras[camera] = _alternative(own, model)
             other = fit(replace(fitted.network, cameras=tuple(cameras)), fitted.state)
-            fits.append(_judged(other, camera, own, groups, checks))
+            fits.append(_judged(other, camera, own, groups, checks, _nearby))
         except (IllPosedError, NotConvergedError, InputMalformedError):
             continue
         finally:
@@ -131,13 +131,28 @@ def _alternative(own: Camera, model: Model) -> Camera:
     return replace(made, estimated=free, prior_sigma=prior, prior_correlation=None)
 
 
-def _judged(fitted: Fit, camera: int, own: Camera, groups: list[Integers], checks: Checks) -> LensFit:
+def _nearby(_fitted: Fit, removals: Removals, out: Flags) -> State:
+    """Leave images out near the minimum: a lens that is quite another one without them hangs on them."""
+    nearby = removals.without(out, NEAR)
+    if nearby is None:
+        raise NotConvergedError(f"the lens hangs on {int(out.sum())} of {len(out)} images")
+    return nearby.state
+
+
+def _judged(
+    fitted: Fit,
+    camera: int,
+    own: Camera,
+    groups: list[Integers],
+    checks: Checks,
+    without: Callable[[Fit, Removals, Flags], State] = state_without,
+) -> LensFit:
     found = fitted.network.cameras[camera]
     squares, count = 0.0, 0
     removals = Removals(fitted.factored.problem, fitted.state)
     for group in groups:
         out = np.isin(np.arange(len(fitted.network.image_names)), group)
-        chi_squared, redundancy = _predicted(fitted, state_without(fitted, removals, out), out)
+        chi_squared, redundancy = _predicted(fitted, without(fitted, removals, out), out)
         squares, count = squares + chi_squared, count + redundancy
     rmse = checks.rmse(fitted.solution.points)
     return LensFit(
