@@ -21,7 +21,6 @@ from photocal.results.result import Result
 if TYPE_CHECKING:
     from photocal.analysis.outcome import Outcome
     from photocal.georeferencing.comparison import BlockCheck
-    from photocal.results.more_tables import Wanted
 
 __all__ = [
     "Block",
@@ -149,14 +148,9 @@ def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, compone
         converge.
     """
     from photocal.results.adjusted import adjust_network
-
-    return adjust_network(block, snooping, _wanted(components=components))
-
-
-def _wanted(*, components: bool) -> Wanted:
     from photocal.results.more_tables import Wanted
 
-    return Wanted(components=components)
+    return adjust_network(block, snooping, Wanted(components=components))
 
 
 def analyse(

@@ -193,6 +193,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
 
     ppk, exposures = figures("ppk", "ppk.json"), figures("exposures", "exposures.json")
     check = figures("georeferencing", "check.json")
+    judged = check and (check["methods"].get("integrated") or {}).get("assessment")
     adjusted = next((one for one in ("analysis", "calibration") if one in done), None)
     final = project_verdict(work, done)
     return {
@@ -207,7 +208,8 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         "exposures": None if exposures is None else _exposures(exposures),
         "calibration": None if adjusted is None else _calibration(read_run(work / adjusted)),
         "check_points": None if check is None else _check_points(check),
-        "classes": None if check is None else _classes(check),
+        # Judgement of the integrated method, which is the product.
+        "classes": None if check is None else judged["standards"] if judged else [],
         "warnings": [{"kind": kind(one), **finding_json(one, say)} for one in gather(work, done)],
         "verdict": None if final is None else finding_json(final, say),
         "certificate": str(work / "certificate") if "certificate" in done else None,
@@ -272,12 +274,6 @@ def _predicted(points: list[dict[str, Any]]) -> dict[str, float | None]:
         axis: math.sqrt(sum(one["covariance_m2"][k] for one in points) / len(points))
         for axis, k in zip("XYZ", (0, 2, 5), strict=True)
     }
-
-
-def _classes(check: dict[str, Any]) -> list[dict[str, Any]]:
-    """Judgement of the integrated method, which is the product."""
-    assessment = (check["methods"].get("integrated") or {}).get("assessment")
-    return [] if assessment is None else list(assessment["standards"])
 
 
 def summary_text(figures: dict[str, Any]) -> str:

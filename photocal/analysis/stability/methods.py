@@ -151,18 +151,13 @@ def methods(points: int, terrains: tuple[Terrain, ...], repeats: int, seed: int)
         Method("ROT", "one principal distance", "tables", 3, False, (common_rotation_misfit,)),
     )
     generator = np.random.default_rng(seed)
-    resections = tuple(
-        Method(
-            "SPR",
-            f"relief {terrain.relief_m:g} m",
-            "both",
-            6,
-            False,
-            _over(terrain, points, repeats, generator),
-        )
-        for terrain in terrains
-    )
-    return fixed + resections
+    resections = []
+    for terrain in terrains:
+        ratio, name = terrain.relief_m / terrain.height_m, f"relief {terrain.relief_m:g} m"
+        grounds = (1.0 - ratio * generator.random(points) for _ in range(repeats))
+        misfits = tuple(resection_misfit(heights) for heights in grounds)
+        resections.append(Method("SPR", name, "both", 6, False, misfits))
+    return (*fixed, *resections)
 
 
 def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tuple[Floats, Floats]:
@@ -199,11 +194,6 @@ def figure(method: Method, misfit_px: Floats) -> Floats:
 def redundancy(method: Method, points: int) -> int:
     """Give the divisor of the sum of squares: 2n - k with a pose, n (distances) without."""
     return 2 * points - method.pose_size if method.pose_size else points
-
-
-def _over(terrain: Terrain, points: int, repeats: int, generator: np.random.Generator) -> tuple[Misfit, ...]:
-    ratio = terrain.relief_m / terrain.height_m
-    return tuple(resection_misfit(1.0 - ratio * generator.random(points)) for _ in range(repeats))
 
 
 def _imaged(ideal: Floats, c: float, pose: Floats, c_of_plane: float) -> Floats:
