@@ -116,7 +116,7 @@ class _Ties:
 
 def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
     """Adjust a block with tie points; rays that do not fit and images without hold are taken out."""
-    total = len(tracks.track)
+    total, given = len(tracks.track), start.cameras
     ties, block = _Ties(start, poses, tracks, np.ones(total)).held()
     as_oriented = replace(block, images=replace(block.images, values=ties.poses))
     ties, block = ties.some(fitting(as_oriented)[len(ties.start.observations.image) :]).held()
@@ -138,7 +138,10 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and good.all():
             break
+    # Readouts that the network did not bear while rays still fell out are tested once more.
+    ties = replace(ties, start=_opened(ties.start, given))
     ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=False)
+    start = _opened(start, given)
     if start.datum == "free":
         block = without_single_rays(block)
     values = given_exposures(assembly, solution)[0]
@@ -189,7 +192,11 @@ def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camer
     found = any(own.rolling and own.estimated[READOUT] for own in cameras)
     if found or (asked and rolls_whatever_the_lens(assembly.network, solution)):
         network, solution, _ = with_readouts(assembly.network, solution)
-        assembly = replace(assembly, network=network)
+        # What the network did not bear it will not bear in the next round.
+        shut = [
+            replace(own, shutter="global") if own.shutter == "unknown" else own for own in network.cameras
+        ]
+        assembly = replace(assembly, network=replace(network, cameras=tuple(shut)))
     better = tuple(map(_better, start.cameras, assembly.network.cameras, solution.cameras))
     return replace(start, cameras=better), assembly, solution
 
@@ -200,7 +207,19 @@ def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
         rolls = own.estimated | (np.array(PARAMETERS) == "readout")
         direction = adjusted.readout_direction
         own = replace(own, estimated=rolls, shutter="rolling", readout_direction=direction)
+    elif not own.rolling:
+        own = replace(own, shutter=adjusted.shutter)
     return own.with_values(values)
+
+
+def _opened(start: Block, given: tuple[Camera, ...]) -> Block:
+    """The block with shutters that were unknown to be tested again, unless they were found to roll."""
+    unknown = {own.id for own in given if own.shutter == "unknown" and not own.rolling}
+    cameras = [
+        replace(own, shutter="unknown") if own.id in unknown and not own.rolling else own
+        for own in start.cameras
+    ]
+    return replace(start, cameras=tuple(cameras))
 
 
 def start_where_rays_meet(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:

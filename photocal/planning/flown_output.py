@@ -106,9 +106,11 @@ def write_flown(
             images = zip(places[:, None], rows, strict=True)
             add_layer(database, _RAYS, system, _cells(block, to_given), changed_utc)
             add_layer(database, _IMAGES, system, images, changed_utc)
-            holes = [(to_given(np.array([[e, n, 0.0]]))[:, :2], n * block.ground.cell_m**2)
-                     for e, n, _ in gaps(block)]  # fmt: skip
-            add_layer(database, _GAPS, system, [(at, [area]) for at, area in holes], changed_utc)
+            holes = [
+                (to_given(np.array([[east, north, 0.0]]))[:, :2], [cells * block.ground.cell_m**2])
+                for east, north, cells in gaps(block)
+            ]
+            add_layer(database, _GAPS, system, holes, changed_utc)
         _draw(block, stations, aside / "flown.svg")
     return "flown.json", "flown.csv", "flown.gpkg", "flown.svg"
 

@@ -20,6 +20,7 @@ from acquire.simulate.world.world import World, make_world
 from photocal.block.motion import strips
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
+from photocal.geopackage import LOCAL
 from photocal.planning.flown import (
     FlownBlock,
     cells_seen,
@@ -29,8 +30,11 @@ from photocal.planning.flown import (
     ground_through,
     level_ground,
 )
+from photocal.planning.flown_output import write_flown
 from tests.photocal.conftest import Answer
 from tests.photocal.georeferencing.flights import Plan, fly
+
+CHANGED = "2025-06-16T12:00:00.000Z"
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +125,7 @@ def test_height_ground_sampling_tilt_and_smear(world: World, block: FlownBlock) 
         assert block.smear_px[i] == pytest.approx(float(np.linalg.norm(moved[1] - moved[0])), rel=0.1)
 
 
-def test_rays_and_gaps(world: World, images: OrientedImages, block: FlownBlock) -> None:
+def test_rays_and_gaps(world: World, images: OrientedImages, block: FlownBlock, tmp_path: Path) -> None:
     at = int(np.argmin(np.linalg.norm(block.ground.places[:, :2], axis=1)))
     place = block.ground.places[at : at + 1]
     true = sum(
@@ -144,6 +148,12 @@ def test_rays_and_gaps(world: World, images: OrientedImages, block: FlownBlock) 
     east, north, cells = gaps(torn)[0]
     assert np.hypot(east - hole[0], north - hole[1]) < 10.0
     assert cells * torn.ground.cell_m**2 > 150.0
+    # The map has the areas of the figures.
+    figures, still = figures_of(torn), np.zeros(len(kept))
+    write_flown(tmp_path / "torn", torn, images.values[kept, 3:], still, figures, np.asarray, LOCAL, CHANGED)
+    with closing(sqlite3.connect(tmp_path / "torn" / "flown.gpkg")) as database:
+        areas = [area for (area,) in database.execute("SELECT area_m2 FROM gaps")]
+    assert areas == pytest.approx([gap["area_m2"] for gap in figures["gaps"]])
 
 
 def test_figures_are_plain(block: FlownBlock) -> None:
