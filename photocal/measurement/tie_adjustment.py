@@ -124,9 +124,10 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         # Gross errors first: they must not go into the camera.
         try:
             start, assembly, solution = _solved(ties.start, block, ties.poses, held=round_ == 0)
-        except (IllPosedError, NotConvergedError):
+        except (IllPosedError, NotConvergedError) as refusal:
             # Of a datum that positions hold loosely few gross errors make a valley without an end.
-            ties, block = _robustly(ties, block).held()
+            if not _few_apart(refusal, block):
+                ties, block = _robustly(ties, block).held()
             ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
         ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
         size, redundancy = by_ray(assembly, solution)
@@ -171,7 +172,10 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
     """Adjust, and give the cameras their new values; where the block does not bear them they are held."""
     try:
         return _solved_with(start, block, poses, _held(start.cameras) if held else start.cameras)
-    except (IllPosedError, NotConvergedError):
+    except (IllPosedError, NotConvergedError) as refusal:
+        # These points go first.
+        if _few_apart(refusal, block):
+            raise
         # A readout, and how each image moves in it, is what few images bear least.
         if any(own.rolling for own in start.cameras):
             return _solved(
@@ -184,7 +188,7 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
 
 
 def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...]) -> Solved:
-    assembly = assemble(replace(block, cameras=cameras))
+    assembly = assemble(replace(block, cameras=tuple(map(_as_given, cameras))))
     solution = adjust(assembly.network, state=start_where_rays_meet(assembly, block, poses))
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
     asked = any(own.shutter == "unknown" and own.estimated.any() for own in cameras)
@@ -209,7 +213,13 @@ def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
         own = replace(own, estimated=rolls, shutter="rolling", readout_direction=direction)
     elif not own.rolling:
         own = replace(own, shutter=adjusted.shutter)
-    return own.with_values(values)
+    return replace(own, values=values, given=own.values if own.given is None else own.given)
+
+
+def _as_given(own: Camera) -> Camera:
+    """The camera with what is known of it beforehand: priors observe that, not what came of it."""
+    known = own.estimated & np.isfinite(own.prior_sigma)
+    return own if own.given is None else own.with_values(np.where(known, own.given, own.values))
 
 
 def _opened(start: Block, given: tuple[Camera, ...]) -> Block:
@@ -242,13 +252,20 @@ def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, B
         except (IllPosedError, NotConvergedError) as refusal:
             names = block.points.names[len(ties.start.points.names) :]
             apart = set(getattr(refusal, "points", ())) & set(names)
-            if solved is _solved and not 0 < len(apart) <= FEW_APART * len(names):
+            if solved is _solved and not _few_apart(refusal, block):
                 solved = _solved_at_last
                 continue
             if not apart:
                 raise
         lost = np.array([name in apart for name in names])
         ties, block = ties.some(~lost[ties.tracks.track]).held()
+
+
+def _few_apart(refusal: PhotocalError, block: Block) -> bool:
+    """Whether all that is wrong are some tie points whose rays do not meet."""
+    ties = set(np.array(block.points.names, dtype=object)[block.points.of_role("tie")])
+    apart = set(getattr(refusal, "points", ()))
+    return bool(apart) and apart <= ties and len(apart) <= FEW_APART * len(ties)
 
 
 def _solved_at_last(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:

@@ -74,7 +74,7 @@ def test_the_lens_that_made_the_rays_is_chosen(true: Camera, terms: tuple[Model,
     assert (own.values == block.cameras[0].values).all()
 
 
-@pytest.mark.parametrize("seed", range(2, 8))
+@pytest.mark.parametrize("seed", range(2, 5))
 def test_a_lens_that_is_right_stays(seed: int) -> None:
     adjusted, block, tracks = flown(lens("brown-ideal", (-0.10, 0.05, -0.02)), seed)
     _, chosen, findings = with_chosen_lenses(adjusted, block, tracks)

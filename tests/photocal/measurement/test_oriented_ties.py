@@ -244,3 +244,24 @@ def test_few_tie_points_whose_rays_do_not_meet_are_dropped() -> None:
     assert ties.tracks.count == 150
     assert len(block.points.names) == 150
     assert np.abs(solution.exposures[:, 3:] - solution.exposures[:, 3:].mean(axis=0)).max() < 8.0
+
+
+def test_what_is_known_of_a_camera_stays_what_it_was() -> None:
+    """A prior observes the given c in every round: what a level strip makes of it does not creep on."""
+    rng = np.random.default_rng(12)
+    places = np.array([[3.0 * x, 4.0 * (x % 2), 40.0] for x in range(24)])
+    block = _block(places + rng.normal(0, 0.05, places.shape))
+    known = np.array([name == "c" for name in PARAMETERS])
+    own = LENS.changed(c=918.0)
+    own = replace(own, estimated=known, prior_sigma=np.where(known, 9.0, np.inf))
+    block = replace(block, cameras=(own,))
+    block.images.sigma[:, 3:] = 1.0
+    poses = np.hstack([np.zeros((24, 3)), places])
+    tracks = _strip(places, rng)
+    once = adjust_ties(block, poses, tracks)
+    again = once
+    for _ in range(3):
+        again = adjust_ties(again.start, again.values, again.tracks)
+    adjusted, last = once.start.cameras[0], again.start.cameras[0]
+    assert abs(adjusted.value("c") - 918.0) > 0.1
+    assert last.value("c") == pytest.approx(adjusted.value("c"), abs=0.02)
