@@ -44,7 +44,8 @@ SHORT = 1e4
 ROUNDING = 1e-6
 # After one this short the normal equations are those from before it.
 NEGLIGIBLE = 1e-12
-ITERATIONS = 50
+# Images that move while they are read, each in its own way, take up to twice as many.
+ITERATIONS, MOVING = 50, 100
 # Where a step gains no more than this share of v'Pv, and of what the one before has gained, or is shorter
 # than a sigma, the rest of the way is gone with the factor that there is, in so many steps at most: each
 # costs a small part of a whole one. They may grow by this much where the ground is flatter than it seemed.
@@ -110,7 +111,8 @@ def minimise(
     damping, decrement, steps = 0.0, np.inf, list[Iteration]()
     tried, bends, worked, start = np.inf, False, FIRST_DAMPING, state
     normal = normal_equations(problem, state)
-    while len(steps) < ITERATIONS:
+    most = ITERATIONS if problem.network.exposures.motion_sigma is None else MOVING
+    while len(steps) < most:
         step = reduced_step(problem, normal, damping)
         if step is None and damping == 0.0 and decrement < ROUNDING:
             explain_singular(problem, state)
