@@ -52,8 +52,9 @@ ITERATIONS, MOVING = 50, 100
 FAST, WITHIN, CHORDS, FLATTER = 1e-2, 1.0, 16, 16.0
 # With a factor from elsewhere the rate is known less well: so much less is to be left.
 SURER = 1e-2
-# Where the iteration comes to no end, a step this short (sigmas) is none.
-NEARLY = 0.01
+# Where the iteration comes to no end, a step this short (sigmas) is none, and so many of them that are not
+# shorter than all before are its end: they go to and fro.
+NEARLY, TO_AND_FRO = 0.01, 3
 # A step that moves the block as a whole, but for this little, is one of the datum alone.
 WHOLE = 0.99
 # A step that would gain no more than this share of v'Pv, and gains nothing, is too long for a valley that
@@ -111,6 +112,7 @@ def minimise(
     damping, decrement, steps = 0.0, np.inf, list[Iteration]()
     tried, bends, worked, start = np.inf, False, FIRST_DAMPING, state
     normal = normal_equations(problem, state)
+    shortest, stalls = np.inf, 0
     most = ITERATIONS if problem.network.exposures.motion_sigma is None else MOVING
     while len(steps) < most:
         step = reduced_step(problem, normal, damping)
@@ -144,9 +146,11 @@ def minimise(
             settling = whole and step_decrement < min(NEARLY**2, decrement)
             if lower or settling or (whole and step_decrement < ROUNDING):
                 worked = damping or worked
+                stalls += whole and shortest <= step_decrement < NEARLY**2
+                shortest = min(shortest, step_decrement)
                 state, normal, decrement, damping = moved, trial, step_decrement, calmer
                 _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, decrement, damping)])
-                if last or (whole and not lower and not settling):
+                if last or stalls == TO_AND_FRO or (whole and not lower and not settling):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
                 continue
         if along_a_valley and not bends:
