@@ -34,6 +34,7 @@ class Discrepancies:
     """Product minus reference at check points.
 
     d_m (n, 3): dE, dN, dh in m; NaN where a component was not measured.
+    positions_m (n, 3): E, N, h of the points, m, for maps; NaN where not given.
     vegetated (n,): which points lie in vegetated ground; None where nobody said, then none does.
     """
 

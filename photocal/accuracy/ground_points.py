@@ -29,7 +29,10 @@ _SAME_POINT_M = 0.005
 
 @dataclass(frozen=True)
 class GroundPoints:
-    """Ground points of one role, in one coordinate system."""
+    """Ground points of one role, in one coordinate system.
+
+    xyz_m (n, 3): coordinates, m; NaN where not given.
+    """
 
     names: tuple[str, ...]
     xyz_m: Floats

@@ -29,6 +29,9 @@ class Question:
 
     interval_m: contour interval, m; when None, the one that a standard lists for the scale.
     confidence: level of all tests, 0 to 1: two-sided for the bias, one-sided for the precision.
+    survey_horizontal_m, survey_vertical_m: RMSE of the survey of the check points, m; the horizontal one
+        radial.
+    target_horizontal_m, target_vertical_m: RMSE that the project asks for, m.
     """
 
     scale_denominator: float | None = None

@@ -170,6 +170,9 @@ class BiasTest:
     """Two-sided Student test of a mean against zero.
 
     t: mean over its standard deviation, with the sign of the mean; infinite when the spread is zero.
+    critical: value that |t| must stay below.
+    confidence: two-sided level of confidence, 0 to 1.
+    p_value: probability of a larger |t| without bias.
     """
 
     t: float

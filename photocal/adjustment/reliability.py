@@ -65,9 +65,11 @@ def minimal_detectable_bias(sigma: Floats, redundancy: Floats, delta0: float) ->
 
 
 def external_reliability(redundancy: Floats, delta0: float) -> Floats:
-    """Largest effect of an undetected error on any function of the unknowns, in its standard deviations."""
-    # delta_bar = delta0 sqrt((1 - r) / r) (Foerstner 1979, eq. for the sensitivity of uncorrelated
-    # observations); infinite where r is 0.
+    """Largest effect of an undetected error on any function of the unknowns, in its standard deviations.
+
+    delta_bar = delta0 sqrt((1 - r) / r) (Foerstner 1979, eq. for the sensitivity of uncorrelated
+    observations); infinite where r is 0.
+    """
     r = _checked(redundancy)
     return np.asarray(np.where(r > 0, delta0 * np.sqrt(np.maximum(1 - redundancy, 0.0)) / np.sqrt(r), np.inf))
 

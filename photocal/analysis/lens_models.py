@@ -34,9 +34,12 @@ ALIKE = 4.0
 class LensFit:
     """One model of the lens of a camera, all others unchanged.
 
+    terms: its estimated coefficients.
+    chi_squared: v'Pv of the whole network.
     left_out: root mean square of the standardised residuals of images that were left out, oriented on the
         points and with the lens of the others; NaN where no image could be.
     change_of_c: c with it less c as adjusted, in the unit of the camera: fisheyes have another.
+    check_rmse_m: of the check points in X, Y, Z.
     """
 
     model: Model

@@ -44,12 +44,16 @@ class Offsets:
 class CalibrationRecord:
     """A calibration as it is printed; what is None is not stated.
 
+    unit: the unit that c, x0, y0 are said to be in.
+    values, sigmas: parameters and standard deviations by name (c, x0, y0, K1 ...).
     coefficients: whether the distortion is a polynomial of coordinates in `unit`, or of coordinates divided
         by c.
     direction: whether it is evaluated at the measured coordinates (and taken off) or at the ideal ones (and
         added).
     names, correlation: correlation matrix, shape (n, n), of the named parameters.
     correlation_rounding: half a unit of the last printed decimal of the correlations; 0 for computed ones.
+    reference_radius: R0 of a balanced polynomial, in the unit of its coordinates.
+    size_px: width and height.
     observed_radius: largest distance of an observation from the principal point, in `unit`; the corner if not
         stated.
     pitch_mm: size of a pixel, the mean of its sides.
@@ -60,6 +64,7 @@ class CalibrationRecord:
     convergence_deg, depth_spread: largest angle between two optical axes; spread of the camera-object
         distances over their median.
     prior_sigmas: standard deviations of values that were observations too, by parameter.
+    lever_arm_cm, boresight_deg: offsets of the positioning system.
     """
 
     unit: Literal["mm", "px"]

@@ -17,8 +17,8 @@ from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit, left_without, lowest, without_images
 
 # Beyond this many images, neighbours are left out together, in so many groups: the standard error is then
-# itself good to a quarter, 1 / sqrt(2 (m - 1)), where three times the formal one is worth a line.
-MOST_REMOVALS, REMOVED_TOGETHER = 30, 10
+# itself good to a fifth, 1 / sqrt(2 (m - 1)), where three times the formal one is worth a line.
+MOST_REMOVALS, REMOVED_TOGETHER = 30, 15
 # Left of each adjustment, see `minimise`: some 1e-4 standard deviations.
 NEAR = 1e-8
 
@@ -67,7 +67,11 @@ def groups_of(fit: Fit) -> list[Flags]:
 
 
 def state_without(fit: Fit, removals: Removals, out: Flags) -> State:
-    """Leave images out of a minimum: near it where the way is short, else adjusted anew."""
+    """Leave images out of a minimum: near it where the way is short, else adjusted anew.
+
+    returns: as large as before; what was left out keeps its values.
+    raises IllPosedError, NotConvergedError: when the rest is not determined.
+    """
     nearby = removals.without(out, NEAR)
     if nearby is not None:
         return nearby.state
@@ -145,6 +149,9 @@ def bootstrap(
     fit: Fit, draws: int, rng: np.random.Generator, done: Callable[[], None] = lambda: None
 ) -> Floats:
     """Adjust blocks whose images were drawn with replacement: spread of all camera parameters, (cameras, 14).
+
+    An image that is drawn twice counts twice, with all of its observations. Draws that leave something
+    undetermined are left out.
 
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.
     """

@@ -37,9 +37,11 @@ _PAUSE = 4.0
 
 
 def read_motion(table: Table) -> tuple[Floats, Floats, Floats, Floats]:
-    """Velocity (m/s) and rate (rad/s), their sigmas, times (s) and temperatures (degC) of `images.csv`."""
-    # NaN where nothing stands. A rate there is that of the camera about its own axes; inside it is the turn
-    # of what they see.
+    """Velocity (m/s) and rate (rad/s), their sigmas, times (s) and temperatures (degC) of `images.csv`.
+
+    NaN where nothing stands. A rate there is that of the camera about its own axes; inside it is the turn of
+    what they see.
+    """
     columns = partial(table.matrix, empty=np.nan)
     value = np.hstack([columns(VELOCITY), -np.radians(columns(RATE))])
     sigma = np.hstack([columns(SIGMAS_OF_MOTION[:3]), np.radians(columns(SIGMAS_OF_MOTION[3:]))])
@@ -51,8 +53,10 @@ def read_motion(table: Table) -> tuple[Floats, Floats, Floats, Floats]:
 def motion_of(
     block: Block, centre: Floats, positions: Positions, turn: Floats
 ) -> tuple[Floats, Floats, Flags]:
-    """Motion of every image and by how much it may depart from it, in local axes, each of shape (n, 6)."""
-    # Also of which images the velocity is known, shape (n,).
+    """Motion of every image and by how much it may depart from it, in local axes, each of shape (n, 6).
+
+    Also of which images the velocity is known, shape (n,).
+    """
     images, attitudes = block.images, block.attitudes
     motion, sigma = images.motion.copy(), images.motion_sigma.copy()
     motion[:, :3] = np.einsum("nab,nb->na", turn, motion[:, :3])

@@ -52,6 +52,8 @@ class Reconstruction:
 
     image_camera (images,): index into the cameras; -1 when a file does not say.
     poses (images, 6): omega, phi, kappa in radians, X, Y, Z in m.
+    xyz (points, 3): m.
+    image, point (rays,).
     pixels (rays, 2): column and row as measured; the centre of the upper-left pixel is (0, 0).
     roles: control, check or tie for each point; empty when not known.
     pose_sigma, xyz_sigma, residuals_px: like `poses` (radians, m), `xyz` and `pixels`; residuals computed
@@ -296,6 +298,7 @@ class ForeignProject:
 
     block: observations in px; cameras and orientations are the program's results, control is as surveyed.
     position (images, 3): observed by GNSS, in the block's frame; NaN without.
+    position_sigma (images, 3): as typed or stated; NaN without.
     pose_sigma (images, 6): that the program promises (rad, m); NaN without.
     adjusted: coordinates of control and check points as the program adjusted them.
     cameras: as the program adjusted them, where the block has its start values; else empty.

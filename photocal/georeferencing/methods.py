@@ -297,7 +297,10 @@ def _by_image(count: int, image: Integers, residuals: Floats, standardised: Floa
 
 @dataclass(frozen=True)
 class Degradation:
-    """Noise that is added to an adjusted exterior orientation."""
+    """Noise that is added to an adjusted exterior orientation.
+
+    position_m, attitude_rad: standard deviations of X, Y, Z and of omega, phi, kappa.
+    """
 
     position_m: float
     attitude_rad: float

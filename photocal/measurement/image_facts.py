@@ -55,6 +55,7 @@ class ImageFacts:
     make, model, serial: of the camera; empty when not given.
     focal_mm, focal_35mm: focal length, and its equivalent for a frame of 36 mm by 24 mm; NaN when not given.
     taken: time of the camera's own clock, without zone ("2016-06-23T16:31:59"); empty when not given.
+    gps_utc: UTC of the position, ISO 8601; empty when not given.
     latitude_deg, longitude_deg: WGS 84; NaN when not given.
     altitude_m: as written; EXIF calls it "above sea level", drones write anything. NaN when not given.
     relative_altitude_m: above the take-off point (XMP); NaN when not given.

@@ -10,10 +10,9 @@ import numpy as np
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import minimum_of
 from photocal.block.model import Block
-from photocal.block.network import assemble
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, Model
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, start_where_rays_meet, without_readouts
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, assembled, without_readouts
 from photocal.measurement.tracks import Tracks
 
 # By how much another lens must lower v'Pv, and for each unknown more.
@@ -124,9 +123,7 @@ def _preferred(adjusted: Adjusted, place: int) -> tuple[Camera, dict[str, Figure
 
 def _least(adjusted: Adjusted, cameras: Sequence[Camera], place: int) -> tuple[float, Camera]:
     """Least v'Pv of the same rays with other cameras, and the camera as it is there."""
-    block = replace(adjusted.block, cameras=tuple(cameras))
-    assembly = assemble(block)
-    state = start_where_rays_meet(assembly, block, adjusted.values)
+    assembly, state = assembled(replace(adjusted.block, cameras=tuple(cameras)), adjusted.values)
     _, minimum = minimum_of(assembly.network, None, state)
     return minimum.iterations[-1].chi_squared, cameras[place].with_values(minimum.state.cameras[place])
 

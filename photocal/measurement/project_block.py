@@ -360,6 +360,7 @@ def _released(
                 estimated=(asked[own.id].estimated | (own.estimated & readout)) & free,
                 prior_sigma=asked[own.id].prior_sigma,
                 values=np.where(free, own.values, asked[own.id].values),
+                given=asked[own.id].values,
             )
             for own in held.start.cameras
         )

@@ -188,8 +188,8 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
 
 
 def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camera, ...]) -> Solved:
-    assembly = assemble(replace(block, cameras=tuple(map(_as_given, cameras))))
-    solution = adjust(assembly.network, state=start_where_rays_meet(assembly, block, poses))
+    assembly, state = assembled(replace(block, cameras=cameras), poses)
+    solution = adjust(assembly.network, state=state)
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
     asked = any(own.shutter == "unknown" and own.estimated.any() for own in cameras)
     # How far images may move follows their readout: round after round it would swing to and fro.
@@ -216,12 +216,6 @@ def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
     return replace(own, values=values, given=own.values if own.given is None else own.given)
 
 
-def _as_given(own: Camera) -> Camera:
-    """The camera with what is known of it beforehand: priors observe that, not what came of it."""
-    known = own.estimated & np.isfinite(own.prior_sigma)
-    return own if own.given is None else own.with_values(np.where(known, own.given, own.values))
-
-
 def _opened(start: Block, given: tuple[Camera, ...]) -> Block:
     """The block with shutters that were unknown to be tested again, unless they were found to roll."""
     unknown = {own.id for own in given if own.shutter == "unknown" and not own.rolling}
@@ -232,14 +226,27 @@ def _opened(start: Block, given: tuple[Camera, ...]) -> Block:
     return replace(start, cameras=tuple(cameras))
 
 
-def start_where_rays_meet(assembly: NetworkOfBlock, block: Block, poses: Floats) -> State:
-    """Start where the rays meet: positions and angles that were observed may be far from there."""
+def assembled(block: Block, poses: Floats) -> tuple[NetworkOfBlock, State]:
+    """Make the network of a block with tie points, and the state to start from, where its rays meet.
+
+    Priors observe what was known of the cameras beforehand, not what came of it in between; positions and
+    angles that were observed may be far from the poses, too.
+    """
+    assembly = assemble(replace(block, cameras=tuple(map(_as_given, block.cameras))))
     local, start = local_poses(assembly.frame, poses), start_state(assembly.network)
     # Seen from what was observed, points may have lain behind the cameras, and were placed again.
     tie = block.points.of_role("tie")[assembly.points]
     given = assembly.frame.to_local(block.points.values[assembly.points])
     points = np.where(tie[:, None] & np.isfinite(given), given, start.points)
-    return replace(start, rotation=matrix_from_angles(local[:, :3]), centre=local[:, 3:], points=points)
+    cameras = np.array([own.values for own in block.cameras])
+    rotation = matrix_from_angles(local[:, :3])
+    return assembly, replace(start, cameras=cameras, rotation=rotation, centre=local[:, 3:], points=points)
+
+
+def _as_given(own: Camera) -> Camera:
+    """The camera with values as they were given where priors observe them."""
+    known = own.estimated & np.isfinite(own.prior_sigma)
+    return own if own.given is None else own.with_values(np.where(known, own.given, own.values))
 
 
 def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, Block, Solved]:
@@ -283,8 +290,7 @@ def _free(block: Block) -> Block:
 
 def _robustly(ties: _Ties, block: Block) -> _Ties:
     """Ties without the rays that a robust adjustment leaves far off, at its poses."""
-    assembly = assemble(replace(block, cameras=_held(block.cameras)))
-    start = start_where_rays_meet(assembly, block, ties.poses)
+    assembly, start = assembled(replace(block, cameras=_held(block.cameras)), ties.poses)
     problem = with_datum(prepare(assembly.network), start)
     state = robust_state(problem, start)
     fit = np.empty(len(assembly.rays))

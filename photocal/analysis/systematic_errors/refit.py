@@ -180,6 +180,7 @@ NEAR = 1e-7
 class Checks:
     """Surveyed coordinates that did not take part in the adjustment.
 
+    point (m,): which points of the network they are.
     surveyed (m, 3): their coordinates in the frame of the network, m.
     """
 
@@ -197,7 +198,10 @@ class Checks:
 class LeftOut:
     """The adjustment without one parameter.
 
+    parameter: the parameter, held at zero.
     c, change_of_c: c without it, and minus c with it, in the unit of the camera.
+    chi_squared, sigma0_squared: of the adjustment without it.
+    check_rmse_m (3,): at the check points, X, Y, Z.
     """
 
     parameter: str
