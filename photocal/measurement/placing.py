@@ -101,7 +101,7 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     for more in models[1:]:
         own = more.oriented & ~model.oriented
         count = int(own.sum())
-        reasons[own] = f"belongs to another block of {count} images, which shares no points with this one"
+        reasons[own] = f"belongs to another block of {count} images; no point of three images joins the two"
         move, _ = _placing(more, control, given, _position_sigma(block, given))
         if determined and count >= FEWEST_JOINED and _turn_sigma(more, move, given) < JOINED_TURN:
             model = _together(model, _moved(more, move), own)
