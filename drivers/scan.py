@@ -51,12 +51,12 @@ Rows = Integers
 class Tables(NamedTuple):
     """What the search looks up: of MAVLink messages seed, size and ends of fields; steps of the checksums."""
 
-    seeds: Integers
-    sizes: Integers
+    seeds: Octets
+    sizes: Octets
     boundaries: Flags
     crc16_far: Integers
-    seed_step: Integers
-    crc24_far: Integers
+    seed_step: Octets
+    crc24_far: Octets
     letters: Integers
 
 
@@ -72,7 +72,7 @@ class Running(NamedTuple):
 @cache
 def tables_of(dialect: Dialect) -> Tables:
     """Return the tables for the messages of a dialect."""
-    seeds, sizes = np.full(1 << 16, -1, np.int64), np.zeros(1 << 16, np.int64)
+    seeds, sizes = np.full(1 << 16, -1, np.int32), np.zeros(1 << 16, np.int32)
     boundaries = np.zeros((256, 256), bool)
     for message, seed in dialect.seeds.items():
         seeds[message], sizes[message] = seed, dialect.layout(message).itemsize
@@ -85,15 +85,14 @@ def tables_of(dialect: Dialect) -> Tables:
     far[0] = step
     for distance in range(1, len(far)):
         far[distance] = far[distance - 1] >> 8 ^ step[far[distance - 1] & 0xFF]
-    inverse = np.full(1 << 16, -1, np.int64)
+    inverse = np.full(1 << 16, -1, np.int32)
     inverse[step] = np.arange(256)
     letters = np.zeros(256, np.int64)
     letters[[*range(0x20, 0x24), *range(0x25, 0x2A), *range(0x2B, 0x7F)]] |= _TEXT
     letters[ord("A") : ord("Z") + 1] |= _CAPITAL
     letters[ord("0") : ord("9") + 1] |= _DIGIT
     letters[list(b"0123456789ABCDEFabcdef")] |= _HEX
-    far24 = crc24q_contributions().astype(np.int64)
-    return Tables(seeds, sizes, boundaries, far, inverse, far24, letters)
+    return Tables(seeds, sizes, boundaries, far, inverse, crc24q_contributions().view(np.int32), letters)
 
 
 def new_memory() -> Integers:

@@ -44,6 +44,12 @@ def shared() -> Path:
     return folder
 
 
+def needs_engine() -> None:
+    """Leave a test out where trajectories cannot be computed."""
+    if shutil.which("rnx2rtkp") is None or shutil.which("convbin") is None:
+        pytest.skip("RTKLIB (rnx2rtkp, convbin) is not installed (Debian: apt-get install rtklib)")
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """The system's Chromium, without a window."""

@@ -8,15 +8,18 @@ from __future__ import annotations
 import base64
 import re
 import socket
-import ssl
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
 from acquire.transports.sources import PIECE_BYTES, LinkLostError, Patience, TcpSource, connect
 from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    # Loaded where a caster asks for it: five megabytes that other recordings do without.
+    import ssl
 
 Result = TypeVar("Result")
 
@@ -97,6 +100,9 @@ class NtripSource(TcpSource):
         line = connect(address.host, address.port, patience)
         try:
             if address.encrypted:
+                import ssl
+
+                self._not_yet = TimeoutError, ssl.SSLWantReadError
                 context = self._context or ssl.create_default_context()
                 line = context.wrap_socket(line, server_hostname=address.host, do_handshake_on_connect=False)
                 _patiently(line, line.do_handshake, patience)
@@ -183,10 +189,14 @@ def _patiently(line: socket.socket, action: Callable[[], Result], patience: Pati
     while True:
         try:
             return action()
-        except ssl.SSLWantWriteError:
-            patience.wait(line, writing=True)
-        except (ssl.SSLWantReadError, BlockingIOError):
+        except BlockingIOError:
             patience.wait(line)
+        except OSError as failure:
+            import ssl
+
+            if not isinstance(failure, (ssl.SSLWantReadError, ssl.SSLWantWriteError)):
+                raise
+            patience.wait(line, writing=isinstance(failure, ssl.SSLWantWriteError))
 
 
 def _head(line: socket.socket, patience: Patience) -> tuple[bytes, bytes]:

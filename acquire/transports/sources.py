@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from ssl import SSLWantReadError
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
@@ -204,6 +203,8 @@ class TcpSource(_Port):
     """A stream from a server that we connect to."""
 
     peer, lossy, missed = "", False, 0
+    # How a connection says that nothing has come yet.
+    _not_yet: tuple[type[OSError], ...] = (TimeoutError,)
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__()
@@ -227,7 +228,7 @@ class TcpSource(_Port):
         with _losing(OSError):
             try:
                 return bytes(port.recv(PIECE_BYTES))
-            except (TimeoutError, SSLWantReadError):
+            except self._not_yet:
                 return None
 
     def write(self, data: bytes) -> None:

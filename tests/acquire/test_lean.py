@@ -54,11 +54,15 @@ def recorded(name, speak):
     stop, done = threading.Event(), []
     thread = threading.Thread(target=lambda: done.append(record(chosen, folder, stop, lambda _: None)))
     thread.start()
+    end = time.monotonic() + 60
+    # Datagrams for a port that is not open yet are nobody's.
+    while f":{udp:04X} " not in Path("/proc/net/udp").read_text() and time.monotonic() < end:
+        time.sleep(0.01)
     speak(udp, tcp)
     end = time.monotonic() + 60
     while time.monotonic() < end:
-        (log,) = (folder / name).glob("*.mcap")
         with contextlib.suppress(Exception):
+            (log,) = (folder / name).glob("*.mcap")
             told = json.loads(call("info", log, "--json"))["links"]
             if {one["link"]: one["frames"] for one in told} == {"rover": FRAMES, "vehicle": FRAMES}:
                 break

@@ -24,6 +24,7 @@ from photocal.block.mounting import BODY_AXES
 from photocal.findings.hypotheses import FAULTS
 from photocal.findings.texts import catalogue
 from photocal.project import Rig
+from tests.conftest import needs_engine
 from tests.installed import surroundings
 
 ROOT = Path(__file__).parents[2]
@@ -150,6 +151,7 @@ def recorded(started: Desk) -> Desk:
 @pytest.fixture(scope="module")
 def processed(recorded: Desk) -> Desk:
     """The chapter on processing."""
+    needs_engine()
     recorded.follow_all("processing")
     return recorded
 

@@ -23,6 +23,7 @@ from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.geometry.camera import Camera
 from photocal.measurement import match_images
 from photocal.project import read_project
+from tests.conftest import needs_engine
 
 SIZE, FOCAL = (640, 480), 471.4
 LENS = {"size_px": SIZE, "pitch_mm": 0.01872, "fx": FOCAL, "fy": FOCAL, "cx": 321.4, "cy": 238.1}
@@ -98,6 +99,7 @@ def names(site: Path) -> list[Path]:
 
 @pytest.mark.slow
 def test_a_clean_flight_is_complete(flown: Path) -> None:
+    needs_engine()
     made = judged(flown, last())
     assert codes(made) == set()
     assert made.verdict.code == "flight-complete"
@@ -111,6 +113,7 @@ def test_a_clean_flight_is_complete(flown: Path) -> None:
 @pytest.mark.slow
 def test_a_picture_that_comes_in_costs_that_picture(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The card is still being read: what was looked at, and the pairs that were matched, are kept."""
+    needs_engine()
     done: list[str] = []
 
     def counted(name: str, module: Any) -> None:
@@ -162,6 +165,7 @@ def test_another_camera_and_another_zoom_are_named(site: Path) -> None:
 
 
 def test_missing_pictures_name_the_strip_to_fly_again(site: Path) -> None:
+    needs_engine()
     for path in names(site)[6:8]:
         path.unlink()
     made = judged(site)
@@ -178,6 +182,7 @@ def test_the_card_of_another_flight_is_named(site: Path) -> None:
 
 
 def test_a_lens_that_has_changed_is_named(flown: Path) -> None:
+    needs_engine()
     made = judged(flown, last(FOCAL * 1.01))
     assert codes(made) == {"c-changed"}
     (found,) = [one for one in made.findings if one.code == "c-changed"]
@@ -185,6 +190,7 @@ def test_a_lens_that_has_changed_is_named(flown: Path) -> None:
 
 
 def test_a_base_that_did_not_run_and_telemetry_that_ended_are_named(site: Path) -> None:
+    needs_engine()
     log = next(site.glob("vehicle.*"))
     log.write_bytes(log.read_bytes()[: int(0.6 * log.stat().st_size)])
     _import(site, ("vehicle", "rover"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from acquire.cli import app as acquire_app
 from drivers import nmea
 from drivers.frames import GNSS, Frame, StreamFramer, Wire
 from photocal.cli import app as photocal_app
-from tests.conftest import Once
+from tests.conftest import Once, needs_engine
 
 ImportLog = Callable[..., Path]
 EARTH_M = 6_371_000.0 * np.pi / 180
@@ -83,11 +82,6 @@ def ppk(log: Path, folder: Path, *options: str) -> Run:
 def finished(log: Path, folder: Path, figures: dict[str, Any]) -> Run:
     with (folder / "trajectory.csv").open() as stream:
         return Run(log, figures, list(csv.DictReader(stream)))
-
-
-def needs_engine() -> None:
-    if shutil.which("rnx2rtkp") is None:
-        pytest.skip("RTKLIB (rnx2rtkp, convbin) is not installed")
 
 
 def recorded(once: Once, import_log: ImportLog, name: str, **links: Path) -> Run:

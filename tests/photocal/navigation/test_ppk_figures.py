@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from drivers.frames import Wire
 from photocal.cli import app
-from tests.photocal.navigation.conftest import Run, against_receiver, frames_of, needs_engine, ppk
+from tests.conftest import needs_engine
+from tests.photocal.navigation.conftest import Run, against_receiver, frames_of, ppk
 
 pytestmark = pytest.mark.shared
 THURSDAY, TUESDAY = 4, 2

@@ -11,8 +11,9 @@ import pytest
 
 from drivers.frames import Frame, Wire
 from drivers.ubx import encode
+from tests.conftest import needs_engine
 from tests.photocal.conftest import Answer
-from tests.photocal.navigation.conftest import ImportLog, Run, frames_of, needs_engine
+from tests.photocal.navigation.conftest import ImportLog, Run, frames_of
 
 pytestmark = pytest.mark.shared
 Photocal = Callable[..., Answer]

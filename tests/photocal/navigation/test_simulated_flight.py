@@ -21,8 +21,8 @@ from photocal.navigation.exposure_run import (
     run_exposures,
 )
 from photocal.project import read_project
+from tests.conftest import needs_engine
 from tests.photocal.findings.english import english
-from tests.photocal.navigation.conftest import needs_engine
 from tests.simulated import FLIGHT, fly
 
 GEOID_M = 9.0

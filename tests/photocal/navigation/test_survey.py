@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from photocal.navigation.trajectory import enu_offsets
+from tests.conftest import needs_engine
 from tests.photocal.conftest import Answer
-from tests.photocal.navigation.conftest import needs_engine
 
 Photocal = Callable[..., Answer]
 

@@ -19,8 +19,9 @@ from photocal.block.folder import read_points
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.time import GpsTime
 from tests.acquire.simulate.gnss.flights import AXES, BASE_M, SECOND, ecef, gps_ns
+from tests.conftest import needs_engine
 from tests.photocal.conftest import Answer
-from tests.photocal.navigation.conftest import Run, needs_engine
+from tests.photocal.navigation.conftest import Run
 from tests.photocal.navigation.tides import displacement
 
 Photocal = Callable[..., Answer]

@@ -31,7 +31,7 @@ from photocal.navigation.troposphere import (
 )
 from photocal.project import AirAtBase
 from tests.acquire.simulate.gnss.flights import AXES, BASE_DEG, BASE_M, SECOND, Loop, gps_ns
-from tests.photocal.navigation.conftest import needs_engine
+from tests.conftest import needs_engine
 
 Floats = NDArray[np.float64]
 START = gps_ns(2025, 6, 15, 13, 15, 20)

@@ -21,6 +21,7 @@ from acquire.simulate.world.site import simulate_flight
 from acquire.simulate.world.streams import Wire
 from photocal.cli import app
 from tests.acquire.live import Recorder, await_frame, frames_in, free_port, until
+from tests.conftest import needs_engine
 from tests.simulated import PLANS
 
 pytestmark = pytest.mark.slow
@@ -90,6 +91,7 @@ class Outcome:
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    needs_engine()
     folder = tmp_path_factory.mktemp("killed") / "flight"
     given = read_configuration(
         PLANS / "small.toml", {"level": "observations", "plan": PLAN, "observing": {"ties": 70}}
