@@ -5,7 +5,8 @@ bytes and as words (numbers that are none, endless nesting, lines lost or double
 do is to read them or to refuse them with an error of ours.
 
 Run: `make evidence`, or `python -m tests.evidence.fuzz_readers [SECONDS a reader [PORTION [TALLY.json]]]`:
-portions have seeds of their own and are added up in the tally, from which the page is written.
+seconds are of processor time, so that a portion is as large on a busy machine; portions have seeds of their
+own and are added up in the tally, from which the page is written.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ from tests.photocal.exchange import test_rigs
 from tests.photocal.exchange.test_hostile import small_archive
 from tests.photocal.run.test_adopt import pix4d
 
-SECONDS = 20.0
+SECONDS = 15.0
 ROOT = Path(__file__).parents[2]
 OUTPUT = ROOT / "docs" / "evidence" / "fuzz_readers.md"
 LARGEST = 300_000
@@ -74,7 +75,7 @@ REPAIRED = (
     "ended the program (they are read without it now); an archive whose compression asks for a dictionary of",
     "a gigabyte; a Pix4D project with a word or a cut row in a matrix; rigs with vectors of other lengths;",
     "rig assignments that are a number; a PhotoModeler export that ends after its photos; a RINEX file whose",
-    "antenna or epochs are no numbers of theirs. What stands above as uncaught fell before its repair.",
+    "antenna or epochs are no numbers of theirs.",
 )
 LENGTHS = (0, 1 << 31, (1 << 32) - 1, 1 << 20)
 WORDS = (
@@ -268,10 +269,10 @@ def _attack(reader: Reader, chance: np.random.Generator, seconds: float) -> dict
     """Damage one reader's file again and again for some seconds, and count what came of it."""
     whole, fallen = reader.file.read_bytes(), Counter[str]()
     cases = refused = 0
-    slowest, until = 0.0, time.monotonic() + seconds
-    while time.monotonic() < until:
+    slowest, until = 0.0, time.process_time() + seconds
+    while time.process_time() < until:
         reader.file.write_bytes(harmed(whole, chance))
-        begun = time.perf_counter()
+        begun = time.process_time()
         cases += 1
         try:
             reader.read(reader.file)
@@ -285,7 +286,7 @@ def _attack(reader: Reader, chance: np.random.Generator, seconds: float) -> dict
             if fallen.total() <= MOST_KEPT:
                 kept = Path(tempfile.gettempdir()) / f"fallen-{where}-{fallen.total()}{reader.file.suffix}"
                 shutil.copyfile(reader.file, kept)
-        slowest = max(slowest, time.perf_counter() - begun)
+        slowest = max(slowest, time.process_time() - begun)
     reader.file.write_bytes(whole)
     return {
         "kind": reader.kind,
