@@ -30,7 +30,7 @@ from acquire.recording.recorder import record, source_of_link
 from drivers import ubx
 from drivers.frames import GNSS, StreamFramer, Wire
 from tests.acquire.live import Recorder, free_port, is_bound, until
-from tests.acquire.recording.hanging import DeadPort, FailingPort, HangingServer
+from tests.acquire.recording.hanging import DeadPort, FailingPort, FullServer, HangingServer
 
 STOPS, AT_ONCE = 1000, 4
 GENERATIONS, KEPT, OFFSPRING = 40, 6, 24
@@ -167,20 +167,14 @@ def _memory_mb(process: int) -> float:
     return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024
 
 
-def stop_one(seed: int, servers: list[HangingServer]) -> tuple[float, bool]:
+def stop_one(seed: int, servers: list[HangingServer], full: FullServer) -> tuple[float, bool]:
     """Stop a recording of hanging ports at a random moment; return how long it took, and if its file ends."""
     chance = random.Random(seed)  # noqa: S311 - no secrets
     links = [
         {"name": f"c{n}", "protocol": "rtcm3", "url": f"{scheme}://127.0.0.1:{server.port}{path}"}
-        for n, (server, (scheme, path)) in enumerate(
-            zip(
-                servers,
-                [("ntrip", "/M"), ("ntrip", "/M?version=1"), ("ntrips", "/M"), ("tcp", "")],
-                strict=True,
-            )
-        )
+        for n, (server, (scheme, path)) in enumerate(zip(servers, ADDRESSES, strict=True))
     ]
-    links.append({"name": "far", "protocol": "rtcm3", "url": "tcp://10.255.255.1:9"})
+    links.append({"name": "far", "protocol": "rtcm3", "url": f"tcp://127.0.0.1:{full.port}"})
     links += [{"name": name, "protocol": "ubx", "url": "file:x"} for name in ("dead", "failing")]
     with tempfile.TemporaryDirectory() as name:
         chosen = Configuration.model_validate(
@@ -211,10 +205,12 @@ def main() -> None:
             )
             sys.stderr.write(rows[-1] + "\n")
     servers = [HangingServer(head) for head in (b"", b"HTTP/1.1 200", b"\x16", b"\xd3")]
+    full = FullServer()
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        results = list(pool.map(lambda seed: stop_one(seed, servers), range(stops)))
+        results = list(pool.map(lambda seed: stop_one(seed, servers, full), range(stops)))
     for server in servers:
         server.end()
+    full.end()
     took = sorted(took_s for took_s, _ in results)
     lines = [
         "# What floods and hanging ports do to a recording",

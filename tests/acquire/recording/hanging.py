@@ -45,6 +45,23 @@ class HangingServer:
                     given += 1
 
 
+class FullServer:
+    """An address that does not answer: its queue is full, and the system drops who else would connect."""
+
+    def __init__(self) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0), backlog=0)
+        self.port = int(self._server.getsockname()[1])
+        self._waiting = [socket.socket() for _ in range(4)]
+        for line in self._waiting:
+            line.setblocking(False)
+            line.connect_ex(("127.0.0.1", self.port))
+
+    def end(self) -> None:
+        """Close the server and what waits for it."""
+        for line in (self._server, *self._waiting):
+            line.close()
+
+
 class DeadPort:
     """A port whose driver does not come back for seconds."""
 

@@ -28,7 +28,7 @@ from acquire.transports.sources import LinkLostError, SerialSource, TcpSource, U
 from drivers import ubx
 from drivers.mavlink.dialect import ardupilotmega
 from tests.acquire.live import PATIENCE_S, Recorder, frames_in, free_port, is_bound, until
-from tests.acquire.recording.hanging import DeadPort, FailingPort, HangingServer
+from tests.acquire.recording.hanging import DeadPort, FailingPort, FullServer, HangingServer
 from tests.acquire.scripted import Script, configured, run, said
 from tests.acquire.transports.test_transports import Server
 
@@ -155,7 +155,7 @@ def test_a_decoder_that_fails_costs_no_frame(tmp_path: Path, monkeypatch: pytest
 
 def test_stopping_takes_two_seconds_whatever_the_ports_do(tmp_path: Path) -> None:
     chance = random.Random(7)  # noqa: S311 - no secrets
-    casters = [HangingServer(head) for head in (b"", b"H", b"\x16")]
+    casters, full = [HangingServer(head) for head in (b"", b"H", b"\x16")], FullServer()
     links = [
         {
             "name": f"c{n}",
@@ -164,7 +164,7 @@ def test_stopping_takes_two_seconds_whatever_the_ports_do(tmp_path: Path) -> Non
         }
         for n, c in enumerate(casters)
     ]
-    links.append({"name": "far", "protocol": "rtcm3", "url": "tcp://10.255.255.1:9"})
+    links.append({"name": "far", "protocol": "rtcm3", "url": f"tcp://127.0.0.1:{full.port}"})
     links += [{"name": name, "protocol": "ubx", "url": "file:x"} for name in ("dead", "failing")]
     chosen = Configuration.model_validate(configured(*links))
     for _ in range(8):
@@ -186,6 +186,7 @@ def test_stopping_takes_two_seconds_whatever_the_ports_do(tmp_path: Path) -> Non
         assert not any("\x1b" in line for line in told)
     for caster in casters:
         caster.end()
+    full.end()
     assert any("dead hangs and was left behind" in line for line in told)
 
 
