@@ -124,13 +124,15 @@ function tiles(view) {
   const [vehicle] = view.vehicles;
   const unknown = { text: "\u2013", level: "off" };
   const height = vehicle?.height_m ?? null;
+  // Its mode is bad when nothing was told for long: the height is as old.
+  const stale = vehicle?.mode.level === "bad" ? "bad" : "plain";
   const counted = view.cameras.filter((row) => row.triggered || row.reported);
   const taken = counted.reduce((sum, row) => sum + Math.max(row.reported, row.triggered - row.missed), 0);
   const missed = counted.reduce((sum, row) => sum + row.missed, 0);
   const lost = missed ? `, ${missed} missed` : "";
   const level = worst(view.cameras.map((row) => row.state))?.level ?? "off";
   const shown = [
-    ["above take-off", height === null ? unknown : { text: `${height.toFixed(0)} m`, level: "plain" }],
+    ["above take-off", height === null ? unknown : { text: `${height.toFixed(0)} m`, level: stale }],
     [vehicle?.armed ? "mode, armed" : "mode", vehicle?.mode ?? unknown],
     ["battery", worst(view.batteries.map((row) => row.state)) ?? unknown],
     ["fix", worst(view.receivers.map((row) => row.fix)) ?? unknown],

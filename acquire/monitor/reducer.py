@@ -182,7 +182,8 @@ def _health(state: State, part: Messages) -> State:
             state = raised(state, level, name, f"says: {row['text']}", time_ns)
         voltage, percent = number(row, "voltage_v"), number(row, "battery_percent")
         if voltage is not None:
-            battery = Battery(voltage, None if percent is None or percent < 0 else round(percent))
+            left = None if percent is None or percent < 0 else round(percent)
+            battery = Battery(voltage, left, time_ns)
             state = replace(state, batteries=_with(state.batteries, name, battery))
     return state
 

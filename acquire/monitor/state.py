@@ -196,10 +196,11 @@ class Receiver:
 
 @dataclass(frozen=True)
 class Battery:
-    """The battery of a vehicle: volts, and what remains in percent; None when unknown."""
+    """The battery of a vehicle: volts and percent, None when unknown, and when it was told, UTC."""
 
     voltage_v: float | None
     percent: int | None
+    time_ns: int
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,7 @@ def view_of(state: State) -> View:
             VehicleRow(name, _mode(vehicle, now_ns), vehicle.armed, vehicle.height_m)
             for name, vehicle in sorted(state.vehicles.items())
         ),
-        batteries=tuple(_battery(name, battery) for name, battery in sorted(state.batteries.items())),
+        batteries=tuple(_battery(name, battery, now_ns) for name, battery in sorted(state.batteries.items())),
         disk=_disk(state),
         alarms=state.alarms,
     )
@@ -376,18 +376,22 @@ def _shortened(missed: str) -> str:
 def _mode(vehicle: Vehicle, now_ns: int) -> Word:
     if not vehicle.mode:
         return Word("not told", "off")
-    silent_s = _seconds(now_ns - vehicle.time_ns)
-    if silent_s > _STALE_S:
-        return Word(f"{vehicle.mode}, told {silent_s:.0f} s ago", "bad")
-    return Word(vehicle.mode, "good")
+    return _unless_stale(Word(vehicle.mode, "good"), vehicle.time_ns, now_ns)
 
 
-def _battery(name: str, battery: Battery) -> BatteryRow:
+def _unless_stale(word: Word, told_ns: int, now_ns: int) -> Word:
+    """What was told too long ago is not known any more, however good it was."""
+    silent_s = _seconds(now_ns - told_ns)
+    return Word(f"{word.text}, told {silent_s:.0f} s ago", "bad") if silent_s > _STALE_S else word
+
+
+def _battery(name: str, battery: Battery, now_ns: int) -> BatteryRow:
     parts = [] if battery.voltage_v is None else [f"{battery.voltage_v:.1f} V"]
     parts += [] if battery.percent is None else [f"{battery.percent} %"]
     left = battery.percent
     level = "off" if left is None else "bad" if left < _EMPTY else "warn" if left < _LOW else "good"
-    return BatteryRow(name, Word(", ".join(parts), level), battery.voltage_v, left)
+    state = _unless_stale(Word(", ".join(parts), level), battery.time_ns, now_ns)
+    return BatteryRow(name, state, battery.voltage_v, left)
 
 
 def _clock(name: str, offset_s: float) -> ClockRow:

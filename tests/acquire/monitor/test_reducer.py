@@ -22,7 +22,7 @@ from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader, Messages
 from acquire.log.records import Channel
 from acquire.monitor.reducer import state_after
-from acquire.monitor.state import LONGEST, Look, State, Track, extended, place_at
+from acquire.monitor.state import LONGEST, Battery, Look, State, Track, extended, place_at
 from acquire.monitor.terminal import render
 from acquire.monitor.traffic import looked
 from acquire.monitor.view_model import Word, layers, view_of
@@ -376,6 +376,15 @@ def test_what_cannot_be_read_is_told_once() -> None:
     state = state_after(state_after(State(), [odd]), [odd, raw("base", [0.0])])
     assert told(state, "warn") == ["messages on /gnss/rover/status cannot be read"]
     assert state.links["base"].frames == 1
+
+
+def test_a_battery_that_is_not_told_any_more_is_not_good() -> None:
+    told = {"vehicle": Battery(15.8, 81, START)}
+    said = [view_of(State(last_ns=START + age_s * SECOND, batteries=told)).batteries[0] for age_s in (2, 12)]
+    assert [row.state for row in said] == [
+        Word("15.8 V, 81 %", "good"),
+        Word("15.8 V, 81 %, told 12 s ago", "bad"),
+    ]
 
 
 def test_a_dead_link_makes_the_head_red() -> None:

@@ -38,7 +38,7 @@ def state() -> State:
         exposures={"vehicle": Exposures(30, 27, missed=(Trigger(7, NOW, (47.501, 8.5)),))},
         tracks={"vehicle/position": track},
         pictures={("vehicle", "feedback"): Track(track.points[::10], track.times_ns[::10])},
-        batteries={"vehicle": Battery(15.8, 81)},
+        batteries={"vehicle": Battery(15.8, 81, NOW)},
         look=Look(NOW, "flight-20260501T090000Z.mcap", 10**6, ended=False, free_bytes=10**8),
         grown_ns=NOW,
     )
