@@ -17,7 +17,7 @@ from tests.docs.command_pages import FOLDER, INDEX
 
 ROOT = Path(__file__).parents[2]
 PROGRAMS: dict[str, Any] = {"acquire": get_command(acquire_app), "photocal": get_command(photocal_app)}
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted([ROOT / "README.md", ROOT / "Containerfile", *(ROOT / "docs").rglob("*.md")])
 # A line of a block that shows commands, and a command within a sentence.
 LINES = re.compile(r"^(?: {4})?((?:acquire|photocal) [a-z].*)$", re.MULTILINE)
 MENTIONS = re.compile(r"`((?:acquire|photocal) [a-z][^`]*)`")
