@@ -130,7 +130,7 @@ def _browser() -> Check:
         return Check("browser", "good", str(getattr(webbrowser.get(), "name", "there")))
     except webbrowser.Error:
         text = "none: pages can be opened from another computer"
-        return Check("browser", "poor", text, "install one, or use --page with an address of your network")
+        return Check("browser", "poor", text, "install one, or give the page an --address of your network")
 
 
 def _serial(devices: Path) -> Check:
