@@ -52,9 +52,10 @@ ITERATIONS, MOVING = 50, 100
 FAST, WITHIN, CHORDS, FLATTER = 1e-2, 1.0, 16, 16.0
 # With a factor from elsewhere the rate is known less well: so much less is to be left.
 SURER = 1e-2
-# Where the iteration comes to no end, a step this short (sigmas) is none, and so many of them that are not
-# shorter than all before are its end: they go to and fro.
-NEARLY, TO_AND_FRO = 0.01, 3
+# Where the iteration comes to no end, a step this short (sigmas) is none.
+NEARLY = 0.01
+# A step so far against the one before (cosine), and so long beside it, shows that both are too long.
+AGAINST, AGAIN = -0.9, 0.3
 # A step that moves the block as a whole, but for this little, is one of the datum alone.
 WHOLE = 0.99
 # A step that would gain no more than this share of v'Pv, and gains nothing, is too long for a valley that
@@ -112,10 +113,10 @@ def minimise(
     damping, decrement, steps = 0.0, np.inf, list[Iteration]()
     tried, bends, worked, start = np.inf, False, FIRST_DAMPING, state
     normal = normal_equations(problem, state)
-    shortest, stalls = np.inf, 0
+    gone: tuple[Floats, float] | None = None
     most = ITERATIONS if problem.network.exposures.motion_sigma is None else MOVING
     while len(steps) < most:
-        step = reduced_step(problem, normal, damping)
+        step, share = _not_too_far(problem, normal, damping, gone)
         if step is None and damping == 0.0 and decrement < ROUNDING:
             explain_singular(problem, state)
         along_a_valley, there = False, None
@@ -146,11 +147,10 @@ def minimise(
             settling = whole and step_decrement < min(NEARLY**2, decrement)
             if lower or settling or (whole and step_decrement < ROUNDING):
                 worked = damping or worked
-                stalls += whole and shortest <= step_decrement < NEARLY**2
-                shortest = min(shortest, step_decrement)
+                gone = (step, share) if whole else None
                 state, normal, decrement, damping = moved, trial, step_decrement, calmer
                 _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, decrement, damping)])
-                if last or stalls == TO_AND_FRO or (whole and not lower and not settling):
+                if last or (whole and not lower and not settling):
                     return _released(problem, Minimum(state, normal, tuple(steps)), start)
                 continue
         if along_a_valley and not bends:
@@ -162,6 +162,26 @@ def minimise(
             return _released(problem, _ended(problem, state, steps, SINGULAR), start)
         normal = normal_equations(problem, state, damping, normal.kept)
     return _released(problem, _ended(problem, state, steps, SUSPECT), start)
+
+
+def _not_too_far(
+    problem: Problem, normal: Normal, damping: float, gone: tuple[Floats, float] | None
+) -> tuple[Floats | None, float]:
+    """Step to the minimum of the normal equations, or the share of it that the step before it tells.
+
+    gone: that step, and which share of a whole one it was. A step that turns back by much of it shows that
+        v'Pv is curved by more than normal equations know.
+    """
+    weight = normal.matrix[diagonal_addresses(problem)]
+    step = reduced_step(problem, normal, damping)
+    if step is None or damping > 0.0 or gone is None:
+        return step, 1.0
+    before, share = gone
+    length, along = float(weight @ before**2), float((weight * before) @ step)
+    if along > AGAINST * np.sqrt(length * float(weight @ step**2)) or -along < AGAIN * length:
+        return step, 1.0
+    share = 1.0 / (1.0 / share - along / length)
+    return share * step, share
 
 
 def _moved_to_rest(
