@@ -89,17 +89,12 @@ def block_of_arrays(
         "local",
         "",
         "free" if sigma_m is None else "control",
-        (),
         (lens,),
         Images(
-            tuple(image_names) or tuple(str(k + 1) for k in range(count)),
-            np.zeros(count, dtype=np.int64),
-            np.full((count, 6), np.nan),
-            np.full((count, 6), np.inf),
+            tuple(image_names) or tuple(str(k + 1) for k in range(count)), np.zeros(count, dtype=np.int64)
         ),
         ObjectPoints(names, points, known, role),
         Observations("px", "pixel", image, point, pixels[image, point], np.full((len(image), 2), sigma_px)),
-        (),
     )
 
 

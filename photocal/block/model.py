@@ -60,7 +60,8 @@ class Images:
     camera : ndarray of int, shape (n,)
         Index into the block's cameras.
     values, sigma : ndarray, shape (n, 6)
-        omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves it free.
+        omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves it free. Where
+        they are not given nothing is known: NaN and infinity.
     motion, motion_sigma : ndarray, shape (n, 6)
         Velocity (m/s) and rate (rad/s) as `adjustment.network.Exposures` has them; NaN where not known.
         `motion` has 15 columns more where a gyroscope has recorded how images shake.
@@ -74,8 +75,8 @@ class Images:
 
     names: tuple[str, ...]
     camera: Integers
-    values: Floats
-    sigma: Floats
+    values: Floats = field(default_factory=lambda: np.zeros((0, 6)))
+    sigma: Floats = field(default_factory=lambda: np.zeros((0, 6)))
     motion: Floats = field(default_factory=lambda: np.zeros((0, 6)))
     motion_sigma: Floats = field(default_factory=lambda: np.zeros((0, 6)))
     time: Floats = field(default_factory=lambda: np.zeros(0))
@@ -83,10 +84,11 @@ class Images:
     exposure: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Fill what is not known of the motion."""
-        for name, shape in (("motion", (6,)), ("motion_sigma", (6,)), ("time", ()), ("temperature", ())):
+        """Fill what is not known."""
+        for name in ("values", "sigma", "motion", "motion_sigma", "time", "temperature"):
             if len(getattr(self, name)) != len(self.names):
-                object.__setattr__(self, name, np.full((len(self.names), *shape), np.nan))
+                shape = (len(self.names), *getattr(self, name).shape[1:])
+                object.__setattr__(self, name, np.full(shape, np.inf if name == "sigma" else np.nan))
         if len(self.exposure) != len(self.names):
             object.__setattr__(self, "exposure", ("",) * len(self.names))
 
@@ -114,18 +116,25 @@ class ObjectPoints:
     values : ndarray, shape (n, 3)
         X, Y, Z in m; NaN where a tie point has no start value.
     sigma : ndarray, shape (n, 3)
-        Of the surveyed coordinates; 0 holds a coordinate, infinity leaves it free.
+        Of the surveyed coordinates; 0 holds a coordinate, infinity leaves it free, as where it is not given.
     role : ndarray of int, shape (n,)
-        Index into `ROLES`.
+        Index into `ROLES`; tie points where it is not given.
     cross : ndarray, shape (n, 3), optional
         Covariances XY, XZ, YZ of the surveyed coordinates, m^2; zero when they are not given.
     """
 
     names: tuple[str, ...]
     values: Floats
-    sigma: Floats
-    role: Integers
+    sigma: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    role: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     cross: Floats | None = None
+
+    def __post_init__(self) -> None:
+        """Make tie points of what nothing else is said of."""
+        if not len(self.sigma):
+            object.__setattr__(self, "sigma", np.full((len(self.names), 3), np.inf))
+        if not len(self.role):
+            object.__setattr__(self, "role", np.full(len(self.names), ROLES.index("tie")))
 
     def of_role(self, role: Role) -> Flags:
         """Which points play a role, shape (n,)."""
@@ -136,6 +145,17 @@ class ObjectPoints:
         names = tuple(self.names[k] for k in np.arange(len(self.names))[chosen])
         cross = None if self.cross is None else self.cross[chosen]
         return ObjectPoints(names, self.values[chosen], self.sigma[chosen], self.role[chosen], cross)
+
+    def with_ties(self, names: tuple[str, ...], values: Floats) -> ObjectPoints:
+        """Add tie points behind these; values (n, 3): m, NaN where they are not known."""
+        ties = ObjectPoints(names, values)
+        return ObjectPoints(
+            self.names + names,
+            np.vstack([self.values, values]),
+            np.vstack([self.sigma, ties.sigma]),
+            np.concatenate([self.role, ties.role]),
+            None if self.cross is None else np.vstack([self.cross, np.zeros((len(names), 3))]),
+        )
 
 
 @dataclass(frozen=True)
@@ -173,6 +193,11 @@ class Observations:
             values=np.vstack([self.values, values]),
             sigma=np.vstack([self.sigma, sigma]),
         )
+
+
+NO_POINTS = ObjectPoints((), np.zeros((0, 3)))
+_NONE = np.zeros(0, dtype=np.int64)
+NO_OBSERVATIONS = Observations("px", "pixel", _NONE, _NONE, np.zeros((0, 2)), np.zeros((0, 2)))
 
 
 @dataclass(frozen=True)
@@ -237,12 +262,12 @@ class Block:
     frame: str
     height: str
     datum: Literal["control", "free"]
-    datum_points: tuple[str, ...]
     cameras: tuple[Camera, ...]
     images: Images
-    points: ObjectPoints
-    observations: Observations
-    inputs: tuple[InputFile, ...]
+    points: ObjectPoints = NO_POINTS
+    observations: Observations = NO_OBSERVATIONS
+    inputs: tuple[InputFile, ...] = ()
+    datum_points: tuple[str, ...] = ()
     relations: Relations = NO_RELATIONS
     positions: Positions = NO_POSITIONS
     attitudes: Attitudes = NO_ATTITUDES

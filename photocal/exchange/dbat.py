@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
-from photocal.block.model import Block, InputFile, ObjectPoints, Role
+from photocal.block.model import Block, Images, InputFile, ObjectPoints, Role
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import (
     CONTROL_FIELDS,
@@ -86,7 +86,7 @@ def read_dbat(path: Path) -> Block:
     names = short if len(set(short.values())) == len(short) else {key: key for key in image_of}
     marks = [_mark(row, names, sigma) for row, sigma in reader.marks()]
     title = (root.findtext("meta/name") or path.stem).strip()
-    shots = parts.images(list(names.values()), [0] * len(names))
+    shots = Images(tuple(names.values()), np.zeros(len(names), dtype=np.int64))
     return parts.block(title, cameras, shots, surveyed, marks, [fingerprint(path), *reader.read])
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.adjustment.network import RELATIONS, Relations
-from photocal.block.model import Block
+from photocal.block.model import Block, Images
 from photocal.exchange import parts
 from photocal.exchange.parts import Row, whole_numbers, write_rows
 from photocal.exchange.reconstruction import Choices, Reconstruction
@@ -59,7 +59,7 @@ def read_jaicov(path: Path, sigma_mm: float | None = None) -> Block:
     return parts.block(
         path.stem,
         cameras,
-        parts.images(names, which, poses),
+        Images(tuple(names), np.array(which, dtype=np.int64), poses),
         entries,
         marks,
         [fingerprint(file) for file in read],

@@ -17,7 +17,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
-from photocal.block.model import Block
+from photocal.block.model import Block, Images
 from photocal.exchange import parts
 from photocal.exchange.parts import digits, require_file_name
 from photocal.exchange.pinhole import from_vision, to_vision
@@ -130,7 +130,7 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
         *(orientations / name for name in calibrations),
     ]
     which = [calibrations.index(name) for _, name in found.values()]
-    shots = parts.images(list(found), which, np.array([pose for pose, _ in found.values()]))
+    shots = Images(tuple(found), np.array(which), np.array([pose for pose, _ in found.values()]))
     return parts.block(points.stem, cameras, shots, ground, used, [fingerprint(path) for path in read])
 
 

@@ -61,22 +61,6 @@ def object_points(entries: Iterable[PointEntry]) -> ObjectPoints:
     )
 
 
-def images(
-    names: Sequence[str], camera: Sequence[int], values: Floats | None = None, sigma: Floats | None = None
-) -> Images:
-    """Collect images.
-
-    values, sigma (n, 6): omega, phi, kappa in radians, X, Y, Z in m; NaN and infinity when not given.
-    """
-    shape = (len(names), 6)
-    return Images(
-        tuple(names),
-        np.array(camera, dtype=np.int64),
-        np.full(shape, np.nan) if values is None else values,
-        np.full(shape, np.inf) if sigma is None else sigma,
-    )
-
-
 def observations(
     marks: Sequence[Mark],
     image_names: Sequence[str],
@@ -141,7 +125,7 @@ def block(
     observed = observations(marks, shots.names, names, unit, "pixel" if unit == "px" else "photo")
     surveyed = object_points(entries)
     return Block(
-        name, frame, "", datum, (), tuple(cameras), shots, surveyed, observed, tuple(inputs), relations
+        name, frame, "", datum, tuple(cameras), shots, surveyed, observed, tuple(inputs), relations=relations
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import Block, InputFile
+from photocal.block.model import Block, Images, InputFile
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import read_rows, to_column_row
 from photocal.exchange.parts import digits, require_file_name, whole_numbers, write_rows
@@ -208,7 +208,7 @@ def block_from_export(export: Export, control: dict[str, tuple[Floats, Floats]])
         _camera(export, interior, f"camera{k}", place) for k, interior in enumerate(interiors, start=1)
     )
     which = [interiors.index(photo.interior) for photo in export.photos]
-    shots = parts.images(names, which, values)
+    shots = Images(tuple(names), np.array(which, dtype=np.int64), values)
     return parts.block(export.title or place, cameras, shots, points, export.marks, [export.file])
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
-from photocal.block.model import Block
+from photocal.block.model import Block, Images
 from photocal.exchange import parts
 from photocal.exchange.metashape import Chunk, chunk_of, chunk_transform
 from photocal.exchange.source import MAX_XML_BYTES, child, fingerprint, number, parse_xml, require_readable
@@ -81,7 +81,7 @@ def _block(archive: zipfile.ZipFile, path: Path) -> Block:
     return parts.block(
         path.stem,
         given.cameras,
-        parts.images(given.image_names, given.image_camera.tolist(), given.poses),
+        Images(given.image_names, given.image_camera, given.poses),
         [*entries, *ties],
         [*marks, *tie_marks],
         [fingerprint(path)],

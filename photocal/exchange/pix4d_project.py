@@ -17,8 +17,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError, InputNotFoundError
-from photocal.block.model import Block, Observations, Role
-from photocal.exchange.parts import PointEntry, images, object_points
+from photocal.block.model import Block, Images, Observations, Role
+from photocal.exchange.parts import PointEntry, object_points
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import (
     ASSUMED_M,
@@ -153,9 +153,8 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
         "local",
         "",
         "control",
-        (),
         cameras,
-        images(image_names, member, poses),
+        Images(tuple(image_names), np.array(member, dtype=np.int64), poses),
         object_points(entries),
         observations,
         (fingerprint(path), fingerprint(bingo)),

@@ -11,10 +11,9 @@ import numpy as np
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import ROLES, Block, InputFile, ObjectPoints, Observations
+from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
 from photocal.block.network import frame_of
 from photocal.block.rig import Head
-from photocal.exchange.parts import images
 from photocal.exchange.source import fingerprint
 from photocal.geometry.camera import PARAMETERS, Camera, plane_to_pixel
 from photocal.geometry.frames import ReferenceFrame, nearest_rotation, parsed, reference_frame
@@ -106,9 +105,8 @@ def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[In
         given.frame,
         given.height,
         "control" if (role == ROLES.index("control")).any() else "free",
-        (),
         given.cameras,
-        replace(images(given.image_names, given.image_camera.tolist(), given.poses), exposure=given.exposure),
+        Images(given.image_names, given.image_camera, given.poses, exposure=given.exposure),
         ObjectPoints(given.point_names, given.xyz, sigma, role),
         Observations(
             "px", "pixel", given.image, given.point, given.pixels, np.full(given.pixels.shape, sigma_px)

@@ -116,9 +116,8 @@ def _block(facts: Sequence[ImageFacts], views: Sequence[BoardView], board: Board
         "local",
         "local",
         "control",
-        (),
         tuple(cameras),
-        Images(tuple(f.name for f in facts), member, poses, np.full((len(views), 6), np.inf)),
+        Images(tuple(f.name for f in facts), member, poses),
         ObjectPoints(
             tuple(f"r{j // across + 1}c{j % across + 1}" for j in used),
             xyz[used],
@@ -133,7 +132,6 @@ def _block(facts: Sequence[ImageFacts], views: Sequence[BoardView], board: Board
             np.concatenate([v.pixels for v in views]),
             np.concatenate([v.sigmas for v in views]),
         ),
-        (),
     )
 
 

@@ -12,7 +12,7 @@ from drivers.arrays import Floats
 from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.block.folder import read_relations
-from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
+from photocal.block.model import Block, Images, ObjectPoints, Observations
 from photocal.measurement.block_files import Measured
 from photocal.measurement.board_block import ESTIMATE, with_common_sigma
 from photocal.measurement.image_facts import ImageFacts, read_facts
@@ -120,18 +120,16 @@ def _block(views: Sequence[_View], codes: list[int], distances: Path | None, nam
                 sigmas += [[sigma, sigma]] * 4
     # 17.1 is the target's own first corner, then clockwise as it is printed.
     names = tuple(f"{code}.{corner}" for code in codes for corner in (1, 2, 3, 4))
-    free = np.full((len(names), 3), np.inf)
-    nowhere = np.full((len(facts), 6), np.nan)
     return Block(
         name,
         "local",
         "local",
         "free",
-        (),
         cameras,
-        Images(tuple(f.name for f in facts), member, nowhere, np.full_like(nowhere, np.inf)),
-        ObjectPoints(names, np.full(free.shape, np.nan), free, np.full(len(names), ROLES.index("tie"))),
+        Images(tuple(f.name for f in facts), member),
+        ObjectPoints(names, np.full((len(names), 3), np.nan)),
         Observations("px", "pixel", np.array(image), np.array(point), np.array(pixels), np.array(sigmas)),
-        (),
-        NO_RELATIONS if distances is None else read_relations(distances, "distance", names, "the pictures"),
+        relations=NO_RELATIONS
+        if distances is None
+        else read_relations(distances, "distance", names, "the pictures"),
     )

@@ -19,7 +19,7 @@ from drivers.errors import (
     PhotocalError,
 )
 from photocal.block.folder import read_points
-from photocal.block.model import Block, Images, ObjectPoints
+from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
 from photocal.block.rig import make_heads
 from photocal.block.table import known_rows, read_table
 from photocal.exchange.parts import Mark
@@ -50,8 +50,6 @@ from photocal.measurement.plain_targets import targets_of_project
 from photocal.measurement.position_files import Given, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
 from photocal.measurement.start_block import (
-    NO_OBSERVATIONS,
-    NO_POINTS,
     POSITION_SIGMA_M,
     position_sigma,
     without_images,
@@ -123,12 +121,9 @@ def measure_project(
         project.crs,
         project.height if project.crs != "local" else "",
         "control",
-        (),
         project.cameras,
         given,
         control,
-        NO_OBSERVATIONS,
-        (),
         heads=make_heads(project.contents.head, [own.id for own in project.cameras], project.path),
     )
     found = targets_of_project(project, sighted.sources, exposures, control, plan.processes, progress)

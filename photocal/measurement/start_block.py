@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.arrays import Bytes, Flags, Floats
 from drivers.errors import PhotocalError
-from photocal.block.model import Block, Images, ObjectPoints, Observations
+from photocal.block.model import Block, Images
 from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.image_facts import ImageFacts, clock_seconds
 from photocal.measurement.image_file import as_eight_bit, read_grey
@@ -87,15 +87,6 @@ POSITION_SIGMA_M = (1.5, 1.5, 3.0)
 ESTIMATE = ("K1", "K2")
 # Fewer positions do not fix a datum.
 FEWEST_POSITIONS = 3
-NO_POINTS = ObjectPoints((), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
-NO_OBSERVATIONS = Observations(
-    "px",
-    "pixel",
-    np.zeros(0, dtype=np.int64),
-    np.zeros(0, dtype=np.int64),
-    np.zeros((0, 2)),
-    np.zeros((0, 2)),
-)
 
 
 def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block:
@@ -119,12 +110,8 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
         "local",
         "",
         "control" if enough else "free",
-        (),
         tuple(cameras),
         Images(tuple(f.name for f in facts), member, poses, sigma, time=clock_seconds(facts)),
-        NO_POINTS,
-        NO_OBSERVATIONS,
-        (),
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
-from photocal.block.model import ROLES, Block, ObjectPoints
+from photocal.block.model import ROLES, Block
 from photocal.block.network import block_frame, observed_pixels, observed_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
@@ -26,16 +26,9 @@ LEAST_SPREAD = 0.005
 def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Block:
     """Add tie points behind the points that a block has."""
     known = block.points
-    count = tracks.count
     return replace(
         block,
-        points=ObjectPoints(
-            (*known.names, *(f"t{j + 1}" for j in range(count))),
-            np.vstack([known.values, values]),
-            np.vstack([known.sigma, np.full((count, 3), np.inf)]),
-            np.concatenate([known.role, np.full(count, TIE)]),
-            None if known.cross is None else np.vstack([known.cross, np.zeros((count, 3))]),
-        ),
+        points=known.with_ties(tuple(f"t{j + 1}" for j in range(tracks.count)), values),
         observations=block.observations.plus(
             tracks.image, tracks.track + len(known.names), tracks.pixels, np.column_stack([sigma, sigma])
         ),

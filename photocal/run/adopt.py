@@ -299,8 +299,8 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     order = np.argsort(seen.point, kind="stable")
     kept, track = np.unique(seen.point[order], return_inverse=True)
     frame = block_frame(block)
-    rays = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
-    places = frame.to_given(intersected(views_of(block, frame), rays))
+    tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
+    places = frame.to_given(intersected(views_of(block, frame), tracks))
     met = np.isfinite(places).all(axis=1)
     # The map is taken as if it were Cartesian.
     fit = similarity(places[met], control.points.values[kept[met]])
@@ -312,8 +312,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
         )
     rotation = fit.applied_to_rotations(matrix_from_angles(block.images.values[:, :3]))
     poses = np.hstack([angles_from_matrix(rotation), fit.applied(block.images.values[:, 3:])])
-    points, ties = control.points, block.points
-    count = len(points.names)
+    points, ties, rays = control.points, block.points, block.observations
     moved = replace(
         block,
         frame="local",
@@ -326,13 +325,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
             sigma=np.vstack([points.sigma, ties.sigma]),
             role=np.concatenate([points.role, ties.role]),
         ),
-        observations=replace(
-            seen,
-            image=np.concatenate([seen.image, block.observations.image]),
-            point=np.concatenate([seen.point, block.observations.point + count]),
-            values=np.vstack([seen.values, block.observations.values]),
-            sigma=np.vstack([seen.sigma, block.observations.sigma]),
-        ),
+        observations=seen.plus(rays.image, rays.point + len(points.names), rays.values, rays.sigma),
     )
     remarks = [f"control of {lists[0].name}, in {control.crs}, taken as Cartesian"]
     remarks += [f"{len(unknown)} marks are in no image of the project"] if unknown else []

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.errors import InputMalformedError
 from photocal.block.folder import read_images, read_observations, read_points
-from photocal.block.model import ROLES, Block, Images, ObjectPoints, fingerprint
+from photocal.block.model import ROLES, Block, Images, fingerprint
 from photocal.block.network import observed_plane
 from photocal.block.setup import ObservationKeys
 from photocal.block.table import read_table
@@ -38,22 +38,13 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
             where=path,
             remedy="take its observations out, or complete the exposures",
         )
-    count = len(ties)
-    points = ObjectPoints(
-        control.names + ties,
-        np.vstack([control.values, np.full((count, 3), np.nan)]),
-        np.vstack([control.sigma, np.full((count, 3), np.inf)]),
-        np.concatenate([control.role, np.full(count, ROLES.index("tie"))]),
-        None if control.cross is None else np.vstack([control.cross, np.zeros((count, 3))]),
-    )
+    points = control.with_ties(ties, np.full((len(ties), 3), np.nan))
     sigma = None if given is None else given.sigma_px
     keys = ObservationKeys(unit="px", axes="pixel", sigma=sigma)
     seen, _ = read_observations(path, keys, images.names + left_out, points.names)
     kept = seen.image < len(images.names)
     # Points that the images left out alone made determined go with them.
-    before, after = (
-        np.bincount(seen.point[some], minlength=count + len(control.names)) for some in (..., kept)
-    )
+    before, after = (np.bincount(seen.point[some], minlength=len(points.names)) for some in (..., kept))
     starved = (before >= 2) & (after < 2) & (points.role != ROLES.index("control"))
     kept &= ~starved[seen.point]
     block = Block(
@@ -61,7 +52,6 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
         project.crs,
         project.height,
         "control",
-        (),
         project.cameras,
         images,
         points,

@@ -13,7 +13,7 @@ import numpy as np
 
 from acquire.outputs import rows_text
 from drivers.errors import InputNotFoundError, OutputError, PhotocalError
-from photocal.block.model import ROLES, ObjectPoints
+from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.image_facts import ImageFacts
@@ -104,13 +104,10 @@ def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> Found | None:
     if shown(best):
         return best
     tables = sorted(seen.marks, key=shown, reverse=True)
-    points = (best.points or _NONE).names
+    points = (best.points or NO_POINTS).names
     # Programs leave the same marks in several files.
     every = {(m.image, m.point): m for one in tables[::-1] for m in one.marks if m.point in points}
     return replace(best, marks=tuple(every.values()))
-
-
-_NONE = ObjectPoints((), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64))
 
 
 class _Text:
@@ -139,7 +136,7 @@ class _Text:
         self.missing: list[str] = []
         self.asked: list[str] = []
         self.placed = [own for own in facts if own.has_position]
-        self.control_points = _NONE
+        self.control_points = NO_POINTS
         self.marks: tuple[Mark, ...] = ()
         self._systems()
 
@@ -357,8 +354,7 @@ def _given_camera(own: Camera) -> Iterator[str]:
 def _zone_of(placed: Sequence[ImageFacts]) -> str:
     """UTM zone of the middle of the pictures."""
     middle = np.mean([(own.longitude_deg, own.latitude_deg, 0.0) for own in placed], axis=0)
-    points = ObjectPoints(("middle",), middle[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64))
-    return in_map_system(ControlMarks("EPSG:4326", points, ())).crs
+    return in_map_system(ControlMarks("EPSG:4326", ObjectPoints(("middle",), middle[None]), ())).crs
 
 
 def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:

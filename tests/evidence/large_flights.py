@@ -26,7 +26,6 @@ from photocal.block.model import Block, Images
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.oriented_ties import first_orientation
-from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS
 from photocal.measurement.tie_adjustment import pixel_residuals
 from photocal.measurement.tracks import Tracks
 
@@ -192,7 +191,7 @@ def drawn(flight: Flight) -> tuple[Block, Tracks, Floats]:
     start = start.with_values(np.where(np.arange(len(start.values)) == 0, start.values, 0.0))
     datum: Literal["control", "free"] = "control" if known.sum() >= 3 else "free"
     return (
-        Block(flight.name, "local", "", datum, (), (start,), images, NO_POINTS, NO_OBSERVATIONS, ()),
+        Block(flight.name, "local", "", datum, (start,), images),
         tracks,
         poses,
     )

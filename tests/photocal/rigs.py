@@ -184,7 +184,6 @@ def block_of(network: Network) -> Block:
         "local",
         "local",
         "control",
-        (),
         network.cameras,
         Images(
             network.image_names,
@@ -196,6 +195,5 @@ def block_of(network: Network) -> Block:
         ObjectPoints(network.point_names, network.points.values, np.full((points, 3), np.inf),
                      np.full(points, ROLES.index("tie"))),
         Observations("px", "pixel", rays.image, rays.point, pixels, rays.sigma),
-        (),
         heads=tuple(heads),
     )  # fmt: skip

@@ -18,7 +18,6 @@ from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.marks import with_marks
 from photocal.measurement.orientation import Orientation
-from photocal.measurement.start_block import NO_OBSERVATIONS
 
 # So many points orient an image of which nothing is known, or which has start values.
 FEWEST_UNKNOWN, FEWEST_STARTED = 4, 3
@@ -94,12 +93,9 @@ def block_of_marks(
             orientation.frame,
             orientation.height if orientation.frame != "local" else "",
             "control",
-            (),
             cameras,
             Images.observed(orientation.images),
             points,
-            NO_OBSERVATIONS,
-            (),
         ),
         marks,
     )

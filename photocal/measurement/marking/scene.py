@@ -8,12 +8,11 @@ from pathlib import Path
 
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.block.folder import read_points
-from photocal.block.model import ObjectPoints
+from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.marking.snap import DICTIONARIES
 from photocal.measurement.orientation import Orientation, of_project, of_run
-from photocal.measurement.start_block import NO_POINTS
 from photocal.project import Project
 
 # How far viewers turn a picture clockwise, degrees, by its EXIF orientation; mirrored ones are not turned.

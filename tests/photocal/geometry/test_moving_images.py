@@ -100,7 +100,7 @@ def block_of(truth: flights.Flight) -> Block:
     )
     own = replace(truth.camera, estimated=np.zeros(len(PARAMETERS), dtype=np.bool_))
     observed = Observations("px", "pixel", image, point, pixels, np.full(pixels.shape, 0.5))
-    return Block("b", "local", "", "control", (), (own,), given, points, observed, ())
+    return Block("b", "local", "", "control", (own,), given, points, observed)
 
 
 def test_intersection_goes_along_the_lines(truth: flights.Flight) -> None:

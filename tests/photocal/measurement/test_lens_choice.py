@@ -11,7 +11,6 @@ from photocal.block.model import Block, Images
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.lens_choice import before_the_choice, with_chosen_lenses
-from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties
 from photocal.measurement.tracks import Tracks
 
@@ -47,7 +46,7 @@ def flown(true: Camera, seed: int, unknown: bool = False) -> tuple[Adjusted, Blo
     sigma[:, 3:] = 0.03
     values = np.hstack([angles, places + rng.normal(0, 0.03, places.shape)])
     images = Images(tuple(f"{k}.jpg" for k in range(count)), np.zeros(count, np.int64), values, sigma)
-    block = Block("b", "local", "", "control", (), (own,), images, NO_POINTS, NO_OBSERVATIONS, ())
+    block = Block("b", "local", "", "control", (own,), images)
     return adjust_ties(block, values, tracks), block, tracks
 
 

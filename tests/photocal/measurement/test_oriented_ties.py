@@ -11,12 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError
-from photocal.block.model import Block, Images
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
 from photocal.geometry.camera import PARAMETERS, camera, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.measurement.oriented_ties import _views, first_orientation, orient_ties
 from photocal.measurement.placing import oriented
-from photocal.measurement.start_block import NO_OBSERVATIONS, NO_POINTS, without_single_rays
+from photocal.measurement.start_block import without_single_rays
 from photocal.measurement.tie_adjustment import _Ties, _where_rays_meet, adjust_ties
 from photocal.measurement.tie_block import brought_nearer, intersected, place, with_ties
 from photocal.measurement.tracks import Tracks
@@ -66,7 +66,7 @@ def _block(places: Floats) -> Block:
     values[:, 3:], sigma[:, 3:] = places, 1.0
     names = tuple(f"{k}.jpg" for k in range(len(places)))
     images = Images(names, np.zeros(len(places), np.int64), values, sigma)
-    return Block("b", "local", "", "control", (), (LENS,), images, NO_POINTS, NO_OBSERVATIONS, ())
+    return Block("b", "local", "", "control", (LENS,), images)
 
 
 def test_positions_in_a_line_place_a_level_block_and_that_is_told() -> None:
@@ -186,7 +186,7 @@ def _rolling(readout_s: float, images: int) -> tuple[flights.Flight, Block, Floa
     values[:, 3:] += rng.normal(0, 0.05, (count, 3))
     sigma[:, 3:] = 0.05
     seen = Images(views.names, views.camera, values, sigma, time=truth.time)
-    block = Block("b", "local", "", "control", (), (lens,), seen, NO_POINTS, NO_OBSERVATIONS, ())
+    block = Block("b", "local", "", "control", (lens,), seen)
     return truth, block, values, tracks
 
 
