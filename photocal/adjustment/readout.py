@@ -19,7 +19,7 @@ from photocal.adjustment.sensitivity import along
 from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
-from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection
+from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection, among
 
 Report = Callable[[Iteration], None]
 
@@ -232,9 +232,7 @@ def _judged(problem: Problem, solution: Solution, camera: int, value: float, sig
 
 
 def _freed(camera: Camera) -> Camera:
-    return replace(
-        camera, estimated=camera.estimated | (np.array(PARAMETERS) == "readout"), shutter="rolling"
-    )
+    return replace(camera, estimated=camera.estimated | among("readout"), shutter="rolling")
 
 
 def _forward(camera: Camera) -> Camera:

@@ -16,7 +16,7 @@ from photocal.adjustment.state import State
 from photocal.analysis.robust import NEAR, state_without
 from photocal.analysis.systematic_errors.refit import Checks, Fit, fit, lowest
 from photocal.findings.finding import Figure, Finding, Size
-from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model
+from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model, among
 from photocal.geometry.conversion import converted
 
 # Images are left out in so many groups of neighbours.
@@ -129,9 +129,8 @@ def _alternative(own: Camera, model: Model) -> Camera:
     left = ("P3", "P4", "S1", "S2", "S3", "S4")
     terms = {name for name in MODELS[model].terms if name not in left}
     kept = {name for name in own.free if name not in own.lens.terms}
-    free = np.array([name in terms | kept for name in PARAMETERS])
-    prior = np.where(np.isin(PARAMETERS, ["x0", "y0", "readout"]), own.prior_sigma, np.inf)
-    return replace(made, estimated=free, prior_sigma=prior, prior_correlation=None)
+    prior = np.where(among("x0", "y0", "readout"), own.prior_sigma, np.inf)
+    return replace(made, estimated=among(*terms, *kept), prior_sigma=prior, prior_correlation=None)
 
 
 def _nearby(_fitted: Fit, removals: Removals, out: Flags) -> State:

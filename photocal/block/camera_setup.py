@@ -24,6 +24,7 @@ from photocal.geometry.camera import (
     Model,
     ReadoutDirection,
     Shutter,
+    among,
     camera,
 )
 from photocal.geometry.distortion import focused
@@ -204,7 +205,7 @@ def _with_known_readout(keys: CameraKeys, place: str, own: Camera) -> Camera:
         known, sigma = known_readout(keys.readout_from, keys.size_px)
     except ConfigurationError as refusal:
         raise ConfigurationError(refusal.what, where=place, remedy=refusal.remedy) from refusal
-    at = np.array(PARAMETERS) == "readout"
+    at = among("readout")
     return replace(
         own,
         values=np.where(at, known, own.values),

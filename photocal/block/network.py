@@ -23,7 +23,7 @@ from photocal.adjustment.rig import LATER
 from photocal.block.model import Block
 from photocal.block.motion import motion_of
 from photocal.block.rig import rig_of
-from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane, plane_to_pixel
+from photocal.geometry.camera import Camera, among, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
 from photocal.geometry.resection import intersect, ray_residuals
@@ -200,9 +200,8 @@ def assemble(block: Block) -> NetworkOfBlock:
         exposures = replace(exposures, motion=motion, motion_sigma=motion_sigma)
         # Where nothing is known of the flight a readout scales nothing: it cannot be an unknown.
         flown = [known[block.images.camera == k].any() for k in range(len(cameras))]
-        others = np.array(PARAMETERS) != "readout"
         cameras = tuple(
-            c if seen else replace(c, estimated=c.estimated & others, shutter="global")
+            c if seen else replace(c, estimated=c.estimated & ~among("readout"), shutter="global")
             for c, seen in zip(cameras, flown, strict=True)
         )
     rig = rig_of(

@@ -119,26 +119,15 @@ def _board(images: Path, board: str, square_m: float, charuco: str) -> Work:
     from photocal.measurement.image_file import list_images
 
     wanted = parse_board(board, square_m, charuco)
-    paths = list_images(images)
-
-    def work() -> Measured:
-        with progress("measuring the board", len(paths)) as done:
-            return measure_board(paths, wanted, images.resolve().name, done)
-
-    return work
+    return partial(measure_board, list_images(images), wanted, images.resolve().name, progress)
 
 
 def _field(images: Path, field: str, distances: Path | None, lens: GivenLens) -> Work:
     from photocal.measurement.field_block import measure_field
     from photocal.measurement.image_file import list_images
 
-    paths = list_images(images)
-
-    def work() -> Measured:
-        with progress("measuring the targets", len(paths)) as done:
-            return measure_field(paths, field, distances, images.resolve().name, lens, done)
-
-    return work
+    name = images.resolve().name
+    return partial(measure_field, list_images(images), field, distances, name, lens, progress)
 
 
 def _project(path: Path, marks: list[Path], crew: Workers, cache: Path | None) -> Work:
@@ -198,7 +187,7 @@ def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
 def _written(work: Work, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
     from acquire.outputs import output_folder
-    from photocal.measurement.block_files import Measured, write_block
+    from photocal.measurement.block_files import SCHEMA, Measured, write_block
     from photocal.measurement.oriented_ties import UnorientedError
 
     refused = None
@@ -206,7 +195,7 @@ def _written(work: Work, output: Path) -> dict[str, Any]:
         measured = work()
     except UnorientedError as refusal:
         refused = refusal
-        record = {"schema": "photocal.measurement/1", "refused": str(refusal)}
+        record = {"schema": SCHEMA, "refused": str(refusal)}
         measured = Measured(refusal.block, record)
     with output_folder(output) as aside:
         write_block(aside, measured.block, measured.record)

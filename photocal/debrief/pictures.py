@@ -19,11 +19,12 @@ from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all, select_pairs
 from photocal.measurement.measure_ties import stated_footprints
-from photocal.measurement.oriented_ties import Progress, first_orientation
+from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
 from photocal.measurement.tie_adjustment import camera_figures
 from photocal.navigation.exposures import Exposures
+from photocal.tasks.progress import Progress
 from photocal.tasks.workers import run_tasks
 
 # Enough for overlap, orientation and a first calibration; a tenth of the time of the features for the map.

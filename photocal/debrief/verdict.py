@@ -37,7 +37,8 @@ from photocal.planning.area import LocalPlane
 from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
 from photocal.project import Project
 from photocal.run.exposures import exposures_of
-from photocal.run.stage import Progress, alone
+from photocal.run.stage import alone
+from photocal.tasks.progress import Progress
 from photocal.tasks.workers import Workers
 
 # Neighbours along a strip must share so much of what they show: less is no stereoscopic cover.

@@ -20,7 +20,7 @@ from drivers.errors import InputMalformedError
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
 from photocal.exchange.reconstruction import Choices, Reconstruction, cameras_alone, file_name
 from photocal.exchange.source import files_of, image_size, number, read_json, read_text, structured
-from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model
+from photocal.geometry.camera import MODELS, Camera, Model, among
 from photocal.geometry.conversion import Conversion
 
 MATRICES = ("camera_matrix", "cameraMatrix", "K")
@@ -59,7 +59,7 @@ def read_opencv(path: Path) -> Camera:
     pinhole = Pinhole(size, *focal_and_centre, **values, fisheye=fisheye)
     own = from_pinhole(pinhole, path.stem, path)
     free = {"c", "x0", "y0", "B1", *(own.lens.terms if own.lens.relative else _TERMS)}
-    return replace(own, estimated=np.array([name in free for name in PARAMETERS]))
+    return replace(own, estimated=among(*free))
 
 
 def write_opencv(path: Path, own: Camera) -> Conversion:

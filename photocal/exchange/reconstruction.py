@@ -15,7 +15,7 @@ from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, 
 from photocal.block.network import frame_of
 from photocal.block.rig import Head
 from photocal.exchange.source import fingerprint
-from photocal.geometry.camera import PARAMETERS, Camera, plane_to_pixel
+from photocal.geometry.camera import Camera, among, plane_to_pixel
 from photocal.geometry.frames import ReferenceFrame, nearest_rotation, parsed, reference_frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.results.result import Result
@@ -203,8 +203,7 @@ def of_result(result: Result) -> Reconstruction:
 
 def with_global_shutter(own: Camera) -> Camera:
     """Give a camera as it is when the effect of its readout is taken off its observations."""
-    kept = own.estimated & (np.array(PARAMETERS) != "readout")
-    return replace(own.changed(readout=0.0), estimated=kept, shutter="global")
+    return replace(own.changed(readout=0.0), estimated=own.estimated & ~among("readout"), shutter="global")
 
 
 def cameras_alone(cameras: Sequence[Camera]) -> Reconstruction:
@@ -335,9 +334,7 @@ def in_pixels(block: Block) -> Block:
 
 def estimating_what_it_has(block: Block, *, weighted: bool) -> Block:
     """Estimate what the program's camera has that is not zero; with set-ups what they say is estimated."""
-    from photocal.geometry.camera import PARAMETERS
-
-    rest = np.where([name in ("B1", "B2") for name in PARAMETERS], _NOTHING, 0.0)
+    rest = np.where(among("B1", "B2"), _NOTHING, 0.0)
     cameras = tuple(
         own if weighted and own.estimated.any() else replace(own, estimated=np.abs(own.values) > rest)
         for own in block.cameras

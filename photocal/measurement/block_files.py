@@ -19,6 +19,9 @@ from photocal.block.motion import RATE, SIGMAS_OF_MOTION, VELOCITY
 from photocal.block.rig import head_lines
 from photocal.geometry.camera import PARAMETERS, SHAKE, Camera
 
+# Of `measurement.json`.
+SCHEMA = "photocal.measurement/1"
+PIXEL_ORIGIN = "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied"
 IMAGE = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,24 +10,25 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.errors import IllPosedError, InputNotFoundError, PhotocalError
+from drivers.errors import IllPosedError, InputNotFoundError
 from photocal.adjustment.adjust import adjust
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.block.network import assemble
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.resection import resection
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.measurement.block_files import Measured
+from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA, Measured
 from photocal.measurement.boards import Board, BoardView, find_board
 from photocal.measurement.image_facts import ImageFacts, read_facts
-from photocal.measurement.image_file import read_grey
+from photocal.measurement.image_file import each_picture, read_grey
 from photocal.measurement.maker_camera import group_cameras, principal_distance_px, start_camera
+from photocal.tasks.progress import Progress
 
 ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 FEWEST_VIEWS = 3
 
 
-def measure_board(paths: Sequence[Path], board: Board, name: str, done: Callable[[float], None]) -> Measured:
+def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Progress) -> Measured:
     """Measure a board in images and make the block that calibrates the camera.
 
     The board's points are held. The standard deviation of a corner has two parts: what the grey values
@@ -37,7 +38,16 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, done: Callable
     raises InputNotFoundError: when too few images show the board.
     raises PhotocalError: when the views do not determine the camera.
     """
-    facts, views, left_out = _views(paths, board, done)
+
+    def measure(path: Path) -> tuple[ImageFacts, BoardView]:
+        facts, view = read_facts(path), find_board(read_grey(path), board)
+        if view is None:
+            raise InputNotFoundError("the board was not found", where=path)
+        return facts, view
+
+    with progress("measuring the board", len(paths)) as done:
+        measured, left_out = each_picture(paths, measure, done)
+    facts, views = [facts for facts, _ in measured], [view for _, view in measured]
     if len(views) < FEWEST_VIEWS:
         across, down = board.inner
         raise InputNotFoundError(
@@ -47,9 +57,9 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, done: Callable
             remedy="count the squares, not the corners, and see that the whole board is visible",
         )
     block = _block(facts, views, board, name)
-    block, common, weakness = with_common_sigma(block)
+    block, figures = with_common_sigma(block)
     record = {
-        "schema": "photocal.measurement/1",
+        "schema": SCHEMA,
         "kind": "board",
         "board": {
             "squares": [board.columns, board.rows],
@@ -61,30 +71,10 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, done: Callable
             for f, v in zip(facts, views, strict=True)
         ],
         "left_out": left_out,
-        "common_sigma_px": common,
-        "principal_distance_sigma_ratio": weakness,
-        "pixel_origin": "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied",
+        **figures,
+        "pixel_origin": PIXEL_ORIGIN,
     }
     return Measured(block, record)
-
-
-def _views(
-    paths: Sequence[Path], board: Board, done: Callable[[float], None]
-) -> tuple[list[ImageFacts], list[BoardView], list[dict[str, str]]]:
-    facts, views, left_out = [], [], []
-    for path in paths:
-        try:
-            own, view = read_facts(path), find_board(read_grey(path), board)
-        except PhotocalError as refusal:
-            left_out.append({"image": path.name, "reason": refusal.what})
-        else:
-            if view is None:
-                left_out.append({"image": path.name, "reason": "the board was not found"})
-            else:
-                facts.append(own)
-                views.append(view)
-        done(1)
-    return facts, views, left_out
 
 
 def _block(facts: Sequence[ImageFacts], views: Sequence[BoardView], board: Board, name: str) -> Block:
@@ -156,7 +146,7 @@ def plane_principal_distance(flat: Sequence[Floats], planes: Sequence[Floats]) -
     return 1 / np.sqrt(inverse_square) if inverse_square > 0 else None
 
 
-def with_common_sigma(block: Block) -> tuple[Block, float, list[float]]:
+def with_common_sigma(block: Block) -> tuple[Block, dict[str, Any]]:
     """Add to the sigmas what makes the residuals as large as they claim (uniform over the images).
 
     Cameras and images start from its adjustment. Also tells how well each camera's principal distance is
@@ -174,4 +164,4 @@ def with_common_sigma(block: Block) -> tuple[Block, float, list[float]]:
     cameras = tuple(own.with_values(v) for own, v in zip(block.cameras, solution.cameras, strict=True))
     images = replace(block.images, values=solution.exposures)
     block = replace(block, cameras=cameras, images=images, observations=replace(seen, sigma=sigma))
-    return block, common, ratio.tolist()
+    return block, {"common_sigma_px": common, "principal_distance_sigma_ratio": ratio.tolist()}

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.errors import InputNotFoundError, PhotocalError
+from drivers.errors import InputNotFoundError
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.block.folder import read_relations
 from photocal.block.model import Block, Images, ObjectPoints, Observations
-from photocal.measurement.block_files import Measured
+from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA, Measured
 from photocal.measurement.board_block import ESTIMATE, with_common_sigma
 from photocal.measurement.image_facts import ImageFacts, read_facts
-from photocal.measurement.image_file import read_grey
+from photocal.measurement.image_file import each_picture, read_grey
 from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
 from photocal.measurement.markers import dictionary, find_markers
+from photocal.tasks.progress import Progress
 
 # Of fewer pictures or targets no camera is calibrated.
 FEWEST_PICTURES, FEWEST_TARGETS = 4, 8
@@ -40,7 +41,7 @@ def measure_field(
     distances: Path | None,
     name: str,
     lens: GivenLens,
-    done: Callable[[float], None],
+    progress: Progress,
 ) -> Measured:
     """Measure the corners of all coded targets and make the block that calibrates the camera.
 
@@ -49,18 +50,16 @@ def measure_field(
     raises PhotocalError: when the pictures do not determine the camera.
     """
     dictionary(dictionary_name)
-    views, left_out = [], []
-    for path in paths:
-        try:
-            found, facts = find_markers(read_grey(path), dictionary_name), lens.of(read_facts(path))
-        except PhotocalError as refusal:
-            left_out.append({"image": path.name, "reason": refusal.what})
-        else:
-            # Two edges make a corner, each about as good as the centre that four of them make.
-            sigma = np.array([2.0 * np.hypot(*m.centre.sigma) / np.sqrt(2.0) for m in found])
-            corners = np.array([m.corners for m in found]).reshape(-1, 4, 2)
-            views.append(_View(facts, tuple(m.identity for m in found), corners, sigma))
-        done(1)
+
+    def measure(path: Path) -> _View:
+        markers = find_markers(read_grey(path), dictionary_name)
+        # Two edges make a corner, each about as good as the centre that four of them make.
+        sigma = np.array([2.0 * np.hypot(*m.centre.sigma) / np.sqrt(2.0) for m in markers])
+        corners = np.array([m.corners for m in markers]).reshape(-1, 4, 2)
+        return _View(lens.of(read_facts(path)), tuple(m.identity for m in markers), corners, sigma)
+
+    with progress("measuring the targets", len(paths)) as done:
+        views, left_out = each_picture(paths, measure, done)
     seen = [code for view in views for code in view.codes]
     codes = sorted(code for code in set(seen) if seen.count(code) > 1)
     used = [view for view in views if len(set(view.codes) & set(codes)) >= FEWEST_TARGETS // 2]
@@ -76,11 +75,11 @@ def measure_field(
             where=paths[0].parent,
             remedy="look at the dictionary and at the size of the targets in the pictures",
         )
-    block, common, weakness = with_common_sigma(_block(used, codes, distances, name))
+    block, figures = with_common_sigma(_block(used, codes, distances, name))
     # Sigmas from the residuals are not tested with them.
     block = replace(block, global_test=(0.95, "none"))
     record = {
-        "schema": "photocal.measurement/1",
+        "schema": SCHEMA,
         "kind": "field of coded targets",
         "dictionary": dictionary_name,
         "targets": len(codes),
@@ -94,9 +93,8 @@ def measure_field(
         ],
         "left_out": left_out,
         "distances": len(block.relations.values),
-        "common_sigma_px": common,
-        "principal_distance_sigma_ratio": weakness,
-        "pixel_origin": "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied",
+        **figures,
+        "pixel_origin": PIXEL_ORIGIN,
     }
     return Measured(block, record)
 

@@ -23,11 +23,12 @@ from photocal.measurement.marks import (
 )
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, position_figures, sight, stated_footprints, tie_record
-from photocal.measurement.oriented_ties import FEWEST_CONTROL, Oriented, Progress, orient_ties
+from photocal.measurement.oriented_ties import FEWEST_CONTROL, Oriented, orient_ties
 from photocal.measurement.position_files import local_places, map_places
 from photocal.measurement.project_block import OTHER_SURFACE_M, findings_of_marks, suspected_marks
 from photocal.measurement.start_block import position_sigma, start_block
 from photocal.measurement.tie_block import marked_control
+from photocal.tasks.progress import Progress
 from photocal.tasks.workers import one_crew
 
 

@@ -8,20 +8,21 @@ upper-left stored pixel is (0, 0), whatever a viewer shows.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Bytes
-from drivers.errors import InputMalformedError, InputNotFoundError
+from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+Measured = TypeVar("Measured")
 Grey = Bytes | NDArray[np.uint16] | NDArray[np.float32]
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".pgm")
@@ -72,6 +73,20 @@ def _of_heads(folder: Path) -> list[Path]:
             )
         place[path.name] = path
     return sorted(found, key=lambda path: path.name)
+
+
+def each_picture(
+    paths: Iterable[Path], measure: Callable[[Path], Measured], done: Callable[[float], None] = lambda _: None
+) -> tuple[list[Measured], list[dict[str, str]]]:
+    """Measure pictures one by one, and give the reasons of those that are refused."""
+    measured, left_out = [], []
+    for path in paths:
+        try:
+            measured.append(measure(path))
+        except PhotocalError as refusal:
+            left_out.append({"image": path.name, "reason": refusal.what})
+        done(1)
+    return measured, left_out
 
 
 @contextmanager

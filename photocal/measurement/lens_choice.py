@@ -11,7 +11,7 @@ from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import minimum_of
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
-from photocal.geometry.camera import PARAMETERS, Camera, Model
+from photocal.geometry.camera import PARAMETERS, Camera, Model, among
 from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, assembled, without_readouts
 from photocal.measurement.tracks import Tracks
 
@@ -20,7 +20,7 @@ GAIN = 20.0
 # With an estimated readout the residuals say in the end whether they are smaller.
 NOT_WORSE = 1.001
 _MODELS: tuple[Model, ...] = ("brown-ideal", "brown-observed")
-_K4 = np.array([name == "K4" for name in PARAMETERS])
+_K4 = among("K4")
 _POLYNOMIALS = slice(PARAMETERS.index("K1"), PARAMETERS.index("P4") + 1)
 
 

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Floats, Integers
-from drivers.errors import InputNotFoundError, PhotocalError
+from drivers.errors import InputNotFoundError
+from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_file import each_picture
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.match_images import (
     Footprints,
@@ -21,12 +23,13 @@ from photocal.measurement.match_images import (
     match_all,
     select_pairs,
 )
-from photocal.measurement.oriented_ties import Oriented, Progress, figures
+from photocal.measurement.oriented_ties import Oriented, figures
 from photocal.measurement.position_files import local_places
 from photocal.measurement.refine import Source
 from photocal.measurement.start_block import explained
 from photocal.measurement.tie_adjustment import camera_figures
 from photocal.measurement.tracks import Tracks, of_images
+from photocal.tasks.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -74,12 +77,13 @@ def sight(
     given: what is known better of an image than it states.
     raises InputNotFoundError: when fewer than two images can be read.
     """
-    readable, facts, left_out = _readable(paths)
+    pictures, left_out = each_picture(paths, lambda path: (path, read_facts(path)))
+    readable = [path for path, _ in pictures]
     with progress("detecting features", len(readable)) as done:
         keys, reasons = detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
     left_out += [{"image": readable[k].name, "reason": r} for k, r in enumerate(reasons) if r]
-    facts, keys = [given(facts[k]) for k in good], tuple(keys[k] for k in good)
+    facts, keys = [given(pictures[k][1]) for k in good], tuple(keys[k] for k in good)
     if len(facts) < 2:
         raise InputNotFoundError(
             f"{len(facts)} of {len(paths)} images can be used",
@@ -97,7 +101,7 @@ def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
     """What was measured and how, for `measurement.json`."""
     paths = {source.path.name: source.path for source in sighted.sources}
     return {
-        "schema": "photocal.measurement/1",
+        "schema": SCHEMA,
         "images": list(found.adjusted.block.images.names),
         "turned_by_exif": [f.name for f in sighted.facts if f.orientation != 1],
         "left_out": [*sighted.left_out, *explained(found.left_out, paths, sighted.facts)],
@@ -112,7 +116,7 @@ def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
             "all": found.verified.count,
             "three_and_more_rays": int(np.count_nonzero(found.verified.rays >= 3)),
         },
-        "pixel_origin": "centre of the upper-left stored pixel is (0, 0); EXIF orientation is not applied",
+        "pixel_origin": PIXEL_ORIGIN,
         **figures(found),
         "cameras": camera_figures(found.adjusted),
     }
@@ -127,17 +131,6 @@ def position_figures(facts: Sequence[ImageFacts], sigma: Floats) -> dict[str, An
         "sigma_stated_by_image": sum(stated),
         "sigma_m": np.sqrt(np.mean(known**2, axis=0)).tolist() if len(known) else None,
     }
-
-
-def _readable(paths: Sequence[Path]) -> tuple[list[Path], list[ImageFacts], list[dict[str, str]]]:
-    readable, facts, left_out = [], [], []
-    for path in paths:
-        try:
-            facts.append(read_facts(path))
-            readable.append(path)
-        except PhotocalError as refusal:
-            left_out.append({"image": path.name, "reason": refusal.what})
-    return readable, facts, left_out
 
 
 def stated_footprints(facts: Sequence[ImageFacts]) -> Footprints:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,10 +21,8 @@ from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_res
 from photocal.measurement.tie_block import GROSS, intersected, marked_control, misses, with_ties
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.results.adjusted import movements
+from photocal.tasks.progress import Progress
 from photocal.tasks.workers import Workers
-
-# A title and an amount of work give a context in which the work done is told.
-Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
 # Cells along the longer side of an image; points in each that orient it at first, tracks that are matched
 # precisely, and points that are adjusted: more of them cost time, and what they have in common is no noise

@@ -20,10 +20,10 @@ from photocal.measurement.features import Arrays, array_key, cached, combined_ke
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.markers import COMMON_PX, find_coded_targets
 from photocal.measurement.orientation import Orientation, predict
-from photocal.measurement.oriented_ties import Progress
 from photocal.measurement.refine import Source
 from photocal.measurement.target_search import find_targets
 from photocal.project import PlainTargets, Project
+from photocal.tasks.progress import Progress
 from photocal.tasks.workers import Workers, run_tasks
 
 # Raised whenever the meaning of cached results changes.

@@ -16,7 +16,6 @@ from drivers.errors import (
     IllPosedError,
     InputNotFoundError,
     NotConvergedError,
-    PhotocalError,
 )
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
@@ -25,13 +24,13 @@ from photocal.block.table import known_rows, read_table
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.texts import told
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.block_files import Measured
 from photocal.measurement.image_facts import ImageFacts, clock_seconds, read_facts
-from photocal.measurement.image_file import list_images
+from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.lens_choice import before_the_choice, with_chosen_lenses
 from photocal.measurement.maker_camera import NO_LENS
 from photocal.measurement.marks import read_any_marks, read_marks, with_marks
@@ -44,7 +43,7 @@ from photocal.measurement.measure_ties import (
     tie_record,
 )
 from photocal.measurement.orientation import Orientation
-from photocal.measurement.oriented_ties import FEWEST_CONTROL, Progress, figures, orient_ties
+from photocal.measurement.oriented_ties import FEWEST_CONTROL, figures, orient_ties
 from photocal.measurement.placing import position_sigmas
 from photocal.measurement.plain_targets import targets_of_project
 from photocal.measurement.position_files import Given, map_places, read_positions
@@ -59,6 +58,7 @@ from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, by_ray, c
 from photocal.measurement.tie_block import GROSS, brought_nearer, marked_control, place, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.project import Project
+from photocal.tasks.progress import Progress
 from photocal.tasks.workers import one_crew
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,
@@ -299,13 +299,7 @@ def _marks_by_hand(project: Project, files: Sequence[Path]) -> tuple[Mark, ...]:
 
 def _sizes(folder: Path) -> dict[str, tuple[int, int]]:
     """Width and height of the images that can be read, by name."""
-    sizes = {}
-    for path in list_images(folder):
-        try:
-            sizes[path.name] = read_facts(path).size_px
-        except PhotocalError:
-            continue
-    return sizes
+    return {facts.name: facts.size_px for facts in each_picture(list_images(folder), read_facts)[0]}
 
 
 def _nowhere(name: str) -> InputNotFoundError:
@@ -327,8 +321,7 @@ def _softened(block: Block) -> Block:
     sigma = block.images.sigma.copy()
     loose = known[:, None] & np.isinf(sigma[:, 3:])
     sigma[:, 3:] = np.where(loose, loosely, sigma[:, 3:])
-    estimated = np.array([name not in HELD for name in PARAMETERS])
-    cameras = tuple(replace(own, estimated=own.estimated & estimated) for own in block.cameras)
+    cameras = tuple(replace(own, estimated=own.estimated & ~among(*HELD)) for own in block.cameras)
     # Heads lie as firmly as their first poses tell.
     heads = tuple(replace(head, stiffness=LOOSE_FRAME) for head in block.heads)
     return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma), heads=heads)
@@ -346,9 +339,8 @@ def _released(
     asked = {own.id: own for own in block.cameras}
     refusal: dict[str, Figure] = {}
     for held_here in holding:
-        free = np.array([name not in held_here for name in PARAMETERS])
         # Nobody asks for a readout: that it has one, an unknown shutter has shown.
-        readout = np.array(PARAMETERS) == "readout"
+        free, readout = ~among(*held_here), among("readout")
         cameras = tuple(
             replace(
                 own,

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.arrays import Bytes, Flags, Floats
 from drivers.errors import PhotocalError
 from photocal.block.model import Block, Images
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import among
 from photocal.measurement.image_facts import ImageFacts, clock_seconds
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.maker_camera import group_cameras, stated_camera
@@ -96,9 +96,8 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
     for k, camera_name in enumerate(names):
         one = facts[int(np.flatnonzero(member == k)[0])]
         stated = stated_camera(camera_name, one)
-        estimated = np.array([name in ESTIMATE for name in PARAMETERS])
-        guessed = stated.guessed
-        cameras.append(replace(stated.camera, estimated=estimated, guessed=guessed, shutter="unknown"))
+        free, guessed = among(*ESTIMATE), stated.guessed
+        cameras.append(replace(stated.camera, estimated=free, guessed=guessed, shutter="unknown"))
     poses = np.full((len(facts), 6), np.nan)
     poses[:, 3:] = places
     sigma = np.full((len(facts), 6), np.inf)

@@ -18,7 +18,7 @@ from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
-from photocal.geometry.camera import PARAMETERS, Camera, Shutter
+from photocal.geometry.camera import PARAMETERS, Camera, Shutter, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.measurement.start_block import without_images, without_single_rays
@@ -208,8 +208,7 @@ def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camer
 def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
     """The camera with adjusted values, and with the rolling shutter that it was found to have."""
     if adjusted.rolling and not own.rolling:
-        rolls = own.estimated | (np.array(PARAMETERS) == "readout")
-        direction = adjusted.readout_direction
+        rolls, direction = own.estimated | among("readout"), adjusted.readout_direction
         own = replace(own, estimated=rolls, shutter="rolling", readout_direction=direction)
     elif not own.rolling:
         own = replace(own, shutter=adjusted.shutter)
@@ -310,7 +309,7 @@ def without_readouts(cameras: tuple[Camera, ...], shutter: Shutter) -> tuple[Cam
 
     shutter: what those that roll are said to have instead.
     """
-    readout = np.array(PARAMETERS) == "readout"
+    readout = among("readout")
     return tuple(
         replace(
             own.changed(readout=0.0),
@@ -355,7 +354,6 @@ def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
     freed = _freed(adjusted)
     found = []
     for k, own in enumerate(block.cameras):
-        estimated = dict(zip(PARAMETERS, own.estimated.tolist(), strict=True))
         sigma = np.sqrt(np.diag(solution.camera_covariance[k]))
         found.append(
             {
@@ -364,21 +362,19 @@ def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
                 "parameters": {
                     n: float(v) for n, v in zip(PARAMETERS, solution.cameras[k], strict=True) if v
                 },
-                "sigma": {n: float(s) for n, s in zip(PARAMETERS, sigma, strict=True) if estimated[n]},
-                "held": [n for n in (*PARAMETERS[:3], "K1") if not estimated[n]],
-                "released": None if freed is None or estimated["c"] else _released(adjusted, freed, k),
+                "sigma": {n: float(s) for n, s in zip(PARAMETERS, sigma, strict=True) if n in own.free},
+                "held": [n for n in (*PARAMETERS[:3], "K1") if n not in own.free],
+                "released": None if freed is None or "c" in own.free else _released(adjusted, freed, k),
             }
         )
     return found
 
 
 def _freed(adjusted: Adjusted) -> Solution | None:
-    estimated = np.array([name == "c" for name in PARAMETERS])
-    cameras = tuple(
-        replace(own, estimated=own.estimated | estimated) for own in adjusted.assembly.network.cameras
-    )
+    network = adjusted.assembly.network
+    cameras = tuple(replace(own, estimated=own.estimated | among("c")) for own in network.cameras)
     try:
-        return adjust(replace(adjusted.assembly.network, cameras=cameras))
+        return adjust(replace(network, cameras=cameras))
     except PhotocalError:
         return None
 

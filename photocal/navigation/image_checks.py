@@ -17,12 +17,12 @@ from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.similarity import similarity
 from photocal.measurement.image_block import measure_images
 from photocal.measurement.match_images import MatchingPlan
-from photocal.measurement.oriented_ties import Progress
 from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.rig import Rig
 from photocal.results.folder import RESULT, read_result
+from photocal.tasks.progress import Progress
 
 CODE = "image-rotations"
 # Attitudes of small vehicles are good to a few degrees.

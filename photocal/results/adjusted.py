@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from acquire.outputs import output_folder
-from drivers.arrays import Floats
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
@@ -37,7 +37,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block, FiducialFit
 from photocal.block.motion import require_motion
 from photocal.block.network import NetworkOfBlock, assemble, behind_cameras, plane_per_unit
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.frames import nearest_rotation
 from photocal.geometry.oriented_images import OrientedImages, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle
@@ -150,10 +150,7 @@ def network_of(block: Block, result: Result) -> NetworkOfBlock:
             [(image[seen.image[k]], point[seen.point[k]]) not in refused for k in assembly.rays],
             dtype=np.bool_,
         )
-        network, rays, points = subset(assembly.network, accepted)
-        assembly = replace(
-            assembly, network=network, points=assembly.points[points], rays=assembly.rays[rays]
-        )
+        assembly = _part(assembly, *subset(assembly.network, accepted))
     if any(camera.shutter != "global" for camera in assembly.network.cameras):
         adjusted_cameras = [result.cameras[camera.id] for camera in assembly.network.cameras]
         cameras = tuple(map(_with_shutter, assembly.network.cameras, adjusted_cameras))
@@ -163,6 +160,13 @@ def network_of(block: Block, result: Result) -> NetworkOfBlock:
     factors = {part.name: part.factor for part in result.variance_components}
     network = with_factors(assembly.network, rays_by_camera(assembly.network), factors)
     return replace(assembly, network=network)
+
+
+def _part(
+    assembly: NetworkOfBlock, network: Network, rays: Integers | Flags, points: Integers | Flags
+) -> NetworkOfBlock:
+    """The assembly of a network of some of its rays and points."""
+    return replace(assembly, network=network, points=assembly.points[points], rays=assembly.rays[rays])
 
 
 def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
@@ -185,7 +189,7 @@ def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
 
 def _with_shutter(camera: Camera, result: Camera) -> Camera:
     """Camera with the readout and the shakes that a result estimated, from what its sigmas belong to."""
-    readout = np.array(PARAMETERS) == "readout"
+    readout = among("readout")
     given = result.values if result.given is None else result.given
     return replace(
         camera,
@@ -483,16 +487,11 @@ def adjusted(
     known = network.points.held.any(axis=1) | network.points.weight.any(axis=(1, 2))
     lost = behind_cameras(network.exposures, network.rays, network.points.values) & ~known
     if lost.any():
-        network, taken, points = subset(network, ~lost[network.rays.point])
-        assembly = replace(
-            assembly, network=network, points=assembly.points[points], rays=assembly.rays[taken]
-        )
+        assembly = _part(assembly, *subset(network, ~lost[network.rays.point]))
     if snooping is None:
-        solution = adjust(network, report)
+        solution = adjust(assembly.network, report)
     else:
-        clean = snoop(network, snooping, report)
-        points, rays = assembly.points[clean.points], assembly.rays[clean.accepted]
-        assembly = replace(assembly, network=clean.network, points=points, rays=rays)
-        solution = clean.solution
+        clean = snoop(assembly.network, snooping, report)
+        assembly, solution = _part(assembly, clean.network, clean.accepted, clean.points), clean.solution
     network, solution, readouts = with_moving_images(assembly.network, solution, report)
     return replace(assembly, network=network, readouts=readouts), solution

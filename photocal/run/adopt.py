@@ -23,6 +23,7 @@ from photocal.exchange.reconstruction import ForeignProject, estimating_what_it_
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import similarity
+from photocal.measurement.block_files import SCHEMA as MEASURED
 from photocal.measurement.block_files import write_block
 from photocal.measurement.marks import in_map_system, named_after, read_control_marks, with_marks
 from photocal.measurement.start_block import without_images
@@ -32,7 +33,7 @@ from photocal.results.adjusted import adjust_block, adjusted, result_of
 from photocal.results.result import Result
 from photocal.run.block import mounting_text
 from photocal.run.folder_survey import ASSUMED_M
-from photocal.run.stage import Progress
+from photocal.tasks.progress import Progress
 
 # A common shift of the positions is told as one of the datum from here on, in its standard deviations.
 SHIFTED = 3.0
@@ -340,7 +341,7 @@ def _write(folder: Path, foreign: ForeignProject) -> None:
     held = np.isfinite(block.images.sigma).any()
     if not (known.any() or block.points.of_role("control").any() or held):
         block = replace(block, datum="free")
-    write_block(folder, block, {"schema": "photocal.measurement/1", "kind": f"project of {foreign.program}"})
+    write_block(folder, block, {"schema": MEASURED, "kind": f"project of {foreign.program}"})
     if known.any():
         rows = [
             [name, *(f"{v:.6f}" for v in (*place, *sigma))]

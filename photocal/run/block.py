@@ -11,7 +11,8 @@ from typing import Any
 from drivers.errors import InputNotFoundError
 from photocal.block.setup import MountingKeys
 from photocal.project import Project
-from photocal.run.stage import Progress, Stage
+from photocal.run.stage import Stage
+from photocal.tasks.progress import Progress
 
 _FROM_EXPOSURES = ("positions.csv", "attitudes.csv")
 

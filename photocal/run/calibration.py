@@ -8,8 +8,9 @@ from pathlib import Path
 
 from photocal.project import Project
 from photocal.report.signing import own_key
-from photocal.run.stage import RECORD, Progress, Stage
+from photocal.run.stage import RECORD, Stage
 from photocal.run.summary import gather
+from photocal.tasks.progress import Progress
 
 
 def calibration_stage(block: Path) -> Stage:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,9 @@ from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
-from photocal.run.stage import Digests, Progress, Stage, StageResult, alone, made_in, update_stage, written
+from photocal.run.stage import Digests, Stage, StageResult, alone, made_in, update_stage, written
 from photocal.run.summary import gather, kind, summary
+from photocal.tasks.progress import Progress, quiet
 
 _MEMORY = ".digests.json"
 # In the work folder while a run works: how far it is.
@@ -154,12 +154,6 @@ def run_projects(
         if one.failure is not None:
             raise one.failure
     return [one.figures for one in outcomes]
-
-
-@contextmanager
-def quiet(_: str, __: float | None) -> Iterator[Any]:
-    """Show no progress."""
-    yield lambda _: None
 
 
 def _say(line: str) -> None:

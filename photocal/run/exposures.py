@@ -19,7 +19,8 @@ from photocal.project import Project
 from photocal.run.measurements import pictures_of
 from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY, ppk_stage
-from photocal.run.stage import Progress, Stage
+from photocal.run.stage import Stage
+from photocal.tasks.progress import Progress
 
 if TYPE_CHECKING:
     from photocal.navigation.exposure_run import ExposureRun

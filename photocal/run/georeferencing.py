@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from acquire.outputs import write_json
 from photocal.project import Project
-from photocal.run.stage import Progress, Stage
+from photocal.run.stage import Stage
+from photocal.tasks.progress import Progress
 
 if TYPE_CHECKING:
     from photocal.accuracy.standard import Question

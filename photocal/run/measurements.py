@@ -19,7 +19,8 @@ from photocal.block.table import read_table
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.project import Project
-from photocal.run.stage import Progress, Stage
+from photocal.run.stage import Stage
+from photocal.tasks.progress import Progress
 
 
 def given_block(project: Project, images: Images, without_exposure: Collection[str] = ()) -> Block:
@@ -140,7 +141,7 @@ def _without_exposure(exposures: Path) -> list[str]:
 
 
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
-    from photocal.measurement.block_files import write_block
+    from photocal.measurement.block_files import SCHEMA, write_block
     from photocal.measurement.project_block import control_points
     from photocal.run.project_checks import check_near, picture_places
 
@@ -151,7 +152,7 @@ def _make(project: Project, exposures: Path | None, folder: Path, show: Progress
         # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
         starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
         block = given_block(project, starts, _without_exposure(exposures))
-        write_block(folder, block, {"schema": "photocal.measurement/1", "kind": "given observations"})
+        write_block(folder, block, {"schema": SCHEMA, "kind": "given observations"})
         return
     from acquire.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan

@@ -15,7 +15,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -24,6 +24,7 @@ from acquire.operating_system import lock as take
 from acquire.outputs import output_file, refusals, write_json
 from drivers.errors import InputNotFoundError, OutputError
 from photocal.block.model import digest
+from photocal.tasks.progress import Progress
 
 # Smaller files are read each time: nothing deceives that, and it takes no time.
 _SMALL_BYTES = 1 << 22
@@ -270,7 +271,6 @@ def _modules() -> dict[str, Path]:
 
 
 _TOLD_EVERY_S = 1.0
-Progress = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
 
 @dataclass(frozen=True)

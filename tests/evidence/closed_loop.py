@@ -41,8 +41,9 @@ from photocal.georeferencing.differences import differences
 from photocal.georeferencing.methods import METHODS, Method, of_method
 from photocal.project import read_project
 from photocal.results.adjusted import given_exposures, given_points
-from photocal.run.campaign import quiet, run_project
+from photocal.run.campaign import run_project
 from photocal.run.georeferencing import calibrated_on_the_job
+from photocal.tasks.progress import quiet
 from tests.simulated import FLIGHT, fly
 
 Floats = NDArray[np.float64]

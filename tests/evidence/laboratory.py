@@ -25,6 +25,7 @@ from photocal.measurement.field_block import measure_field
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import GivenLens
 from photocal.results.adjusted import adjust_block
+from photocal.tasks.progress import quiet
 from tests.photocal.measurement.laboratory import (
     ESTIMATED,
     LENS,
@@ -58,7 +59,7 @@ def rendered() -> str:
         rows = [f"{a},{b},{v:.5f},{TAPE_SIGMA_M}" for a, b, v in tapes(lab, np.random.default_rng(3))]
         (place / "tape.csv").write_text("\n".join(["from,to,value,sigma", *rows]) + "\n", encoding="utf-8")
         paths = list_images(place / "pictures")
-        found = measure_field(paths, "4x4_100", place / "tape.csv", "lab", GivenLens(), lambda _: None)
+        found = measure_field(paths, "4x4_100", place / "tape.csv", "lab", GivenLens(), quiet)
         (place / "block").mkdir()
         write_block(place / "block", found.block, found.record)
         own = adjust_block(place / "block", place / "run").cameras["camera"]

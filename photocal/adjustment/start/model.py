@@ -13,7 +13,7 @@ from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import robust_state
 from photocal.adjustment.start.bearings import Bearings
 from photocal.adjustment.state import start_state
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.resection import intersect, ray_residuals, resection
 from photocal.geometry.rotation import angles_from_matrix
 
@@ -35,7 +35,7 @@ SHARE, SHARE_OF_FEW, MANY = 0.3, 0.6, 12
 # Of the interior orientation only this is estimated here, where the camera is to be estimated at all, from
 # three images with so many rays each; with a prior sigma of c of this share of it where none is given, and
 # of the distortion at the corner of the image of this share of the radius.
-LENS = tuple(name in ("c", "K1", "K2") for name in PARAMETERS)
+LENS = among("c", "K1", "K2")
 CALIBRATING, RAYS_EACH = 3, 40
 C_SHARE, DISTORTION_SHARE = 0.2, 0.1
 

@@ -16,7 +16,7 @@ from photocal.analysis.estimates import from_sigmas
 from photocal.analysis.stability.comparison import Printed
 from photocal.analysis.stability.methods import Terrain
 from photocal.block.camera_setup import CameraKeys, make_camera
-from photocal.geometry.camera import PARAMETERS, Camera, camera
+from photocal.geometry.camera import PARAMETERS, Camera, among, camera
 
 # Two decimals of p correlations move an eigenvalue by no more than 0.005 p: more is no rounding.
 ROUNDING_OF_A_CORRELATION = 0.005
@@ -205,8 +205,7 @@ def _with_sigmas(made: Camera, one: _Camera, where: str) -> Camera:
     sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
     at = [PARAMETERS.index(name) for name in names]
     sigma[at], correlation[np.ix_(at, at)] = [one.sigma[name] for name in names], rows
-    estimated = np.array([name in names for name in PARAMETERS])
-    return replace(made, estimated=estimated, sigma=sigma, correlation=correlation)
+    return replace(made, estimated=among(*names), sigma=sigma, correlation=correlation)
 
 
 def brown_from_pix4d(

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputNotFoundError
-from photocal.run.campaign import quiet, run_projects
+from photocal.run.campaign import run_projects
+from photocal.tasks.progress import quiet
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")

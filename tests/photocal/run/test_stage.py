@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 
 from drivers.errors import InputNotFoundError, OutputError
-from photocal.run.stage import Digests, Progress, Stage, alone, made_in, needed_modules, update_stage
+from photocal.run.stage import Digests, Stage, alone, made_in, needed_modules, update_stage
+from photocal.tasks.progress import Progress
 from tests.photocal.run.toy_stages import sequence
 
 
