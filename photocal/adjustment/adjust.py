@@ -33,17 +33,9 @@ def adjust(
 ) -> Solution:
     """Adjust a network by weighted least squares (Gauss-Markov model with weighted constraints).
 
-    Parameters
-    ----------
-    state : State, optional
-        To start from, in place of the network's values: of a solution of the same images and points.
-
-    Raises
-    ------
-    IllPosedError
-        When the observations do not determine the unknowns.
-    NotConvergedError
-        When the iteration does not end.
+    state: to start from, in place of the network's values: of a solution of the same images and points.
+    raises IllPosedError: when the observations do not determine the unknowns.
+    raises NotConvergedError: when the iteration does not end.
     """
     began = time.perf_counter()
     problem, minimum = minimum_of(network, report, state)

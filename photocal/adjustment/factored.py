@@ -63,10 +63,7 @@ def factored(network: Network, state: State) -> Factored:
 def factorised(problem: Problem, minimum: Minimum) -> Factored:
     """Factorise the normal equations of a minimum in their place.
 
-    Raises
-    ------
-    IllPosedError
-        When they are singular.
+    raises IllPosedError: when they are singular.
     """
     state = minimum.state
     normal = minimum.normal or normal_equations(problem, state)

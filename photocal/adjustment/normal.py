@@ -199,12 +199,8 @@ def add_rays(
 ) -> tuple[Floats, float, Flags]:
     """Add the reduced normal equations of rays and weighted points alone to a matrix, or take them off.
 
-    Returns
-    -------
-    gradient : ndarray, shape (layout.size,)
-    chi_squared : float
-    singular : ndarray of bool, shape (points,)
-        Points that their rays do not determine.
+    returns gradient (layout.size,), chi_squared.
+    returns singular (points,): points that their rays do not determine.
     """
     structure, strips = problem.structure, problem.strips
     first, last = design.reach.T

@@ -275,15 +275,9 @@ def analyse_network(
 ) -> Outcome:
     """Adjust a network and analyse it.
 
-    Parameters
-    ----------
-    draws : int
-        Of the bootstrap over images: as many more adjustments.
-    start : State, optional
-        Where the minimum is known to be near.
-    done : callable
-        Gets the share of the work that was done since it was called last.
-
+    draws: of the bootstrap over images: as many more adjustments.
+    start: where the minimum is known to be near.
+    done: gets the share of the work that was done since it was called last.
     raises IllPosedError, NotConvergedError: as the adjustment does.
     """
     left, share = 1.0, 1.0 / (_steps(network) + draws)

@@ -55,22 +55,14 @@ def fingerprint(path: Path, name: str = "") -> InputFile:
 class Images:
     """Images with their exterior orientation in the block's frame.
 
-    Attributes
-    ----------
-    camera : ndarray of int, shape (n,)
-        Index into the block's cameras.
-    values, sigma : ndarray, shape (n, 6)
-        omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves it free. Where
-        they are not given nothing is known: NaN and infinity.
-    motion, motion_sigma : ndarray, shape (n, 6)
-        Velocity (m/s) and rate (rad/s) as `adjustment.network.Exposures` has them; NaN where not known.
-        `motion` has 15 columns more where a gyroscope has recorded how images shake.
-    time : ndarray, shape (n,)
-        Of the exposure, s; NaN where it is not known.
-    temperature : ndarray, shape (n,)
-        Of the camera or the air at the exposure, degrees Celsius; NaN where it is not known.
-    exposure : tuple of str
-        What the images of several cameras on one frame have in common; empty for an image by itself.
+    camera (n,): index into the block's cameras.
+    values, sigma (n, 6): omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves
+        it free. Where they are not given nothing is known: NaN and infinity.
+    motion, motion_sigma (n, 6): velocity (m/s) and rate (rad/s) as `adjustment.network.Exposures` has them;
+        NaN where not known. `motion` has 15 columns more where a gyroscope has recorded how images shake.
+    time (n,): of the exposure, s; NaN where it is not known.
+    temperature (n,): of the camera or the air at the exposure, degrees Celsius; NaN where it is not known.
+    exposure: what the images of several cameras on one frame have in common; empty for an image by itself.
     """
 
     names: tuple[str, ...]
@@ -111,16 +103,11 @@ class Images:
 class ObjectPoints:
     """Object points.
 
-    Attributes
-    ----------
-    values : ndarray, shape (n, 3)
-        X, Y, Z in m; NaN where a tie point has no start value.
-    sigma : ndarray, shape (n, 3)
-        Of the surveyed coordinates; 0 holds a coordinate, infinity leaves it free, as where it is not given.
-    role : ndarray of int, shape (n,)
-        Index into `ROLES`; tie points where it is not given.
-    cross : ndarray, shape (n, 3), optional
-        Covariances XY, XZ, YZ of the surveyed coordinates, m^2; zero when they are not given.
+    values (n, 3): X, Y, Z in m; NaN where a tie point has no start value.
+    sigma (n, 3): of the surveyed coordinates; 0 holds a coordinate, infinity leaves it free, as where it is
+        not given.
+    role (n,): index into `ROLES`; tie points where it is not given.
+    cross (n, 3): covariances XY, XZ, YZ of the surveyed coordinates, m^2; zero when they are not given.
     """
 
     names: tuple[str, ...]
@@ -162,14 +149,10 @@ class ObjectPoints:
 class Observations:
     """Image observations, in the order of their table.
 
-    Attributes
-    ----------
-    unit : {"px", "mm"}
-    axes : {"pixel", "photo"}
-        Column and row from the upper-left pixel, or x right and y up from the middle of the image.
-    image, point : ndarray of int, shape (n,)
-    values, sigma : ndarray, shape (n, 2)
-        In `unit` and `axes`.
+    axes: column and row from the upper-left pixel, or ("photo") x right and y up from the middle of the
+        image.
+    image, point (n,): indices into those of the block.
+    values, sigma (n, 2): in `unit` and `axes`.
     """
 
     unit: Literal["px", "mm"]
@@ -237,21 +220,13 @@ class Repetition:
 class Block:
     """Everything in a block folder.
 
-    Attributes
-    ----------
-    frame : str
-        "local", or the name of a coordinate reference system.
-    height : str
-        Kind of the heights.
-    datum : {"control", "free"}
-    datum_points : tuple of str
-        Points over which a free datum is taken; empty for all.
-    relations : Relations
-        Distances and height differences between points, by their index.
-    positions, attitudes, mounting
-        Observations of a GNSS antenna and an inertial unit, and how they are mounted.
-    fiducial_fits : tuple of FiducialFit
-        Where the observations were given as readings.
+    frame: "local", or the name of a coordinate reference system.
+    height: kind of the heights.
+    datum_points: points over which a free datum is taken; empty for all.
+    relations: distances and height differences between points, by their index.
+    positions, attitudes, mounting: observations of a GNSS antenna and an inertial unit, and how they are
+        mounted.
+    fiducial_fits: where the observations were given as readings.
     repetition: how repeated readings agree, where the block has them.
     check_distances: known distances that take no part, by the index of their points.
     heads: cameras that are fixed to each other, the first of each frame among them.

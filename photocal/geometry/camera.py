@@ -96,57 +96,34 @@ AFFINITY_MATRICES: dict[AffinityForm, tuple[list[list[float]], list[list[float]]
 class Camera:
     """A camera and what is known of its interior orientation.
 
-    Attributes
-    ----------
-    id : str
-        Name within the block.
-    model : one of `MODELS`
-        "brown-observed" and "brown-ideal" have Brown's polynomial, evaluated at the measured coordinates,
+    id: name within the block.
+    model: "brown-observed" and "brown-ideal" have Brown's polynomial, evaluated at the measured coordinates,
         which it corrects (photogrammetry), or at the ideal ones, which it distorts (vision).
-    unit : {"mm", "px"}
-        Unit of the image plane and so of c, x0, y0 and, in its powers, of the coefficients.
-    size_px : tuple of int
-        Width and height of the image.
-    pitch : tuple of float
-        Size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
-    values : ndarray, shape (20,)
-        Values in the order of `PARAMETERS`; the readout, from the first line to the last, in seconds.
-    estimated : ndarray of bool, shape (20,)
-        Which parameters the adjustment estimates; the others are held.
-    prior_sigma : ndarray, shape (20,)
-        Standard deviation of the value as an observation; infinite where it is a start value only.
-    reference_radius : float
-        R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
-    affinity : {"additive", "before", "after"}
-        Where the affinity acts.
-    affinity_form : {"fraser", "canon-elph", "tank"}
-        Which terms B1 and B2 stand for.
-    deviation_sigma : ndarray, shape (20,)
-        Photo-variant parameters: standard deviation by which the value of each image deviates from that
-        of the camera, infinite for one that is free; 0 for block-invariant parameters.
-    focus_m : float
-        Distance at which the distortion holds, that to which the lens is focused: it then varies with
+    unit: of the image plane and so of c, x0, y0 and, in its powers, of the coefficients.
+    size_px: width and height of the image.
+    pitch: size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
+    values (20,): in the order of `PARAMETERS`; the readout, from the first line to the last, in seconds.
+    estimated (20,): which parameters the adjustment estimates; the others are held.
+    prior_sigma (20,): standard deviation of the value as an observation; infinite where it is a start value
+        only.
+    reference_radius: R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
+    affinity: where the affinity acts.
+    affinity_form: which terms B1 and B2 stand for.
+    deviation_sigma (20,): photo-variant parameters: standard deviation by which the value of each image
+        deviates from that of the camera, infinite for one that is free; 0 for block-invariant parameters.
+    focus_m: distance at which the distortion holds, that to which the lens is focused: it then varies with
         the distance of the object; 0 where it is the same at all distances.
-    prior_correlation : ndarray, shape (20, 20), or None
-        Correlations of the values as observations; None when they are independent.
-    guessed : bool
-        Whether c is a guess: good to start from, and nothing to hold.
-    given : ndarray, shape (20,), or None
-        Of adjusted values: what they were before.
-    sigma, correlation : ndarray, shape (20,) and (14, 14), or None
-        Standard deviations of adjusted values and their correlations, 0 for held ones; None before an
-        adjustment.
-    distortion_at : {"adjusted", "measured"}
-        Coordinates at which `brown-observed` evaluates its polynomial in an adjustment: the adjusted ones
-        (Gauss-Helmert), or the measured ones with their errors, as older programs do.
-    readout_direction : str
-        In which order a rolling shutter reads the lines.
-    shutter : {"global", "rolling", "unknown"}
-        Whether images have one pose for all lines; an unknown shutter is tested.
-    gust : tuple of float
-        By how much velocity (m/s) and rate (rad/s) of an image depart from what is known of the flight.
-    shake : tuple of float
-        Sigmas of the turns of an image during its readout (rad), by their degree from 1 on; empty without.
+    prior_correlation (20, 20): correlations of the values as observations; None when they are independent.
+    guessed: whether c is a guess: good to start from, and nothing to hold.
+    given (20,): of adjusted values: what they were before; else None.
+    sigma (20,), correlation (20, 20): standard deviations of adjusted values and their correlations, 0 for
+        held ones; None before an adjustment.
+    distortion_at: coordinates at which `brown-observed` evaluates its polynomial in an adjustment: the
+        adjusted ones (Gauss-Helmert), or the measured ones with their errors, as older programs do.
+    readout_direction: in which order a rolling shutter reads the lines.
+    shutter: whether images have one pose for all lines; an unknown shutter is tested.
+    gust: by how much velocity (m/s) and rate (rad/s) of an image depart from what is known of the flight.
+    shake: sigmas of the turns of an image during its readout (rad), by their degree from 1 on; empty without.
     """
 
     id: str
@@ -285,15 +262,8 @@ def camera(
 
     Without another word the affinity of Brown's models is additive.
 
-    Parameters
-    ----------
-    camera_id, model, unit, size_px, pitch, reference_radius, affinity, affinity_form, focus_m
-        As the attributes of `Camera`.
-
-    Raises
-    ------
-    KeyError
-        For a name that is no parameter.
+    Parameters are as the attributes of `Camera`.
+    raises KeyError: for a name that is no parameter.
     """
     values = np.zeros(len(PARAMETERS))
     estimated = np.zeros(len(PARAMETERS), dtype=np.bool_)

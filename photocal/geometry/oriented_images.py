@@ -25,18 +25,12 @@ _LINES = 6
 class OrientedImages:
     """Images with their cameras and exterior orientation.
 
-    Attributes
-    ----------
-    camera : ndarray of int, shape (n,)
-        Index into the cameras; -1 where it is not known.
-    values : ndarray, shape (n, 6)
-        omega, phi, kappa in radians, X, Y, Z of the projection centre in m; NaN where not known.
-    covariance : ndarray, shape (n, 6, 6), or None
-        Of `values`; NaN where nothing is said of an image.
-    movement : ndarray, shape (n, 6 or 21), or None
-        While a rolling shutter reads an image: of the projection centre (m, axes of X, Y, Z) and turn of the
-        camera (rad, its own axes), then the polynomials of what shakes it, see `shutter`. `values` hold
-        in the middle of it.
+    camera (n,): index into the cameras; -1 where it is not known.
+    values (n, 6): omega, phi, kappa in radians, X, Y, Z of the projection centre in m; NaN where not known.
+    covariance (n, 6, 6): of `values`; NaN where nothing is said of an image; None where nothing is of any.
+    movement (n, 6 or 21): while a rolling shutter reads an image: of the projection centre (m, axes of X, Y,
+        Z) and turn of the camera (rad, its own axes), then the polynomials of what shakes it, see `shutter`.
+        `values` hold in the middle of it. None where none moves.
     """
 
     names: tuple[str, ...]

@@ -104,12 +104,9 @@ def object_to_body(angles: Floats) -> tuple[Floats, Floats]:
     """Rotations from the object frame to body axes (aerospace sequence: yaw, pitch, roll).
 
     angles (n, 3): roll, pitch, yaw in radians; yaw from the Y axis (north) towards X (east).
-
-    Returns
-    -------
-    rotation : ndarray, shape (n, 3, 3)
-    turn_per_angle : ndarray, shape (n, 3, 3)
-        Turn about the body axes, t with rotation' = exp(-[t]x) rotation, per radian of each angle.
+    returns rotation (n, 3, 3).
+    returns turn_per_angle (n, 3, 3): turn about the body axes, t with rotation' = exp(-[t]x) rotation, per
+        radian of each angle.
     """
     sin, cos = np.sin(angles), np.cos(angles)
     (sr, sp, sy), (cr, cp, cy) = sin.T, cos.T

@@ -214,12 +214,9 @@ def _lists(rows: Floats) -> Any:
 def read_result(folder: Path) -> Result:
     """Read the folder that `photocal adjust` wrote.
 
-    Raises
-    ------
-    InputNotFoundError
-        When the folder or one of its files is missing or empty.
-    InputMalformedError
-        When a file is of another schema, cut, not a number where one must stand, or contradicts another.
+    raises InputNotFoundError: when the folder or one of its files is missing or empty.
+    raises InputMalformedError: when a file is of another schema, cut, not a number where one must stand, or
+        contradicts another.
     """
     if not folder.is_dir():
         what = "is a file, a folder was expected" if folder.exists() else "no such folder"

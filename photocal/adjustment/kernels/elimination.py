@@ -326,10 +326,7 @@ def join(
 ) -> None:
     """Add what the pieces have given, in their order, to the reduced matrix.
 
-    Parameters
-    ----------
-    strips : Structure
-        Of the pieces' values: a panel for each image.
+    strips: structure of the pieces' values: a panel for each image.
     """
     shares = np.linspace(0, len(strips.last), len(design.pieces)).astype(np.int64)
 

@@ -10,8 +10,7 @@ import pytest
 
 from drivers.arrays import Integers
 from photocal.block.folder import read_block
-from photocal.block.model import Block, ObjectPoints, Observations
-from photocal.exchange.parts import images as block_images
+from photocal.block.model import Block, Images, ObjectPoints, Observations
 from photocal.exchange.reconstruction import of_result
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
@@ -86,7 +85,7 @@ def block_of(truth: flights.Flight) -> Block:
     kept = enough[point]
     image, point, pixels = image[kept], point[kept], pixels[kept]
     poses = oriented_images((truth.camera,), np.zeros(len(truth.centre)), truth.rotation, truth.centre)
-    images = block_images(poses.names, poses.camera.tolist(), poses.values)
+    images = Images(poses.names, poses.camera, poses.values)
     motion = np.hstack([truth.velocity, truth.rate])
     given = replace(
         images, sigma=np.full(images.sigma.shape, 1e-6), motion=motion, motion_sigma=1e-9 + 0 * motion
