@@ -7,7 +7,7 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
 from photocal.adjustment.kernels.ray import ray_rows
-from photocal.adjustment.kernels.statistics import gather, most_rays
+from photocal.adjustment.kernels.statistics import eliminated_spread, gather, most_rays
 from photocal.compiled import compiled, each_piece, inlined
 from photocal.geometry.lens import Scratch, scratch
 
@@ -154,39 +154,8 @@ def pulls(
 
 
 @compiled
-def cross_covariance(
-    design: Design,
-    structure: Structure,
-    j: int,
-    kept: Eliminated,
-    local: Floats,
-    m: int,
-    mixed: Floats,
-    cross: Floats,
-) -> None:
-    """Covariance -V^-1 W' Q between a point and all that its rays touch, shape (3, m)."""
-    begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
-    edge, stays = columns(design) * n, design.point_column[j]
-    for a in range(3):
-        for c in range(m):
-            mixed[a, c] = 0.0
-            cross[a, c] = local[edge + stays + a, c] if stays >= 0 else 0.0
-        for b in range(3):
-            q = kept.inverse[j, a, b]
-            for r in range(n):
-                for c in range(columns(design)):
-                    mixed[a, columns(design) * r + c] += q * kept.mixed[begin + r, b, c]
-            for c in range(structure.lens):
-                mixed[a, edge + c] += q * kept.mixed_border[j, b, c]
-        if stays < 0:
-            for c in range(m):
-                for b in range(m):
-                    cross[a, b] -= mixed[a, c] * local[c, b]
-
-
-@compiled
 def ray_effect(
-    design: Design, r: int, at: int, first: int, own: Floats, cross: Floats, room: Scratch, effect: Floats
+    design: Design, r: int, at: int, first: int, own: Floats, spread: Floats, room: Scratch, effect: Floats
 ) -> None:
     """Effect of ray r, whose derivatives are in the scratch room, on its point."""
     i = design.ray_image[r]
@@ -197,9 +166,9 @@ def ray_effect(
             for b in range(3):
                 total += own[d, b] * room.by_point[a, b]
             for b in range(columns(design)):
-                total += cross[d, first + b] * room.by_image[a, b]
+                total -= spread[d, first + b] * room.by_image[a, b]
             for s in range(design.active_count[k]):
-                total += cross[d, at + s] * room.by_camera[a, design.active[k, s]]
+                total -= spread[d, at + s] * room.by_camera[a, design.active[k, s]]
             effect[r, a, d] = total * design.weight[r, a]
 
 
@@ -215,7 +184,7 @@ def point_effects_piece(
     effect: Floats,
     room: Scratch,
     mixed: Floats,
-    cross: Floats,
+    spread: Floats,
     local: Floats,
     own: Floats,
 ) -> None:
@@ -224,18 +193,18 @@ def point_effects_piece(
         j = design.order[nth]
         begin, end = design.ray_start[j], design.ray_start[j + 1]
         m = gather(design, structure, j, inverse, local)
-        cross_covariance(design, structure, j, kept, local, m, mixed, cross)
+        eliminated_spread(design, structure, j, kept, local, m, mixed, spread)
         for a in range(3):
             for b in range(3):
                 own[a, b] = covariance[j, a, b]
             if design.point_free[j, a] == 0.0:
                 for c in range(m):
-                    cross[a, c] = 0.0
+                    spread[a, c] = 0.0
         for r in range(begin, end):
             i = design.ray_image[r]
             ray_rows(design, values, r, i, j, room)
             at = columns(design) * (end - begin) + design.active_column[design.image_lens[i]]
-            ray_effect(design, r, at, columns(design) * (r - begin), own, cross, room, effect)
+            ray_effect(design, r, at, columns(design) * (r - begin), own, spread, room, effect)
 
 
 def point_effects(

@@ -116,7 +116,6 @@ def analyse(
     Example: `photocal adjust my-block -o run && photocal analyse run`, or
     `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
     """
-    from acquire.console import answer, progress
     from photocal.findings.texts import catalogue
     from photocal.report.analysis_record import analyse_run, analysis_record
     from photocal.report.analysis_text import analysis_text
@@ -205,8 +204,6 @@ def certificate(
 
 def _day(date: str | None) -> dt.date:
     import datetime as dt
-
-    from drivers.errors import ConfigurationError
 
     if date is None:
         return dt.datetime.now().astimezone().date()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from acquire.console import AsJson, answer, argument, numbers_of, option, progress
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, InputMalformedError
 
 if TYPE_CHECKING:
     from photocal.planning.flight import Flight, Layout
@@ -184,8 +184,6 @@ def flown(
 
     import numpy as np
 
-    from acquire.console import answer
-    from drivers.errors import InputMalformedError
     from photocal.accuracy.maps import reference_system
     from photocal.block.motion import strips, velocity_of_neighbours
     from photocal.geopackage import changed_utc

@@ -57,7 +57,6 @@ def exposures_stage(project: Project, ppk: Path) -> Stage:
 def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     from photocal.navigation.exposure_files import (
         plot_exposures,
-        with_images,
         write_block_images,
         write_exposures,
         write_geo_txt,

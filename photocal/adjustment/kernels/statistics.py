@@ -55,6 +55,55 @@ def gather(design: Design, structure: Structure, j: int, inverse: Floats, local:
     return int(edge + reach)
 
 
+@inlined
+def eliminated_spread(
+    design: Design,
+    structure: Structure,
+    j: int,
+    kept: Eliminated,
+    local: Floats,
+    m: int,
+    mixed: Floats,
+    spread: Floats,
+) -> None:
+    """Relate a point to the m unknowns of its rays, whose covariance Q_uu is `local`.
+
+    mixed, spread (3, m): receive V^-1 W' and V^-1 W' Q_uu: Q_pu = -spread, Q_pp = V^-1 + spread W V^-1.
+        A point that stays among the unknowns has its covariance in `local`.
+    """
+    begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
+    edge, stays = columns(design) * n, design.point_column[j]
+    for a in range(3):
+        q0, q1, q2 = kept.inverse[j, a, 0], kept.inverse[j, a, 1], kept.inverse[j, a, 2]
+        for r in range(n):
+            for b in range(columns(design)):
+                mixed[a, columns(design) * r + b] = (
+                    q0 * kept.mixed[begin + r, 0, b]
+                    + q1 * kept.mixed[begin + r, 1, b]
+                    + q2 * kept.mixed[begin + r, 2, b]
+                )
+        for s in range(edge, m):
+            mixed[a, s] = 0.0
+        for s in range(structure.lens):
+            mixed[a, edge + s] = (
+                q0 * kept.mixed_border[j, 0, s]
+                + q1 * kept.mixed_border[j, 1, s]
+                + q2 * kept.mixed_border[j, 2, s]
+            )
+        for b in range(m):
+            spread[a, b] = 0.0
+    for c in range(m):
+        m0, m1, m2 = mixed[0, c], mixed[1, c], mixed[2, c]
+        for b in range(m):
+            spread[0, b] += m0 * local[c, b]
+            spread[1, b] += m1 * local[c, b]
+            spread[2, b] += m2 * local[c, b]
+    if stays >= 0:
+        for a in range(3):
+            for b in range(m):
+                spread[a, b] = -local[edge + stays + a, b]
+
+
 @compiled
 def statistics_piece(
     design: Design,
@@ -79,37 +128,9 @@ def statistics_piece(
         begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
         edge = columns(design) * n
         m = gather(design, structure, j, inverse, local)
-        # mixed = V^-1 W' and spread = V^-1 W' Q_uu: Q_pu = -spread, Q_pp = V^-1 + spread W V^-1.
-        for a in range(3):
-            q0, q1, q2 = kept.inverse[j, a, 0], kept.inverse[j, a, 1], kept.inverse[j, a, 2]
-            for r in range(n):
-                for b in range(columns(design)):
-                    mixed[a, columns(design) * r + b] = (
-                        q0 * kept.mixed[begin + r, 0, b]
-                        + q1 * kept.mixed[begin + r, 1, b]
-                        + q2 * kept.mixed[begin + r, 2, b]
-                    )
-            for s in range(edge, m):
-                mixed[a, s] = 0.0
-            for s in range(structure.lens):
-                mixed[a, edge + s] = (
-                    q0 * kept.mixed_border[j, 0, s]
-                    + q1 * kept.mixed_border[j, 1, s]
-                    + q2 * kept.mixed_border[j, 2, s]
-                )
-            for b in range(m):
-                spread[a, b] = 0.0
-        for c in range(m):
-            m0, m1, m2 = mixed[0, c], mixed[1, c], mixed[2, c]
-            for b in range(m):
-                spread[0, b] += m0 * local[c, b]
-                spread[1, b] += m1 * local[c, b]
-                spread[2, b] += m2 * local[c, b]
+        eliminated_spread(design, structure, j, kept, local, m, mixed, spread)
         stays = design.point_column[j]
         for a in range(3):
-            if stays >= 0:
-                for b in range(m):
-                    spread[a, b] = -local[edge + stays + a, b]
             for b in range(3):
                 q = kept.inverse[j, a, b]
                 for c in range(m):

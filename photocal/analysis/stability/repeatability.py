@@ -79,8 +79,6 @@ def repeatability(occasions: Sequence[Occasion]) -> tuple[Repeatability, ...]:
 
 
 def _of_parameter(name: str, occasions: Sequence[Occasion]) -> Repeatability:
-    from scipy import stats
-
     x = np.array([one.camera.value(name) for one in occasions])
     variance = np.array([one.camera.sigma_of(name) for one in occasions]) ** 2
     n, ones = len(x), np.ones((len(x), 1))
@@ -140,8 +138,6 @@ def _conditions(occasions: Sequence[Occasion]) -> list[tuple[str, Floats]]:
 
 
 def _trend(against: str, at: Floats, x: Floats, variance: Floats) -> Trend | None:
-    from scipy import stats
-
     freedom = len(x) - 2
     if freedom < 1:
         return None
