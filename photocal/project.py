@@ -221,12 +221,12 @@ class Control(Table):
     @property
     def coded_targets(self) -> tuple[CodedTargets, ...]:
         """Targets with a code."""
-        return tuple(own for own in self.targets if isinstance(own, CodedTargets))
+        return tuple(target for target in self.targets if isinstance(target, CodedTargets))
 
     @property
     def plain_targets(self) -> tuple[PlainTargets, ...]:
         """Targets without a code."""
-        return tuple(own for own in self.targets if isinstance(own, PlainTargets))
+        return tuple(target for target in self.targets if isinstance(target, PlainTargets))
 
 
 class Measurements(Table):

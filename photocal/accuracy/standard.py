@@ -217,7 +217,7 @@ def parse_standard(text: str, where: str) -> Standard:
             return checked_tables(content, ValueStandard, where)
         standard = checked_tables(content, ScaleStandard, where)
         _ = [
-            one.unit_limits for one in standard.tables
+            table.unit_limits for table in standard.tables
         ]  # worked out here, where what is wrong with them can be said
     except tomllib.TOMLDecodeError as refusal:
         raise ConfigurationError(f"is not TOML ({refusal})", where=where) from refusal

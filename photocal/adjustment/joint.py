@@ -54,7 +54,11 @@ def _functions(
 ) -> list[tuple[Unknown, Floats, Floats]]:
     """Unknowns of one thing as linear functions of the columns and of the eliminated points."""
     size, none = at.problem.layout.size, np.zeros_like(at.state.points)
-    mine = [k for k, one in enumerate(columns) if one is not None and (one.kind, one.of) == (kind, name)]
+    mine = [
+        k
+        for k, column in enumerate(columns)
+        if column is not None and (column.kind, column.of) == (kind, name)
+    ]
     result = []
     turns = _angle_rows(at, name) if kind == "image" and mine else {}
     for k in mine:

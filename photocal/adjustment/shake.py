@@ -56,7 +56,7 @@ def with_shake(
     variance components (Foerstner 1979), beginning with those that cameras already have. A network that
     does not bear them stays as it is.
     """
-    sigmas = {k: np.array(own.shake[1:]) for k, own in enumerate(network.cameras) if own.shake}
+    sigmas = {k: np.array(camera.shake[1:]) for k, camera in enumerate(network.cameras) if camera.shake}
     sigmas |= {
         k: _start(local)
         for k, local in _by_camera(network, solution).items()

@@ -198,7 +198,7 @@ class Opinions:
         others = {name: _known(getattr(self, name), parameter) for name in ("sandwich", "bootstrap")}
         if others["sandwich"] is None:
             others = {"jackknife": _known(self.standard_error, parameter), **others}
-        sigma, whose = max((one or 0.0, name) for name, one in others.items())
+        sigma, whose = max((value or 0.0, name) for name, value in others.items())
         return (sigma, whose) if sigma > formal and apart(formal, sigma) else (formal, "formal")
 
 

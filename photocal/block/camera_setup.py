@@ -236,7 +236,7 @@ def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:
             "distortion that varies with the distance needs c in mm", where=place, remedy='give unit = "mm"'
         )
     c = own.value("c") / MM
-    distances = [keys.focus.distance_m, *(one.distance_m for one in keys.focus.calibrations)]
+    distances = [keys.focus.distance_m, *(calibration.distance_m for calibration in keys.focus.calibrations)]
     if min(distances) <= c:
         raise ConfigurationError(
             f"the focus distance {min(distances):g} m is not beyond c = {c:g} m",

@@ -65,8 +65,8 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
 
     raises ConfigurationError: for an unknown camera, one that is on two frames, or a chain of frames.
     """
-    given = {one.camera: one for one in keys}
-    first = dict.fromkeys(one.of for one in keys)
+    given = {key.camera: key for key in keys}
+    first = dict.fromkeys(key.of for key in keys)
     for name in (*given, *first):
         if name not in cameras:
             raise ConfigurationError(
@@ -81,7 +81,7 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
                 where=str(where),
                 remedy="give each camera one [[head]]; all of a frame have the same `of`",
             )
-    others = [one for one in keys if one.camera != one.of]
+    others = [key for key in keys if key.camera != key.of]
     nothing = np.zeros(len(OF_HEAD))
     heads = [Head(name, name, np.zeros(3), nothing, nothing) for name in first]
     for one in others:

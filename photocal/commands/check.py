@@ -177,9 +177,11 @@ def _interiors(path: Path) -> tuple[Camera, ...]:
     from photocal.geometry.camera import PARAMETERS
 
     cameras = []
-    for one in read_camera_file(path).calibrations:
-        sigma = np.array([one.sigma_of(name) or np.inf for name in PARAMETERS])
-        cameras.append(replace(one, prior_sigma=sigma, prior_correlation=one.correlation_of(PARAMETERS)))
+    for calibration in read_camera_file(path).calibrations:
+        sigma = np.array([calibration.sigma_of(name) or np.inf for name in PARAMETERS])
+        cameras.append(
+            replace(calibration, prior_sigma=sigma, prior_correlation=calibration.correlation_of(PARAMETERS))
+        )
     return tuple(cameras)
 
 

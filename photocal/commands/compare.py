@@ -75,9 +75,9 @@ def compare(
     if picture is not None:
         from photocal.analysis.stability.pictures import draw
 
-        draw(pairs, tuple(one.id for one in asked.calibrations), asked.thresholds_px, picture)
+        draw(pairs, tuple(calibration.id for calibration in asked.calibrations), asked.thresholds_px, picture)
     repeats = repeated(flights)
-    heads = compared_heads({one.name: one.heads for one in flights})
+    heads = compared_heads({flight.name: flight.heads for flight in flights})
     if curves is not None:
         from photocal.analysis.stability.pictures import draw_curves
 
@@ -130,7 +130,7 @@ def _figures(
 
     return {
         "schema": SCHEMA,
-        "cameras": [one.id for one in asked.calibrations],
+        "cameras": [calibration.id for calibration in asked.calibrations],
         "grid": {"points": points, "step_px": asked.grid_step_px},
         "thresholds_px": list(asked.thresholds_px),
         "terrains": as_plain(asked.terrains),
@@ -168,7 +168,7 @@ def _figures(
 def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]) -> str:
     from photocal.analysis.stability.comparison import sentences
 
-    names = tuple(one.id for one in asked.calibrations)
+    names = tuple(calibration.id for calibration in asked.calibrations)
     blocks = [_matrix(pairs, names, k) for k in range(len(pairs[0].figures))]
     if any(figure.sigma_px is not None for pair in pairs for figure in pair.figures):
         blocks.append("value +- its standard deviation, px; * differs beyond the noise of both (95 %)")

@@ -58,7 +58,7 @@ def export(
             for made in conversions
         ],
         "rolling_shutters": {
-            name: own.value("readout") for name, own in adjusted.cameras.items() if own.rolling
+            name: camera.value("readout") for name, camera in adjusted.cameras.items() if camera.rolling
         },
     }
     answer(as_json, lambda: result, lambda: _text(result, output))

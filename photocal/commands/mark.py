@@ -86,9 +86,9 @@ def _show(scene: Scene, store: MarkStore, address: str, cache: Path | None) -> N
     from photocal.measurement.marking.service import application
 
     stop = stopped_by_signals()
-    for name, own in scene.pictures.items():
-        if own.reason:
-            typer.echo(f"{name}: {own.reason}", err=True)
+    for name, picture in scene.pictures.items():
+        if picture.reason:
+            typer.echo(f"{name}: {picture.reason}", err=True)
     page = application(scene, store, cache or cache_folder())
     with serving(page, read_address(address)) as url:
         typer.echo(f"open {url} (Ctrl-C ends); marks: {store.path}")

@@ -89,7 +89,7 @@ def run(
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,
-        lambda: "\n\n".join(summary_text(one) for one in figures),
+        lambda: "\n\n".join(summary_text(figure) for figure in figures),
     )
 
 

@@ -97,7 +97,7 @@ def _softness(grey: NDArray[np.uint8]) -> float:
     # A wave of frequency w has differences over one and two pixels with the ratio of squares 2 (1 + cos w),
     # of which tan^2(w/2) follows.
     height, width = grey.shape
-    found = []
+    softness = []
     for row in np.linspace(0, max(height - _TILE, 0), _TILES).astype(int):
         for column in np.linspace(0, max(width - _TILE, 0), _TILES).astype(int):
             tile = grey[row : row + _TILE, column : column + _TILE].astype(np.float32)
@@ -109,8 +109,8 @@ def _softness(grey: NDArray[np.uint8]) -> float:
                 near, far = (_difference(tile, n * down, n * right) for n in (1, 2))
                 length = float(np.hypot(down, right))
                 lowest = min(lowest, max(4 * near / max(far, 1e-6) - 1, 1e-6) / length**2)
-            found.append(lowest**-0.5)
-    return float(np.median(found)) if found else np.nan
+            softness.append(lowest**-0.5)
+    return float(np.median(softness)) if softness else np.nan
 
 
 def _difference(tile: NDArray[np.float32], down: int, right: int) -> float:
@@ -138,12 +138,12 @@ def picture_findings(looks: Sequence[Look]) -> list[Finding]:
         ],
     }
     findings = [_about(code, group, len(looks)) for code, group in groups.items() if group]
-    own = readable
+    alike = readable
     for code, told in (("pictures-of-other-camera", _camera), ("lens-changed", _lens)):
-        all_told = [told(one) for one in own]
+        all_told = [told(one) for one in alike]
         usual = max(all_told, key=all_told.count, default="")
-        others = [one for one in own if told(one) != usual]
-        own = [one for one in own if told(one) == usual]
+        others = [one for one in alike if told(one) != usual]
+        alike = [one for one in alike if told(one) == usual]
         if others:
             findings.append(_about(code, others, len(looks), told(others[0]), usual))
     return findings
@@ -198,21 +198,21 @@ class Quick:
 def with_positions(facts: Sequence[ImageFacts], exposures: Exposures) -> list[ImageFacts]:
     """Pictures with the positions of their exposures in place of those that they state."""
     row = {name: k for k, names in enumerate(exposures.image) for name in names.split()}
-    placed, found = exposures.placed, []
+    placed, with_place = exposures.placed, []
     sigma = np.sqrt(np.maximum(np.diagonal(placed.covariance_m2, axis1=1, axis2=2), 0.0))
-    for one in facts:
-        k = row.get(one.name)
+    for image in facts:
+        k = row.get(image.name)
         if k is not None and placed.placed[k]:
             east, north, up = sigma[k].tolist()
-            one = replace(
-                one,
+            image = replace(
+                image,
                 latitude_deg=float(placed.lat_deg[k]),
                 longitude_deg=float(placed.lon_deg[k]),
                 altitude_m=float(placed.height_m[k]),
                 position_sigma_m=(east, north, up),
             )
-        found.append(one)
-    return found
+        with_place.append(image)
+    return with_place
 
 
 def orient_quickly(
@@ -228,17 +228,17 @@ def orient_quickly(
         tracks, _ = match_all(keys, pairs, plan, done)
     with progress("orienting reduced pictures", None):
         start = start_block(facts, local_places(facts)[0], "debrief")
-        start = replace(start, cameras=tuple(_known(own, last) for own in start.cameras))
+        start = replace(start, cameras=tuple(_known(camera, last) for camera in start.cameras))
         first = first_orientation(start, tracks)
         return Quick(len(first.kept), first.left_out, camera_figures(first.adjusted))
 
 
 def _known(stated: Camera, last: Sequence[Camera]) -> Camera:
     """Camera of the last certificate in place of a stated one of the same format; nothing is estimated."""
-    same = [one for one in last if one.size_px == stated.size_px]
+    same = [camera for camera in last if camera.size_px == stated.size_px]
     if not same:
         return stated
-    nearest = min(same, key=lambda one: abs(one.value("c") / one.pitch[0] - stated.value("c")))
+    nearest = min(same, key=lambda camera: abs(camera.value("c") / camera.pitch[0] - stated.value("c")))
     none = np.zeros_like(nearest.estimated)
     unknown = np.full(len(none), np.inf)
     return replace(nearest, id=stated.id, estimated=none, prior_sigma=unknown, guessed=False)
@@ -261,7 +261,7 @@ def quick_findings(
     if len(out) > _MAY_STAY * len(facts):
         figures = {"n": float(len(out)), "all": float(len(facts)), "images": out}
         findings.append(Finding("pictures-left-out", "doubtful", figures=figures))
-    return quick, findings + [_since(own, last) for own in quick.cameras if last]
+    return quick, findings + [_since(camera, last) for camera in quick.cameras if last]
 
 
 def _since(found: dict[str, Any], last: Sequence[Camera]) -> Finding:
@@ -270,7 +270,7 @@ def _since(found: dict[str, Any], last: Sequence[Camera]) -> Finding:
     if released is None or not released["credible"]:
         return untested("c-changed", "c-not-determined", {"camera": found["camera"]})
     c = float(released["c"] / (1.0 + released["change"]))
-    before = min(last, key=lambda one: abs(one.value("c") - c))
+    before = min(last, key=lambda camera: abs(camera.value("c") - c))
     both = float(np.hypot(before.sigma_of("c"), released["sigma"]))
     away = float(released["c"]) - c
     figures = {

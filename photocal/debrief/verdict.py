@@ -167,7 +167,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
         with progress("looking at pictures", len(paths)) as done:
             looks = look_at(paths, plan, done)
         findings += picture_findings(looks)
-        bad = {name for one in findings for name in one.figures.get("images", ())}
+        bad = {name for finding in findings for name in finding.figures.get("images", ())}
         good = [look for look in looks if look.path.name not in bad and look.facts is not None]
         flown = None
         if run is not None:
@@ -191,11 +191,11 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
 def _exposure_findings(run: ExposureRun, pictures: int) -> list[Finding]:
     """What the exposures say by themselves: partners, positions and their state, attitudes."""
     findings = [one for one in findings_of(run.figures["findings"], Path(FILE)) if not one.small]
-    strangers = [one for one in findings if one.code == "images-without-event"]
+    strangers = [finding for finding in findings if finding.code == "images-without-event"]
     lonely = sum(one.figures["n"] for one in strangers)
     if lonely > _WRONG_CARD * pictures:
         figures = {"n": lonely, "all": float(pictures)}
-        findings = [one for one in findings if one not in strangers]
+        findings = [finding for finding in findings if finding not in strangers]
         findings.append(Finding("wrong-card", "grave", figures=figures))
     placed = run.exposures.placed
     status, there = placed.status[placed.placed], int(placed.placed.sum())
@@ -237,8 +237,8 @@ def _ground(run: ExposureRun) -> float | None:
 
 def _verdict(findings: Sequence[Finding]) -> Finding:
     """Complete, to be looked at, or to be flown again."""
-    again = tuple(dict.fromkeys(one.code for one in findings if one.severity in AGAIN))
-    look = tuple(dict.fromkeys(one.code for one in findings if one.severity in LOOK))
+    again = tuple(dict.fromkeys(finding.code for finding in findings if finding.severity in AGAIN))
+    look = tuple(dict.fromkeys(finding.code for finding in findings if finding.severity in LOOK))
     figures = {"n": float(len(again or look)), "codes": again or look}
     if again:
         return Finding("fly-again", "grave", figures=figures)
@@ -255,7 +255,7 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "verdict": finding_json(made.verdict, say),
-        "findings": [finding_json(one, say) for one in made.findings],
+        "findings": [finding_json(finding, say) for finding in made.findings],
         "pictures": [_picture(look) for look in made.looks],
         "exposures": [] if made.exposures is None else _exposures(made.exposures, made.flown),
         "coverage": None,
@@ -299,7 +299,7 @@ def _exposures(run: ExposureRun, flown: Coverage | None) -> list[dict[str, Any]]
 def debrief_text(made: Debrief, say: Catalogue) -> str:
     """A debrief in words."""
     lines = [finding_text(made.verdict, say)]
-    lines += [f"- {finding_text(one, say)}" for one in made.findings if one.severity != "passed"]
+    lines += [f"- {finding_text(finding, say)}" for finding in made.findings if finding.severity != "passed"]
     readable = sum(look.facts is not None for look in made.looks)
     joined = "" if made.quick is None else say("debrief.joined", n=made.quick.joined)
     lines.append(say("debrief.pictures", n=readable, all=len(made.looks)) + joined)

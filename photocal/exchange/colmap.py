@@ -385,7 +385,7 @@ def write_colmap(
     folder: Path, given: Reconstruction, _: Choices | None = None, *, binary: bool = False
 ) -> tuple[Conversion, ...]:
     """Write a model folder."""
-    made = [to_pinhole(own, "COLMAP", _OTHERS) for own in given.cameras]
+    made = [to_pinhole(camera, "COLMAP", _OTHERS) for camera in given.cameras]
     lenses = []
     for k, (pinhole, _conversion) in enumerate(made, start=1):
         model = "OPENCV_FISHEYE" if pinhole.fisheye else "FULL_OPENCV"

@@ -289,7 +289,7 @@ _SWITCHES = {key: tuple(OURS[NAMES.index(name)] for name in names) for key, name
 def write_dbat(folder: Path, block: Block) -> Path:
     """Write setup.xml, images.txt, marks.txt, control.txt and check.txt."""
     _require_expressible(block)
-    own = unbalanced(block.cameras[0])
+    camera = unbalanced(block.cameras[0])
     names = block.points.names
     control = np.flatnonzero(block.points.of_role("control"))
     check = np.flatnonzero(block.points.of_role("check"))
@@ -312,38 +312,38 @@ def write_dbat(folder: Path, block: Block) -> Path:
             SubElement(SubElement(given, section), "file", format=CONTROL_FORMAT).text = name
     SubElement(SubElement(given, "images"), "file", format="id,path").text = "images.txt"
     SubElement(SubElement(given, "image_pts"), "file", format="id,im,x,y,sx,sy").text = "marks.txt"
-    _write_camera(SubElement(SubElement(given, "cameras"), "camera"), own)
-    _operations(SubElement(root, "operations"), own)
+    _write_camera(SubElement(SubElement(given, "cameras"), "camera"), camera)
+    _operations(SubElement(root, "operations"), camera)
     path = folder / "setup.xml"
     write_xml(path, root)
     return path
 
 
-def lens_model(own: Camera) -> int:
+def lens_model(camera: Camera) -> int:
     """Number of DBAT's lens model for a camera."""
     index = [PARAMETERS.index(name) for name in ("B1", "B2")]
-    affine = bool(own.values[index].any() or own.estimated[index].any())
+    affine = bool(camera.values[index].any() or camera.estimated[index].any())
     others = [PARAMETERS.index(name) for name in ("P3", "P4")]
-    expressible = not (own.values[others].any() or own.estimated[others].any())
-    if own.affinity_form != "fraser" and affine:
+    expressible = not (camera.values[others].any() or camera.estimated[others].any())
+    if camera.affinity_form != "fraser" and affine:
         expressible = False
-    if own.model == "brown-ideal" and not affine and expressible:
+    if camera.model == "brown-ideal" and not affine and expressible:
         return -1
-    if own.model == "brown-observed" and expressible and (not affine or own.affinity != "additive"):
-        return 4 if own.affinity == "after" else 3
+    if camera.model == "brown-observed" and expressible and (not affine or camera.affinity != "additive"):
+        return 4 if camera.affinity == "after" else 3
     raise InputMalformedError(
-        f"camera {own.id} has no equivalent in DBAT", remedy="use brown-observed, affinity before or after"
+        f"camera {camera.id} has no equivalent in DBAT", remedy="use brown-observed, affinity before or after"
     )
 
 
 def _require_expressible(block: Block) -> None:
     if len(block.cameras) != 1 or block.cameras[0].unit != "mm":
         raise InputMalformedError("only blocks with one camera, in mm, can be written for DBAT")
-    own = block.cameras[0]
-    if own.pitch[0] != own.pitch[1]:
+    camera = block.cameras[0]
+    if camera.pitch[0] != camera.pitch[1]:
         raise InputMalformedError("pixels are not square", remedy="give them square, and the affinity as B1")
     if (
-        np.isfinite(own.prior_sigma).any()
+        np.isfinite(camera.prior_sigma).any()
         or np.isfinite(block.images.sigma).any()
         or block.relations.kind.size
     ):
@@ -352,7 +352,7 @@ def _require_expressible(block: Block) -> None:
             remedy="leave out their sigmas",
         )
     for key, names in _SWITCHES.items():
-        held = {bool(own.estimated[PARAMETERS.index(name)]) for name in names[: _count(own, key)]}
+        held = {bool(camera.estimated[PARAMETERS.index(name)]) for name in names[: _count(camera, key)]}
         if len(held) > 1:
             raise InputMalformedError(f"DBAT estimates {', '.join(names)} together or not at all")
     for name in block.points.names:
@@ -360,13 +360,13 @@ def _require_expressible(block: Block) -> None:
             raise InputMalformedError(f"point {name!r} has no number for a name, as DBAT wants it")
 
 
-def _count(own: Camera, key: str) -> int:
+def _count(camera: Camera, key: str) -> int:
     """How many parameters of a group the camera has: coefficients end with the last that is used."""
     names = _SWITCHES[key]
     if key not in ("K", "P"):
         return len(names)
     index = [PARAMETERS.index(name) for name in names]
-    used = np.flatnonzero((own.values[index] != 0) | own.estimated[index])
+    used = np.flatnonzero((camera.values[index] != 0) | camera.estimated[index])
     return int(used[-1]) + 1 if len(used) else 0
 
 
@@ -380,17 +380,17 @@ def _surveyed(points: ObjectPoints, rows: Integers) -> list[parts.Row]:
     return found
 
 
-def _write_camera(element: Element, own: Camera) -> None:
-    value = to_dbat(own, lens_model(own))
-    lists = {key: [value[name] for name in _SWITCHES[key][: _count(own, key)]] for key in ("K", "P")}
+def _write_camera(element: Element, camera: Camera) -> None:
+    value = to_dbat(camera, lens_model(camera))
+    lists = {key: [value[name] for name in _SWITCHES[key][: _count(camera, key)]] for key in ("K", "P")}
     texts = {
-        "name": own.id,
+        "name": camera.id,
         "unit": "mm",
-        "sensor": f"auto,{own.size_px[1] * own.pitch[1]!r}",
-        "image": f"{own.size_px[0]},{own.size_px[1]}",
+        "sensor": f"auto,{camera.size_px[1] * camera.pitch[1]!r}",
+        "image": f"{camera.size_px[0]},{camera.size_px[1]}",
         "aspect": repr(1 - value["as"]),
         "focal": repr(value["cc"]),
-        "model": str(lens_model(own)),
+        "model": str(lens_model(camera)),
         "nK": str(len(lists["K"])),
         "nP": str(len(lists["P"])),
         "cc": repr(value["cc"]),
@@ -401,14 +401,14 @@ def _write_camera(element: Element, own: Camera) -> None:
         SubElement(element, key).text = text
 
 
-def _operations(element: Element, own: Camera) -> None:
+def _operations(element: Element, camera: Camera) -> None:
     values = SubElement(SubElement(element, "operation"), "set_initial_values")
     SubElement(values, "io").text = "loaded"
     SubElement(values, "op").text = "loaded"
     estimate = SubElement(SubElement(element, "operation"), "set_bundle_estimate_params")
     switches = SubElement(estimate, "io")
     for key, names in _SWITCHES.items():
-        SubElement(switches, key).text = str(bool(own.estimated[PARAMETERS.index(names[0])])).lower()
+        SubElement(switches, key).text = str(bool(camera.estimated[PARAMETERS.index(names[0])])).lower()
     SubElement(SubElement(estimate, "eo"), "all").text = "true"
     SubElement(SubElement(estimate, "op"), "all").text = "default"
     for name in ("spatial_resection", "forward_intersection", "bundle_adjustment"):
@@ -418,4 +418,4 @@ def _operations(element: Element, own: Camera) -> None:
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """A set-up and its tables."""
     write_dbat(folder, as_block(given, given.name, 1.0, ()))
-    return tuple(Conversion(own) for own in given.cameras)
+    return tuple(Conversion(camera) for camera in given.cameras)

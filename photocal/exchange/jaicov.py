@@ -119,7 +119,7 @@ def _cameras(lines: list[Line], path: Path) -> tuple[Camera, ...]:
             f"has {len(lines)} lines where every camera has 5", where=path, remedy="is the file cut?"
         )
     cameras = tuple(_camera(lines[k : k + 5]) for k in range(0, len(lines), 5))
-    parts.require_unique([own.id for own in cameras], "camera", path)
+    parts.require_unique([camera.id for camera in cameras], "camera", path)
     return cameras
 
 
@@ -196,16 +196,16 @@ _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
 
 def write_jaicov(stem: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write .ior, .eor, .obc and .phc files."""
-    if any(own.unit != "mm" for own in given.cameras):
+    if any(camera.unit != "mm" for camera in given.cameras):
         raise InputMalformedError("JAICOV files have cameras in mm", remedy="give the pixel pitch")
-    made = tuple(converted(own, "brown-ideal", "additive", _TERMS) for own in given.cameras)
-    cameras = whole_numbers([own.id for own in given.cameras])
+    made = tuple(converted(camera, "brown-ideal", "additive", _TERMS) for camera in given.cameras)
+    cameras = whole_numbers([camera.id for camera in given.cameras])
     images, points = whole_numbers(given.image_names), whole_numbers(given.point_names)
-    ior = [row for name, own in zip(cameras, made, strict=True) for row in _interior(name, own.camera)]
+    ior = [row for name, camera in zip(cameras, made, strict=True) for row in _interior(name, camera.camera)]
     write_rows(stem.with_suffix(".ior"), ior)
     eor: list[Row] = [
-        [name, cameras[own], *(pose[3:] / MM).tolist(), *pose[:3].tolist(), "0", "0", "3"]
-        for name, own, pose in zip(images, given.image_camera.tolist(), given.poses, strict=True)
+        [name, cameras[camera], *(pose[3:] / MM).tolist(), *pose[:3].tolist(), "0", "0", "3"]
+        for name, camera, pose in zip(images, given.image_camera.tolist(), given.poses, strict=True)
     ]
     write_rows(stem.with_suffix(".eor"), eor)
     rays = np.bincount(given.point, minlength=len(points))
@@ -219,15 +219,15 @@ def write_jaicov(stem: Path, given: Reconstruction, _: Choices | None = None) ->
     return made
 
 
-def _interior(name: str, own: Camera) -> list[Row]:
-    v = own.value
-    size = np.array(own.size_px) * own.pitch
+def _interior(name: str, camera: Camera) -> list[Row]:
+    v = camera.value
+    size = np.array(camera.size_px) * camera.pitch
     return [
-        [name, "-999", -v("c"), v("x0"), v("y0"), v("K1"), v("K2"), own.reference_radius],
+        [name, "-999", -v("c"), v("x0"), v("y0"), v("K1"), v("K2"), camera.reference_radius],
         [v("K3")],
         [v("P1"), v("P2")],
         [v("B1"), v("B2")],
-        [*size.tolist(), *(str(side) for side in own.size_px)],
+        [*size.tolist(), *(str(side) for side in camera.size_px)],
     ]
 
 

@@ -116,7 +116,7 @@ def _matrix(entries: dict[str, str], names: tuple[str, ...], path: Path) -> Floa
 
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """A YAML file for each camera."""
-    return tuple(write_opencv(folder / f"{file_name(own.id)}.yml", own) for own in given.cameras)
+    return tuple(write_opencv(folder / f"{file_name(camera.id)}.yml", camera) for camera in given.cameras)
 
 
 def read_cameras(folder: Path) -> Reconstruction:

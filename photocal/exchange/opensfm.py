@@ -93,15 +93,17 @@ def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:
             rays.append((image[cells[0]], point[cells[1]], x, y))
     table = np.array(rays, dtype=float).reshape(-1, 4)
     which = table[:, 0].astype(np.int64)
-    size = np.array([own.size_px for own in found.cameras], dtype=float)[found.image_camera[which]]
+    size = np.array([camera.size_px for camera in found.cameras], dtype=float)[found.image_camera[which]]
     pixels = table[:, 2:] * size.max(axis=1, initial=1.0, keepdims=True) + size / 2 - 0.5
     return replace(found, image=which, point=table[:, 1].astype(np.int64), pixels=pixels)
 
 
 def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write cameras.json, reconstruction.json and tracks.csv."""
-    made = [to_pinhole(own, "OpenSfM", {"equidistant": ("K1", "K2", "K3", "K4")}) for own in given.cameras]
-    names = [own.id for own in given.cameras]
+    made = [
+        to_pinhole(camera, "OpenSfM", {"equidistant": ("K1", "K2", "K3", "K4")}) for camera in given.cameras
+    ]
+    names = [camera.id for camera in given.cameras]
     cameras = {name: _keys(pinhole) for name, (pinhole, _) in zip(names, made, strict=True)}
     rotation, translation = to_vision(given.poses)
     turns = Rotation.from_matrix(rotation).as_rotvec()
@@ -123,7 +125,9 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
 
 
 def _write_tracks(path: Path, given: Reconstruction) -> None:
-    size = np.array([own.size_px for own in given.cameras], dtype=float)[given.image_camera[given.image]]
+    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[
+        given.image_camera[given.image]
+    ]
     normalised = (given.pixels + 0.5 - size / 2) / size.max(axis=1, keepdims=True)
     count = np.zeros(len(given.image_names), dtype=np.int64)
     with path.open("w", encoding="utf-8", newline="\n") as out:

@@ -234,7 +234,7 @@ _ITEMS: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 
 def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write project.opf and the files that it names."""
-    made = [to_pinhole(own, "OPF") for own in given.cameras]
+    made = [to_pinhole(camera, "OPF") for camera in given.cameras]
     pinholes = [pinhole for pinhole, _ in made]
     for own, pinhole in zip(given.cameras, pinholes, strict=True):
         require_one_focal_length(pinhole, own.id, "an OPF project")
@@ -312,14 +312,14 @@ def _sensors(given: Reconstruction, pinholes: list[Pinhole]) -> list[dict[str, A
     return [
         {
             "id": _sensor_id(given, k),
-            "name": own.id,
+            "name": camera.id,
             "bands": [{"name": name, "weight": weight} for name, weight in _BANDS],
-            "image_size_px": list(own.size_px),
+            "image_size_px": list(camera.size_px),
             "internals": _internals(pinhole),
-            "pixel_size_um": own.pitch[0] * 1e3 if own.unit == "mm" else 1.0,
+            "pixel_size_um": camera.pitch[0] * 1e3 if camera.unit == "mm" else 1.0,
             "shutter_type": "global",
         }
-        for k, (own, pinhole) in enumerate(zip(given.cameras, pinholes, strict=True))
+        for k, (camera, pinhole) in enumerate(zip(given.cameras, pinholes, strict=True))
     ]
 
 

@@ -104,8 +104,8 @@ def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> 
                 f"camera {own.id} is in px, but the format has the principal distance in mm",
                 remedy="give the camera in mm with its pixel pitch",
             )
-    made = tuple(_without_distortion(own) for own in given.cameras)
-    blocks = [_camera(own) for own in given.cameras]
+    made = tuple(_without_distortion(camera) for camera in given.cameras)
+    blocks = [_camera(camera) for camera in given.cameras]
     rotation = matrix_from_angles(given.poses[:, :3])
     for name, which, pose, matrix in zip(
         given.image_names, given.image_camera, given.poses, rotation, strict=True
@@ -119,25 +119,27 @@ def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> 
     return made
 
 
-def _without_distortion(own: Camera) -> Conversion:
-    if not own.values[3:].any():
-        return Conversion(own)
+def _without_distortion(camera: Camera) -> Conversion:
+    if not camera.values[3:].any():
+        return Conversion(camera)
     plain = replace(
-        own.with_values(np.where(np.arange(len(own.values)) < 3, own.values, 0.0)), reference_radius=0.0
+        camera.with_values(np.where(np.arange(len(camera.values)) < 3, camera.values, 0.0)),
+        reference_radius=0.0,
     )
-    return Conversion(plain, *apart_px(own, plain))
+    return Conversion(plain, *apart_px(camera, plain))
 
 
-def _camera(own: Camera) -> str:
-    width, height = own.size_px
-    across, down = (1 / side for side in own.pitch)
+def _camera(camera: Camera) -> str:
+    width, height = camera.size_px
+    across, down = (1 / side for side in camera.pitch)
     return (
-        f"$CAMERA_DEFINITION\n  $ID : {own.id}\n  $KIND : CCDFrame\n  $CCD_COLUMNS : {width}\n"
+        f"$CAMERA_DEFINITION\n  $ID : {camera.id}\n  $KIND : CCDFrame\n  $CCD_COLUMNS : {width}\n"
         f"  $CCD_ROWS : {height}\n  $PIXEL_REFERENCE : CenterTopLeft\n  $CAMERA_MOUNT_ROTATION : 0\n"
         f"  $ACTIVE_CALIBRATION : 1\n  $CALIBRATION_SET :\n    $ID : 1\n    $CCD_INTERIOR_ORIENTATION :\n"
         f"      {digits([across, 0.0, (width - 1) / 2])}\n      {digits([0.0, -down, (height - 1) / 2])}\n"
-        f"    $FOCAL_LENGTH : {own.value('c')!r}\n"
-        f"    $PRINCIPAL_POINT_PPA : {digits([own.value('x0'), own.value('y0')])}\n    $END\n  $END\n$END\n"
+        f"    $FOCAL_LENGTH : {camera.value('c')!r}\n"
+        f"    $PRINCIPAL_POINT_PPA : {digits([camera.value('x0'), camera.value('y0')])}\n"
+        f"    $END\n  $END\n$END\n"
     )
 
 

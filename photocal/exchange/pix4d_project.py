@@ -69,11 +69,11 @@ def read_pix4d(path: Path, size_px: tuple[int, int]) -> Camera:
     return from_pinhole(Pinhole(size_px, f, f, cx, cy, k1, k2, k3, t1, t2), path.stem, path)
 
 
-def write_pix4d(path: Path, own: Camera) -> Conversion:
+def write_pix4d(path: Path, camera: Camera) -> Conversion:
     """Write a .cam file; the sensor is that of the camera, or pixels of 1 um for a camera in px."""
-    pinhole, conversion = to_pinhole(own, "Pix4D")
-    require_one_focal_length(pinhole, own.id, "a .cam file")
-    pixel = own.pitch[0] if own.unit == "mm" else 1e-3
+    pinhole, conversion = to_pinhole(camera, "Pix4D")
+    require_one_focal_length(pinhole, camera.id, "a .cam file")
+    pixel = camera.pitch[0] if camera.unit == "mm" else 1e-3
     width, height = (side * pixel for side in pinhole.size_px)
     rows = [
         f"{HEAD} 0",
@@ -95,7 +95,7 @@ def write_pix4d(path: Path, own: Camera) -> Conversion:
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """A .cam file for each camera."""
     name = "_pix4d_calibrated_internal_camera_parameters.cam"
-    return tuple(write_pix4d(folder / (file_name(own.id) + name), own) for own in given.cameras)
+    return tuple(write_pix4d(folder / (file_name(camera.id) + name), camera) for camera in given.cameras)
 
 
 CAMERAS = "calibrated_camera_parameters.txt"

@@ -85,14 +85,14 @@ def _dbat_results(path: Path, block: Block) -> tuple[Camera, ...]:
     from photocal.exchange.dbat import read_dbat_cameras
     from photocal.exchange.dbat_camera import from_dbat
 
-    names = {own.id for own in block.cameras}
-    found: dict[str, Camera] = {}
+    names = {camera.id for camera in block.cameras}
+    cameras: dict[str, Camera] = {}
     for one in sorted(path.parent.glob("result*/*.xml")):
         try:
-            found |= {own.name: from_dbat(own, own.name, one) for own in read_dbat_cameras(one)}
+            cameras |= {own.name: from_dbat(own, own.name, one) for own in read_dbat_cameras(one)}
         except PhotocalError:
             continue
-    return tuple(own for name, own in found.items() if name in names)
+    return tuple(own for name, own in cameras.items() if name in names)
 
 
 def _micmac(path: Path) -> ForeignProject:
@@ -126,7 +126,7 @@ def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for sensor in read_xml(path).iter("sensor"):
         name = sensor.get("label") or sensor.get("id") or "camera"
-        own = next((one for one in block.cameras if one.id == name), None)
+        own = next((camera for camera in block.cameras if camera.id == name), None)
         names = (sensor.findtext("covariance/params") or "").split()
         matrix = numbers(sensor.findtext("covariance/coeffs") or "", path, "covariance")
         if own is None or not names or len(matrix) != len(names) ** 2:

@@ -169,8 +169,8 @@ def of_result(result: Result) -> Reconstruction:
     place = {name: j for j, name in enumerate(points.names)}
     point = np.array([place.get(name, -1) for name in rays.point_names], dtype=np.int64)[rays.point]
     camera_of = images.camera[rays.image]
-    size = np.array([own.size_px for own in images.cameras], dtype=float)[camera_of]
-    pitch = np.array([own.pitch for own in images.cameras])[camera_of]
+    size = np.array([camera.size_px for camera in images.cameras], dtype=float)[camera_of]
+    pitch = np.array([camera.pitch for camera in images.cameras])[camera_of]
     per_px = pitch if result.block.observation_unit == "mm" else np.ones_like(pitch)
     residuals = rays.residual / per_px
     pixels = rays.measured / per_px
@@ -201,9 +201,11 @@ def of_result(result: Result) -> Reconstruction:
     )
 
 
-def with_global_shutter(own: Camera) -> Camera:
+def with_global_shutter(camera: Camera) -> Camera:
     """Give a camera as it is when the effect of its readout is taken off its observations."""
-    return replace(own.changed(readout=0.0), estimated=own.estimated & ~among("readout"), shutter="global")
+    return replace(
+        camera.changed(readout=0.0), estimated=camera.estimated & ~among("readout"), shutter="global"
+    )
 
 
 def cameras_alone(cameras: Sequence[Camera]) -> Reconstruction:
@@ -326,7 +328,7 @@ def in_pixels(block: Block) -> Block:
     seen = block.observations
     if (seen.unit, seen.axes) == ("px", "pixel"):
         return block
-    pitch = np.array([own.pitch for own in block.cameras])[block.images.camera[seen.image]]
+    pitch = np.array([camera.pitch for camera in block.cameras])[block.images.camera[seen.image]]
     sigma = seen.sigma / pitch if seen.unit == "mm" else seen.sigma
     values = of_block(block).pixels
     return replace(block, observations=Observations("px", "pixel", seen.image, seen.point, values, sigma))
@@ -336,8 +338,10 @@ def estimating_what_it_has(block: Block, *, weighted: bool) -> Block:
     """Estimate what the program's camera has that is not zero; with set-ups what they say is estimated."""
     rest = np.where(among("B1", "B2"), _NOTHING, 0.0)
     cameras = tuple(
-        own if weighted and own.estimated.any() else replace(own, estimated=np.abs(own.values) > rest)
-        for own in block.cameras
+        camera
+        if weighted and camera.estimated.any()
+        else replace(camera, estimated=np.abs(camera.values) > rest)
+        for camera in block.cameras
     )
     return replace(block, cameras=cameras)
 

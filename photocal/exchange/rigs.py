@@ -128,7 +128,9 @@ def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> R
 
     for k, rig in enumerate(structured(path, "a rig_config.json of COLMAP", rigs)):
         sensors = {prefix: sensor for prefix, _, sensor in sorted(rig, key=lambda one: not one[1])}
-        head = [next((own for own in sensors if name.startswith(own)), "") for name in given.image_names]
+        head = [
+            next((sensor for sensor in sensors if name.startswith(sensor)), "") for name in given.image_names
+        ]
         exposure = [f"{k}/{n[len(own) :]}" for n, own in zip(given.image_names, head, strict=True)]
         given = with_rig(given, head, exposure, sensors)
     return given

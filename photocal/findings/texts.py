@@ -209,5 +209,5 @@ def _number(text: str, say: Catalogue) -> str:
 def _phrase(section: str, text: str, say: Catalogue, name: Callable[[str], str]) -> str:
     """Say a phrase, "radial K3" or "exchanged forward right"."""
     code, *parts = text.split(" ")
-    values = (name(one) if section == "candidate" else _number(_term(one, say), say) for one in parts)
+    values = (name(part) if section == "candidate" else _number(_term(part, say), say) for part in parts)
     return say.messages[f"{section}.{code}"].format(*values)

@@ -32,21 +32,21 @@ class Conversion:
     largest_px: float = 0.0
 
 
-def in_pixels(own: Camera) -> Camera:
+def in_pixels(camera: Camera) -> Camera:
     """Express a camera in px."""
-    if own.unit == "px":
-        return own
-    width, height = own.pitch
-    stretch, powers = height / width, own.lens.powers()
-    values = own.values * (1 / height) ** powers
-    affinity = own.affinity
+    if camera.unit == "px":
+        return camera
+    width, height = camera.pitch
+    stretch, powers = height / width, camera.lens.powers()
+    values = camera.values * (1 / height) ** powers
+    affinity = camera.affinity
     if abs(stretch - 1) > 1e-12:
-        if not own.values[_B].any():
-            affinity = "before" if own.model == "brown-observed" else "after"
-        possible = "before" if own.model == "brown-observed" else "after"
-        if affinity != possible or own.affinity_form != "fraser":
+        if not camera.values[_B].any():
+            affinity = "before" if camera.model == "brown-observed" else "after"
+        possible = "before" if camera.model == "brown-observed" else "after"
+        if affinity != possible or camera.affinity_form != "fraser":
             raise InputMalformedError(
-                f"camera {own.id} has pixels that are not square and an affinity that acts elsewhere",
+                f"camera {camera.id} has pixels that are not square and an affinity that acts elsewhere",
                 remedy="use square pixels",
             )
         values[1] *= stretch
@@ -54,28 +54,28 @@ def in_pixels(own: Camera) -> Camera:
             values[_B] = [stretch * (1 + values[11]) - 1, stretch * values[12]]
         else:
             values[11] = (1 + values[11]) / stretch - 1
-    sigma = own.prior_sigma * (1 / height) ** powers
+    sigma = camera.prior_sigma * (1 / height) ** powers
     return replace(
-        own,
+        camera,
         unit="px",
         pitch=(1.0, 1.0),
         values=values,
         prior_sigma=sigma,
-        reference_radius=own.reference_radius / height,
+        reference_radius=camera.reference_radius / height,
         affinity=affinity,
     )
 
 
-def unbalanced(own: Camera) -> Camera:
+def unbalanced(camera: Camera) -> Camera:
     """Turn balanced radial distortion (R0 > 0) into the plain polynomial: the same camera with another c.
 
     The constant part s = K1 R0^2 + K2 R0^4 + ... scales the image and goes into the principal distance.
     """
-    if own.reference_radius == 0:
-        return own
-    values = own.values.copy()
-    s = float(values[_K] @ own.reference_radius ** np.array([2, 4, 6, 8]))
-    if own.model == "brown-ideal":
+    if camera.reference_radius == 0:
+        return camera
+    values = camera.values.copy()
+    s = float(values[_K] @ camera.reference_radius ** np.array([2, 4, 6, 8]))
+    if camera.model == "brown-ideal":
         scale = 1 - s
         values[0] *= scale
         values[_K] /= scale ** np.array([3, 5, 7, 9])
@@ -85,13 +85,13 @@ def unbalanced(own: Camera) -> Camera:
         values[0] *= scale
         values[_K] *= scale
         values[7:9] *= scale
-    if own.affinity == "additive":
-        values[_B] *= 1 / scale if own.model == "brown-ideal" else scale
-    return replace(own, values=values, reference_radius=0.0)
+    if camera.affinity == "additive":
+        values[_B] *= 1 / scale if camera.model == "brown-ideal" else scale
+    return replace(camera, values=values, reference_radius=0.0)
 
 
 def converted(
-    own: Camera, model: Model, affinity: Affinity = "after", terms: Sequence[str] | None = None
+    camera: Camera, model: Model, affinity: Affinity = "after", terms: Sequence[str] | None = None
 ) -> Conversion:
     """Convert a camera to another model.
 
@@ -99,58 +99,60 @@ def converted(
         of the shutter and stays.
     raises InputMalformedError: when Brown's polynomial misses another lens by more than a pixel.
     """
-    own = unbalanced(own)
+    camera = unbalanced(camera)
     allowed = tuple(terms or (n for n in MODELS[model].names[3:-1] if n not in ("P3", "P4")))
-    used = {name for name, value in zip(PARAMETERS[3:_READOUT], own.values[3:_READOUT], strict=True) if value}
-    plain = not own.values[_B].any()
-    same = own.affinity_form == "fraser" and (own.affinity == affinity or plain)
-    perspective = not own.lens.angular and not MODELS[model].angular
-    if same and used <= set(allowed) and (own.model == model or (perspective and not used)):
-        return Conversion(replace(own, model=model, affinity=affinity, affinity_form="fraser"))
-    conversion = _fitted(own, model, affinity, allowed)
-    if own.lens.relative and not MODELS[model].relative and not conversion.largest_px < NO_EQUIVALENT_PX:
+    used = {
+        name for name, value in zip(PARAMETERS[3:_READOUT], camera.values[3:_READOUT], strict=True) if value
+    }
+    plain = not camera.values[_B].any()
+    same = camera.affinity_form == "fraser" and (camera.affinity == affinity or plain)
+    perspective = not camera.lens.angular and not MODELS[model].angular
+    if same and used <= set(allowed) and (camera.model == model or (perspective and not used)):
+        return Conversion(replace(camera, model=model, affinity=affinity, affinity_form="fraser"))
+    conversion = _fitted(camera, model, affinity, allowed)
+    if camera.lens.relative and not MODELS[model].relative and not conversion.largest_px < NO_EQUIVALENT_PX:
         raise InputMalformedError(
-            f"camera {own.id} has a {own.model} lens, which Brown's polynomial would miss by up to "
+            f"camera {camera.id} has a {camera.model} lens, which Brown's polynomial would miss by up to "
             f"{conversion.largest_px:.3g} px",
             remedy="export to colmap or opencv, which hold it",
         )
     return conversion
 
 
-def apart_px(own: Camera, other: Camera) -> tuple[float, float]:
+def apart_px(camera: Camera, other: Camera) -> tuple[float, float]:
     """How far apart two cameras record the same rays, over the whole image of the first."""
-    measured = _grid(own)
-    rays = undistorted(own, measured) / own.values[0]
+    measured = _grid(camera)
+    rays = undistorted(camera, measured) / camera.values[0]
     seen = np.isfinite(rays).all(axis=1)
-    apart = np.hypot(*((distorted(other, other.values[0] * rays[seen]) - measured[seen]) / own.pitch).T)
+    apart = np.hypot(*((distorted(other, other.values[0] * rays[seen]) - measured[seen]) / camera.pitch).T)
     apart[np.isnan(apart)] = np.inf
     return float(np.sqrt(np.mean(apart**2))), float(apart.max())
 
 
-def _grid(own: Camera) -> Floats:
+def _grid(camera: Camera) -> Floats:
     """Image points over the whole image, in its plane."""
     side = [
         np.linspace(-0.5, 0.5, GRID) * extent * pitch
-        for extent, pitch in zip(own.size_px, own.pitch, strict=True)
+        for extent, pitch in zip(camera.size_px, camera.pitch, strict=True)
     ]
     return np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
 
 
-def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str]) -> Conversion:
+def _fitted(camera: Camera, model: Model, affinity: Affinity, terms: Sequence[str]) -> Conversion:
     from scipy.optimize import least_squares
 
-    size = np.array(own.size_px)
-    measured = _grid(own)
-    rays = undistorted(own, measured) / own.values[0]
+    size = np.array(camera.size_px)
+    measured = _grid(camera)
+    rays = undistorted(camera, measured) / camera.values[0]
     seen = np.isfinite(rays).all(axis=1)
     measured, rays = measured[seen], rays[seen]
     index = [0, 1, 2, *(PARAMETERS.index(name) for name in terms)]
-    kept = np.isin(PARAMETERS, terms) & (own.model == model)
-    start = np.where(kept, own.values, 0.0)
-    start[:3], start[_READOUT] = own.values[:3], own.values[_READOUT]
-    target = replace(own, model=model, values=start, affinity=affinity, affinity_form="fraser")
+    shared = np.isin(PARAMETERS, terms) & (camera.model == model)
+    start = np.where(shared, camera.values, 0.0)
+    start[:3], start[_READOUT] = camera.values[:3], camera.values[_READOUT]
+    target = replace(camera, model=model, values=start, affinity=affinity, affinity_form="fraser")
     # Scaled so that each unknown moves the corner of the image by about its own size.
-    radius = float(np.hypot(*(size * own.pitch)) / 2)
+    radius = float(np.hypot(*(size * camera.pitch)) / 2)
     unit = radius ** MODELS[model].powers()[index] / np.where(np.arange(len(index)) < 3, radius, 1.0)
 
     def filled(unknown: Floats) -> Camera:
@@ -164,16 +166,16 @@ def _fitted(own: Camera, model: Model, affinity: Affinity, terms: Sequence[str])
             return np.ravel(undistorted(guess, measured) - guess.values[0] * rays)
         return np.nan_to_num(np.ravel(distorted(guess, guess.values[0] * rays) - measured), nan=radius)
 
-    found = least_squares(miss, np.zeros(len(index)), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
-    result = filled(found.x)
-    return Conversion(result, *apart_px(own, result))
+    minimum = least_squares(miss, np.zeros(len(index)), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    result = filled(minimum.x)
+    return Conversion(result, *apart_px(camera, result))
 
 
-def require_no_skew(own: Camera, program: str) -> None:
+def require_no_skew(camera: Camera, program: str) -> None:
     """Complain when a camera has a skew that a program has no place for."""
-    matrix = affinity_matrix(own)
+    matrix = affinity_matrix(camera)
     if matrix[0, 1] or matrix[1, 0]:
         raise InputMalformedError(
-            f"camera {own.id} has a skew (B2), which {program} cannot hold",
+            f"camera {camera.id} has a skew (B2), which {program} cannot hold",
             remedy="adjust without B2, or export to Metashape",
         )

@@ -113,7 +113,7 @@ class OrientedImages:
 
     def sizes(self) -> Floats:
         """Width and height of each image, px, shape (n, 2)."""
-        return np.array([own.size_px for own in self.cameras], dtype=float)[self.camera]
+        return np.array([camera.size_px for camera in self.cameras], dtype=float)[self.camera]
 
     def project(self, image: Integers, xyz: Floats) -> Floats:
         """Columns and rows (px, shape (m, 2)) where images show points; NaN for those behind a camera.
@@ -143,8 +143,8 @@ class OrientedImages:
 
     def late(self, image: Integers, pixels: Floats) -> Floats:
         """When lines of images were read, in readouts from the middle, shape (m,); as in `at_lines`."""
-        slope = np.array([own.line_slope() for own in self.cameras])[self.camera[image]]
-        pitch = np.array([own.pitch for own in self.cameras], dtype=float)[self.camera[image]]
+        slope = np.array([camera.line_slope() for camera in self.cameras])[self.camera[image]]
+        pitch = np.array([camera.pitch for camera in self.cameras], dtype=float)[self.camera[image]]
         plane = pixel_to_plane(self.sizes()[image], pitch, np.nan_to_num(pixels))
         return np.asarray(np.clip((slope * plane).sum(axis=1), -1.0, 1.0))
 
@@ -165,10 +165,10 @@ class OrientedImages:
     def _recorded(self, image: Integers, q: Floats) -> Floats:
         """Columns and rows where images record points of camera axes, shape (m, 2)."""
         pixels = np.full((len(image), 2), np.nan)
-        for k, own in enumerate(self.cameras):
+        for k, camera in enumerate(self.cameras):
             mine = np.flatnonzero(self.camera[image] == k)
             if len(mine):
-                pixels[mine] = plane_to_pixel(own.size_px, own.pitch, projected(own, q[mine]))
+                pixels[mine] = plane_to_pixel(camera.size_px, camera.pitch, projected(camera, q[mine]))
         return pixels
 
     def ideal(self, image: Integers, pixels: Floats) -> tuple[Floats, Floats]:
@@ -178,11 +178,11 @@ class OrientedImages:
         pixels (m, 2).
         """
         plane, c = np.empty((len(image), 2)), np.empty(len(image))
-        for k, own in enumerate(self.cameras):
+        for k, camera in enumerate(self.cameras):
             mine = np.flatnonzero(self.camera[image] == k)
             if len(mine):
-                plane[mine] = undistorted(own, pixel_to_plane(own.size_px, own.pitch, pixels[mine]))
-                c[mine] = own.value("c")
+                plane[mine] = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixels[mine]))
+                c[mine] = camera.value("c")
         return plane, c
 
 

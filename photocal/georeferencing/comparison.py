@@ -113,9 +113,9 @@ def check_block(
     sound, mistyped = _sound(block, typed, judged)
     if not judged:
         reasons = "; ".join(f"{method}: {reason}" for method, reason in refused)
-        wrong = "".join(f"; control point {one.point} contradicts the others" for one in mistyped)
-        said = _with_findings(f"no method can be computed: {reasons}{wrong}", plausibility)
-        raise IllPosedError(said, where=block.name)
+        wrong = "".join(f"; control point {point.point} contradicts the others" for point in mistyped)
+        message = _with_findings(f"no method can be computed: {reasons}{wrong}", plausibility)
+        raise IllPosedError(message, where=block.name)
     by_method = {one.found.method: one.found.exposures for one in judged}
     both = "direct" in by_method and "indirect" in by_method
     systematic, apart = _calibration(sound)
@@ -140,10 +140,10 @@ def _sound(block: Block, typed: Block, judged: list[Judged]) -> tuple[Block, tup
     return mistyped_control(without_weak_images(block)[0], typed.points.values, place, typed.frame)
 
 
-def _with_findings(said: str, findings: tuple[Finding, ...]) -> str:
+def _with_findings(message: str, findings: tuple[Finding, ...]) -> str:
     """A refusal together with what was found in the input: the cause stands there."""
     say = catalogue("en")
-    return f"{said}. {' '.join(finding_text(finding, say) for finding in findings)}".strip()
+    return f"{message}. {' '.join(finding_text(finding, say) for finding in findings)}".strip()
 
 
 def _judge(

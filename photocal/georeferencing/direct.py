@@ -91,7 +91,7 @@ def with_calibration(block: Block, calibration: Calibration) -> Block:
             remedy="take the calibration of the same rig",
         )
     cameras = tuple(
-        own.with_values(values) for own, values in zip(block.cameras, calibration.cameras, strict=True)
+        camera.with_values(values) for camera, values in zip(block.cameras, calibration.cameras, strict=True)
     )
     values = block.mounting.values.copy()
     values[:STRIPS] = calibration.mounting

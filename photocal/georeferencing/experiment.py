@@ -230,10 +230,10 @@ def _run(
 ) -> Run:
     head = (interior, use, pattern[0], method, len(pattern[1]))
     try:
-        found = of_method(block, method)
+        result = of_method(block, method)
     except PhotocalError as refusal:
         return Run(*head, None, (), (), float("nan"), str(refusal))
-    check = differences(block, found, "check")
+    check = differences(block, result, "check")
     figures = [moments(column) for column in check.d.T] if len(check.d) else []
     enough = len(check.d) > 1
     return Run(
@@ -241,12 +241,12 @@ def _run(
         check,
         tuple(bias_test(m, confidence) for m in figures) if enough else (),
         tuple(rmse_after_trend_removal(m, confidence) for m in figures) if enough else (),
-        found.chi_squared / found.degrees_of_freedom if found.degrees_of_freedom > 0 else float("nan"),
+        result.chi_squared / result.degrees_of_freedom if result.degrees_of_freedom > 0 else float("nan"),
         "",
-        np.sqrt(np.average(found.images.rms**2, axis=0, weights=found.images.rays)),
-        None if reference is None else exposure_difference(found.exposures, reference),
-        tuple(block.points.names[k] for k in found.points),
-        found.xyz,
+        np.sqrt(np.average(result.images.rms**2, axis=0, weights=result.images.rays)),
+        None if reference is None else exposure_difference(result.exposures, reference),
+        tuple(block.points.names[k] for k in result.points),
+        result.xyz,
     )
 
 
@@ -343,22 +343,23 @@ def read_experiment(
 
 def _camera(block: Block, name: str, path: Path) -> int:
     """Which camera of the block gets the interior orientations."""
-    names = [own.id for own in block.cameras]
+    names = [camera.id for camera in block.cameras]
     if not name and len(names) == 1:
         return 0
     if name not in names:
-        said = f"camera {name} is not in the block" if name else "the block has several cameras"
+        reason = f"camera {name} is not in the block" if name else "the block has several cameras"
         raise ConfigurationError(
-            said, where=path, remedy=f'write camera = "..." in [interior]: {", ".join(names)}'
+            reason, where=path, remedy=f'write camera = "..." in [interior]: {", ".join(names)}'
         )
     return names.index(name)
 
 
-def _require_fitting(own: Camera, interiors: tuple[Camera, ...], path: Path) -> None:
-    for one in interiors:
-        if one.unit != own.unit or one.size_px != own.size_px:
+def _require_fitting(camera: Camera, interiors: tuple[Camera, ...], path: Path) -> None:
+    for interior in interiors:
+        if interior.unit != camera.unit or interior.size_px != camera.size_px:
             raise ConfigurationError(
-                f"interior orientation {one.id} is of another image size or unit than camera {own.id}",
+                f"interior orientation {interior.id} is of another image size or unit "
+                f"than camera {camera.id}",
                 where=path,
                 remedy="give calibrations of the block's own camera",
             )

@@ -141,7 +141,7 @@ def _systematic(error: SystematicError) -> Finding:
 
 def _shift(estimates: tuple[Estimate, ...], in_plane: bool, change: Hypothesis | None) -> Finding | None:
     """A shift common to all positions: of the height alone, or of the base."""
-    axes = {one.name.removeprefix("shift_"): one for one in estimates}
+    axes = {estimate.name.removeprefix("shift_"): estimate for estimate in estimates}
     noteworthy = {
         axis for axis, one in axes.items() if one.significant and abs(one.correction) > _NOTEWORTHY_M
     }

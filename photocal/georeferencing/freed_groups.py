@@ -61,7 +61,7 @@ def separation(block: Block) -> Separation | None:
     taken = np.flatnonzero(asked)
     sigma = np.zeros(len(asked))
     sigma[taken] = _SCALE_COMMON[taken]
-    cameras = tuple(replace(own, prior_sigma=_scales(own)) for own in block.cameras)
+    cameras = tuple(replace(camera, prior_sigma=_scales(camera)) for camera in block.cameras)
     network = assemble(replace(block, mounting=replace(block.mounting, sigma=sigma), cameras=cameras)).network
     try:
         state = adjust(network).state
@@ -92,11 +92,11 @@ def separation(block: Block) -> Separation | None:
     )
 
 
-def _scales(own: Camera) -> Floats:
+def _scales(camera: Camera) -> Floats:
     """Scales of the estimated ones of c, x0, y0 and the readout; infinite of the others."""
     scale = np.full(len(PARAMETERS), np.inf)
-    scale[:3], scale[READOUT] = _SCALE_CAMERA * own.value("c"), _SCALE_READOUT
-    return np.where(own.estimated, scale, np.inf)
+    scale[:3], scale[READOUT] = _SCALE_CAMERA * camera.value("c"), _SCALE_READOUT
+    return np.where(camera.estimated, scale, np.inf)
 
 
 def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...], ...]:
@@ -376,12 +376,12 @@ def wrong_sigma(first: Solution, cause: float) -> GroupTest | None:
     """
     groups = (tested(group) for group in first.groups if group.name in ("position", "attitude"))
     wrong = [
-        one
-        for one in groups
-        if one.redundancy >= FEWEST
-        and one.p_value < SIGNIFICANCE
-        and abs(one.factor - 1.0) > _NO_FINDING
-        and (one.factor < 1.0 or one.gain > cause)
+        group
+        for group in groups
+        if group.redundancy >= FEWEST
+        and group.p_value < SIGNIFICANCE
+        and abs(group.factor - 1.0) > _NO_FINDING
+        and (group.factor < 1.0 or group.gain > cause)
     ]
     return max(wrong, key=lambda one: one.gain, default=None)
 

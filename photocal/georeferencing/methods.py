@@ -133,7 +133,7 @@ def with_shutters(block: Block) -> Block:
 
     A block that cannot be adjusted keeps them as they are: the methods say why.
     """
-    undecided = any(own.shutter == "unknown" or own.estimated[READOUT] for own in block.cameras)
+    undecided = any(camera.shutter == "unknown" or camera.estimated[READOUT] for camera in block.cameras)
     if not undecided or np.isfinite(block.images.motion_sigma).all():
         return block
     try:
@@ -148,7 +148,7 @@ def with_shutters(block: Block) -> Block:
         back = np.linalg.inv(assembly.frame.derivative(places))
         velocity = np.einsum("nab,nb->na", back, motion[:, :3])
         images = replace(images, motion=np.hstack([velocity, motion[:, 3:]]), motion_sigma=sigma)
-    cameras = (own if own.rolling else replace(own, shutter="global") for own in network.cameras)
+    cameras = (camera if camera.rolling else replace(camera, shutter="global") for camera in network.cameras)
     return replace(block, cameras=tuple(cameras), images=images)
 
 

@@ -133,27 +133,28 @@ def _setup(block: Block) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _camera(own: Camera) -> Iterable[str]:
-    used = {n: v for n, v in zip(PARAMETERS, own.values, strict=True) if v or n == "c"}
-    estimate = [name for name, on in zip(PARAMETERS, own.estimated, strict=True) if on]
-    prior = {n: s for n, s in zip(PARAMETERS, own.prior_sigma, strict=True) if math.isfinite(s)}
-    yield f"id = {json.dumps(own.id)}"
-    yield f'model = "{own.model}"'
-    yield f'unit = "{own.unit}"'
-    yield f"size_px = [{own.size_px[0]}, {own.size_px[1]}]"
-    if own.unit == "mm":
-        yield f"pitch_mm = [{own.pitch[0]!r}, {own.pitch[1]!r}]"
-    yield f"affinity = {json.dumps(own.affinity)}"
-    yield f"affinity_form = {json.dumps(own.affinity_form)}"
-    yield f"R0 = {own.reference_radius!r}"
-    yield f'distortion_at = "{own.distortion_at}"'
-    if own.shutter != "global":
-        yield f'shutter = "{own.shutter}"'
-        yield f'readout_direction = "{own.readout_direction}"'
-        yield f"gust = {{ velocity_m_s = {own.gust[0]!r}, rate_deg_s = {float(np.degrees(own.gust[1]))!r} }}"
+def _camera(camera: Camera) -> Iterable[str]:
+    used = {n: v for n, v in zip(PARAMETERS, camera.values, strict=True) if v or n == "c"}
+    estimate = [name for name, on in zip(PARAMETERS, camera.estimated, strict=True) if on]
+    prior = {n: s for n, s in zip(PARAMETERS, camera.prior_sigma, strict=True) if math.isfinite(s)}
+    yield f"id = {json.dumps(camera.id)}"
+    yield f'model = "{camera.model}"'
+    yield f'unit = "{camera.unit}"'
+    yield f"size_px = [{camera.size_px[0]}, {camera.size_px[1]}]"
+    if camera.unit == "mm":
+        yield f"pitch_mm = [{camera.pitch[0]!r}, {camera.pitch[1]!r}]"
+    yield f"affinity = {json.dumps(camera.affinity)}"
+    yield f"affinity_form = {json.dumps(camera.affinity_form)}"
+    yield f"R0 = {camera.reference_radius!r}"
+    yield f'distortion_at = "{camera.distortion_at}"'
+    if camera.shutter != "global":
+        yield f'shutter = "{camera.shutter}"'
+        yield f'readout_direction = "{camera.readout_direction}"'
+        velocity, rate = camera.gust[0], float(np.degrees(camera.gust[1]))
+        yield f"gust = {{ velocity_m_s = {velocity!r}, rate_deg_s = {rate!r} }}"
     yield f"estimate = {json.dumps(estimate)}"
     yield "parameters = { " + ", ".join(f"{n} = {float(v)!r}" for n, v in used.items()) + " }"
-    if own.guessed:
+    if camera.guessed:
         yield "guessed = true"
     if prior:
         yield "prior_sigma = { " + ", ".join(f"{n} = {float(s)!r}" for n, s in prior.items()) + " }"

@@ -133,8 +133,8 @@ def plane_principal_distance(flat: Sequence[Floats], planes: Sequence[Floats]) -
 
     rows, right = [], []
     for xy, plane in zip(flat, planes, strict=True):
-        found: Any = cv2.findHomography(xy, plane)
-        matrix = found[0]
+        homography: Any = cv2.findHomography(xy, plane)
+        matrix = homography[0]
         if matrix is None:
             continue
         h = matrix / np.linalg.norm(matrix[:, :2])
@@ -161,7 +161,7 @@ def with_common_sigma(block: Block) -> tuple[Block, dict[str, Any]]:
     common = float(np.sqrt(max(factor * level**2 - fit_variance.mean(), 0.0)))
     ratio = np.sqrt(factor * solution.camera_covariance[:, 0, 0]) / solution.cameras[:, 0]
     sigma = np.sqrt(fit_variance + common**2)
-    cameras = tuple(own.with_values(v) for own, v in zip(block.cameras, solution.cameras, strict=True))
+    cameras = tuple(camera.with_values(v) for camera, v in zip(block.cameras, solution.cameras, strict=True))
     images = replace(block.images, values=solution.exposures)
     block = replace(block, cameras=cameras, images=images, observations=replace(seen, sigma=sigma))
     return block, {"common_sigma_px": common, "principal_distance_sigma_ratio": ratio.tolist()}

@@ -93,7 +93,7 @@ def measure_images(
             "origin": at if np.isfinite(origin[0]) else None,
         }
         return Measured(found.adjusted.block, record)
-    sizes = {own.name: own.size_px for own in sighted.facts}
+    sizes = {image.name: image.size_px for image in sighted.facts}
     given = control.read(sizes)
     local = given.crs == "local"
     # Where the images say they are; in a local system that says nothing.

@@ -153,7 +153,9 @@ def read_facts(path: Path) -> ImageFacts:
 
 def clock_seconds(facts: Sequence[ImageFacts]) -> Floats:
     """Times of images by their cameras' clocks from the first on, s, shape (n,); NaN where not given."""
-    stamps = [dt.datetime.fromisoformat(own.taken).timestamp() if own.taken else math.nan for own in facts]
+    stamps = [
+        dt.datetime.fromisoformat(image.taken).timestamp() if image.taken else math.nan for image in facts
+    ]
     seconds = np.array(stamps, dtype=float)
     return seconds - np.nanmin(seconds) if np.isfinite(seconds).any() else seconds
 
@@ -165,8 +167,8 @@ def told_conditions(facts: Sequence[ImageFacts]) -> dict[str, dict[str, str]]:
     """
 
     def both(name: str, form: str = "{}") -> str:
-        values = {getattr(one, name) for one in facts}
-        return ", ".join(sorted(form.format(one) for one in values if one and str(one) != "nan"))
+        values = {getattr(image, name) for image in facts}
+        return ", ".join(sorted(form.format(value) for value in values if value and str(value) != "nan"))
 
     camera = {"model": both("model"), "manufacturer": both("make"), "serial": both("serial")}
     camera["lens_type"] = both("lens")
@@ -176,7 +178,9 @@ def told_conditions(facts: Sequence[ImageFacts]) -> dict[str, dict[str, str]]:
         "firmware": both("firmware"),
     }
     sections = {"camera": camera, "conditions": conditions}
-    return {name: {key: value for key, value in own.items() if value} for name, own in sections.items()}
+    return {
+        name: {key: value for key, value in section.items() if value} for name, section in sections.items()
+    }
 
 
 def _accuracy(xmp: Mapping[str, str]) -> Triple:

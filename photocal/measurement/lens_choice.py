@@ -26,7 +26,9 @@ _POLYNOMIALS = slice(PARAMETERS.index("K1"), PARAMETERS.index("P4") + 1)
 
 def before_the_choice(held: Adjusted) -> Adjusted:
     """Leave untested shutters closed until the lens is chosen: a wrong one looks like a readout."""
-    cameras = tuple(own if own.rolling else replace(own, shutter="global") for own in held.start.cameras)
+    cameras = tuple(
+        camera if camera.rolling else replace(camera, shutter="global") for camera in held.start.cameras
+    )
     return replace(held, start=replace(held.start, cameras=cameras))
 
 
@@ -41,7 +43,7 @@ def with_chosen_lenses(
     adjusted: with the cameras of `block`, which are to get the lens, and without readouts not found so far.
     tracks: all that may fit; what one lens refuses may fit the other.
     """
-    given, used = {own.id: own for own in block.cameras}, adjusted.assembly.network.cameras
+    given, used = {camera.id: camera for camera in block.cameras}, adjusted.assembly.network.cameras
     chosen = dict[str, tuple[Camera, dict[str, Figure]]]()
     for place, own in enumerate(adjusted.start.cameras):
         if _is_open(given[own.id]) and _is_open(used[place]) and (found := _preferred(adjusted, place)):
@@ -53,7 +55,10 @@ def with_chosen_lenses(
                 without_readouts(adjusted.start.cameras, "global") if lenses else adjusted.start.cameras
             )
         ]
-        cameras = [own if own.rolling else replace(own, shutter=given[own.id].shutter) for own in cameras]
+        cameras = [
+            camera if camera.rolling else replace(camera, shutter=given[camera.id].shutter)
+            for camera in cameras
+        ]
         try:
             better = adjust_ties(replace(adjusted.start, cameras=tuple(cameras)), adjusted.values, tracks)
         except (IllPosedError, NotConvergedError):
@@ -65,23 +70,27 @@ def with_chosen_lenses(
     better = replace(better, left_out=(*adjusted.left_out, *better.left_out))
     cameras = [
         replace(
-            own, model=lenses[own.id][0].model, estimated=own.estimated | (_K4 & lenses[own.id][0].estimated)
+            camera,
+            model=lenses[camera.id][0].model,
+            estimated=camera.estimated | (_K4 & lenses[camera.id][0].estimated),
         )
-        if own.id in lenses
-        else own
-        for own in block.cameras
+        if camera.id in lenses
+        else camera
+        for camera in block.cameras
     ]
     findings = [Finding("lens-chosen", "note", name, figures) for name, (_, figures) in lenses.items()]
     return better, replace(block, cameras=tuple(cameras)), findings
 
 
-def _is_open(own: Camera) -> bool:
+def _is_open(camera: Camera) -> bool:
     """Whether the rays alone are to tell its lens: a polynomial of Brown, free and not known beforehand."""
-    free = own.estimated & np.isinf(own.prior_sigma)
+    free = camera.estimated & np.isinf(camera.prior_sigma)
     lens = np.zeros_like(free)
     lens[_POLYNOMIALS] = True
-    plain = own.model in _MODELS and not (own.focus_m or own.photo_variant or own.reference_radius)
-    return bool(plain and (free & lens).any() and not (lens & ~free & (own.values != 0.0)).any())
+    plain = camera.model in _MODELS and not (
+        camera.focus_m or camera.photo_variant or camera.reference_radius
+    )
+    return bool(plain and (free & lens).any() and not (lens & ~free & (camera.values != 0.0)).any())
 
 
 def _preferred(adjusted: Adjusted, place: int) -> tuple[Camera, dict[str, Figure]] | None:

@@ -97,14 +97,14 @@ def sight(
     return Sighted(tuple(facts), sources, tracks, pairs, int(np.count_nonzero(counts)), rule, tuple(left_out))
 
 
-def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
+def tie_record(sighted: Sighted, oriented: Oriented) -> dict[str, Any]:
     """What was measured and how, for `measurement.json`."""
     paths = {source.path.name: source.path for source in sighted.sources}
     return {
         "schema": SCHEMA,
-        "images": list(found.adjusted.block.images.names),
+        "images": list(oriented.adjusted.block.images.names),
         "turned_by_exif": [f.name for f in sighted.facts if f.orientation != 1],
-        "left_out": [*sighted.left_out, *explained(found.left_out, paths, sighted.facts)],
+        "left_out": [*sighted.left_out, *explained(oriented.left_out, paths, sighted.facts)],
         "pairs": {
             "rule": sighted.rule,
             "examined": len(sighted.pairs),
@@ -113,12 +113,12 @@ def tie_record(sighted: Sighted, found: Oriented) -> dict[str, Any]:
         "tracks": {
             "of_features": sighted.tracks.count,
             "conflicts_removed": sighted.tracks.conflicts,
-            "all": found.verified.count,
-            "three_and_more_rays": int(np.count_nonzero(found.verified.rays >= 3)),
+            "all": oriented.verified.count,
+            "three_and_more_rays": int(np.count_nonzero(oriented.verified.rays >= 3)),
         },
         "pixel_origin": PIXEL_ORIGIN,
-        **figures(found),
-        "cameras": camera_figures(found.adjusted),
+        **figures(oriented),
+        "cameras": camera_figures(oriented.adjusted),
     }
 
 

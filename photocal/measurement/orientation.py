@@ -172,13 +172,17 @@ def _camera_steps(views: OrientedImages) -> list[tuple[OrientedImages, OrientedI
     """Views with a parameter moved by its a priori sigma ahead and back, and which cameras were moved."""
     steps = []
     prior = np.array(
-        [np.where(own.estimated & np.isfinite(own.prior_sigma), own.prior_sigma, 0) for own in views.cameras]
+        [
+            np.where(camera.estimated & np.isfinite(camera.prior_sigma), camera.prior_sigma, 0)
+            for camera in views.cameras
+        ]
     )
     for k in np.flatnonzero(prior.any(axis=0)):
         move = np.where(np.arange(len(PARAMETERS)) == k, prior, 0)
         ahead, behind = (
             tuple(
-                own.with_values(own.values + sign * by) for own, by in zip(views.cameras, move, strict=True)
+                camera.with_values(camera.values + sign * by)
+                for camera, by in zip(views.cameras, move, strict=True)
             )
             for sign in (1, -1)
         )
@@ -191,7 +195,7 @@ def _camera_steps(views: OrientedImages) -> list[tuple[OrientedImages, OrientedI
 def _before(views: OrientedImages, point: Floats) -> Flags:
     """Whether images look towards a point, near enough to their field of view."""
     q = np.einsum("nij,nj->ni", views.rotation, point - views.station)
-    c = np.array([own.value("c") / own.pitch[0] for own in views.cameras])[views.camera]
+    c = np.array([camera.value("c") / camera.pitch[0] for camera in views.cameras])[views.camera]
     with np.errstate(divide="ignore", invalid="ignore"):
         aside = c * np.hypot(q[:, 0], q[:, 1]) / -q[:, 2]
     return np.asarray((q[:, 2] < 0) & (aside < _FARTHEST * np.hypot(*views.sizes().T) / 2))

@@ -193,7 +193,7 @@ def orient_ties(
 
 
 def _sizes(block: Block) -> Floats:
-    return np.array([own.size_px for own in block.cameras], dtype=float)[block.images.camera]
+    return np.array([camera.size_px for camera in block.cameras], dtype=float)[block.images.camera]
 
 
 def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, list[dict[str, str]]]:

@@ -127,9 +127,9 @@ def predicted_sights(
                 camera = images.cameras[images.camera[i]]
                 bend = ground_bend(camera, rotation[i], seen.pixels[i])
                 look = Look(targets.kind, seen.slope[i, :, :2] * targets.side_m / 2, part, bend)
-                own = Sight(name, seen.pixels[i], seen.covariance[i], look)
-                sights.setdefault(images.names[i], []).append(own)
-    return {name: tuple(own) for name, own in sights.items()}
+                sight = Sight(name, seen.pixels[i], seen.covariance[i], look)
+                sights.setdefault(images.names[i], []).append(sight)
+    return {name: tuple(of_image) for name, of_image in sights.items()}
 
 
 def identified(sights: Sequence[Sight], found: Floats) -> tuple[list[Mark], dict[str, str]]:
@@ -219,7 +219,7 @@ def targets_of_project(
         marks += found
         strangers += unnamed
     record["coded"] = len(marks)
-    kinds = ", ".join(dict.fromkeys(own.kind for own in given.plain_targets))
+    kinds = ", ".join(dict.fromkeys(target.kind for target in given.plain_targets))
     if given.plain_targets and exposures is None:
         findings.append(Finding("targets-not-sought", "doubtful", kinds))
     elif exposures is not None and given.plain_targets:
@@ -241,11 +241,11 @@ def targets_of_project(
 
 def _require_points(project: Project, control: ObjectPoints) -> None:
     table = project.control.points
-    for own in project.control.plain_targets:
-        for name in own.points:
+    for target in project.control.plain_targets:
+        for name in target.points:
             if name not in control.names:
                 raise ConfigurationError(
-                    f"targets ({own.kind}) name point {name}, "
+                    f"targets ({target.kind}) name point {name}, "
                     f"which {'[control] without points' if table is None else table.name} lacks",
                     where=project.path,
                     remedy="correct the name or add the point",

@@ -96,8 +96,13 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
     else:
         crs, positions = read_geo(path)
         listed = {
-            one.image: (*one.xyz, one.accuracy_m[0], one.accuracy_m[0], one.accuracy_m[1])
-            for one in positions
+            position.image: (
+                *position.xyz,
+                position.accuracy_m[0],
+                position.accuracy_m[0],
+                position.accuracy_m[1],
+            )
+            for position in positions
         }
         places = _in_degrees(crs, listed, path)
     if not any(_of(name, places) for name in names):

@@ -126,8 +126,8 @@ def measure_project(
         control,
         heads=make_heads(project.contents.head, [own.id for own in project.cameras], project.path),
     )
-    found = targets_of_project(project, sighted.sources, exposures, control, plan.processes, progress)
-    block, unknown = with_marks(block, (*by_hand, *found.marks))
+    targets = targets_of_project(project, sighted.sources, exposures, control, plan.processes, progress)
+    block, unknown = with_marks(block, (*by_hand, *targets.marks))
     if not len(marked_control(block)) and not np.isfinite(given.values[:, 3:]).all(axis=1).any():
         if project.crs != "local" or control.of_role("control").any():
             raise _nowhere(project.name)
@@ -153,21 +153,21 @@ def measure_project(
         "cameras": camera_figures(released),
         "marks": {
             "by_hand": len(by_hand),
-            "targets": len(found.marks),
+            "targets": len(targets.marks),
             "used": int(np.count_nonzero(released.block.observations.point < len(control.names))),
         },
-        "targets": found.record,
+        "targets": targets.record,
         "positions": None if starts is not None else position_figures(sighted.facts, given.sigma[:, 3:]),
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
-        "unknown_targets": list(found.strangers),
+        "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
         **told(
             [
-                *found.findings,
-                *(one for one in oriented.findings if not _expected_of_c(one, project.cameras)),
+                *targets.findings,
+                *(finding for finding in oriented.findings if not _expected_of_c(finding, project.cameras)),
                 *more,
                 *findings_of_marks(
-                    unknown, found.strangers, suspects, (*oriented.left_out, *released.left_out)
+                    unknown, targets.strangers, suspects, (*oriented.left_out, *released.left_out)
                 ),
             ]
         ),
@@ -176,18 +176,18 @@ def measure_project(
 
 
 def _with_cameras(
-    sighted: Sighted, cameras: Sequence[Camera], said: Mapping[str, int]
+    sighted: Sighted, cameras: Sequence[Camera], stated: Mapping[str, int]
 ) -> tuple[Sighted, Integers]:
     """Camera of each image: as the table says, else the one of its size; others are left out."""
     if not cameras:
         raise ConfigurationError("the project has no [[camera]]", remedy="add one: see docs/block-folder.md")
     camera, reasons = [], []
-    for own in sighted.facts:
-        alike = [k for k, one in enumerate(cameras) if one.size_px == own.size_px]
-        k = said.get(own.name, alike[0] if alike else 0)
+    for image in sighted.facts:
+        alike = [k for k, one in enumerate(cameras) if one.size_px == image.size_px]
+        k = stated.get(image.name, alike[0] if alike else 0)
         camera.append(k)
-        fits = cameras[k].size_px == own.size_px
-        width, height = own.size_px
+        fits = cameras[k].size_px == image.size_px
+        width, height = image.size_px
         reasons.append("" if fits else f"its {width} x {height} px are not those of camera {cameras[k].id}")
     sighted = sighted.without(reasons)
     return sighted, np.array([k for k, why in zip(camera, reasons, strict=True) if not why], dtype=np.int64)
@@ -230,9 +230,9 @@ def _starts(
             sigma[np.isnan(values[:, 3:]).any(axis=1)] = np.inf
     else:
         place = {name: k for k, name in enumerate(starts.names)}
-        rows = np.array([place.get(own.name, -1) for own in facts])
+        rows = np.array([place.get(image.name, -1) for image in facts])
         values[rows >= 0], sigma[rows >= 0] = starts.values[rows[rows >= 0]], starts.sigma[rows[rows >= 0]]
-    names = tuple(own.name for own in facts)
+    names = tuple(image.name for image in facts)
     exposures = tuple(exposure.get(name, "") for name in names)
     # The grid's axes are east and north but for its convergence.
     velocity = np.array([picture.velocity_m_s for picture in facts]).reshape(-1, 3)
@@ -286,15 +286,15 @@ def _footprints(
         mine[:, 5] - ground,
         yaw_pitch,
         np.array([f.size_px for f in facts], dtype=float),
-        np.array([own.value("c") / own.pitch[0] for own in cameras]),
+        np.array([camera.value("c") / camera.pitch[0] for camera in cameras]),
     )
 
 
 def _marks_by_hand(project: Project, files: Sequence[Path]) -> tuple[Mark, ...]:
     path = project.control.marks
-    own = read_marks(path) if path is not None and path.exists() else ()
+    by_hand = read_marks(path) if path is not None and path.exists() else ()
     sizes = _sizes(project.picture_folder) if files else {}
-    return (*own, *(mark for file in files for mark in read_any_marks(file, sizes)))
+    return (*by_hand, *(mark for file in files for mark in read_any_marks(file, sizes)))
 
 
 def _sizes(folder: Path) -> dict[str, tuple[int, int]]:
@@ -321,7 +321,7 @@ def _softened(block: Block) -> Block:
     sigma = block.images.sigma.copy()
     loose = known[:, None] & np.isinf(sigma[:, 3:])
     sigma[:, 3:] = np.where(loose, loosely, sigma[:, 3:])
-    cameras = tuple(replace(own, estimated=own.estimated & ~among(*HELD)) for own in block.cameras)
+    cameras = tuple(replace(camera, estimated=camera.estimated & ~among(*HELD)) for camera in block.cameras)
     # Heads lie as firmly as their first poses tell.
     heads = tuple(replace(head, stiffness=LOOSE_FRAME) for head in block.heads)
     return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma), heads=heads)
@@ -336,20 +336,20 @@ def _released(
     into the sigmas. The exterior orientation of it is not used, for c may drift with the heights. What runs
     away, or leaves all that is known of it beforehand, is held as it was given.
     """
-    asked = {own.id: own for own in block.cameras}
+    asked = {camera.id: camera for camera in block.cameras}
     refusal: dict[str, Figure] = {}
     for held_here in holding:
         # Nobody asks for a readout: that it has one, an unknown shutter has shown.
         free, readout = ~among(*held_here), among("readout")
         cameras = tuple(
             replace(
-                own,
-                estimated=(asked[own.id].estimated | (own.estimated & readout)) & free,
-                prior_sigma=asked[own.id].prior_sigma,
-                values=np.where(free, own.values, asked[own.id].values),
-                given=asked[own.id].values,
+                camera,
+                estimated=(asked[camera.id].estimated | (camera.estimated & readout)) & free,
+                prior_sigma=asked[camera.id].prior_sigma,
+                values=np.where(free, camera.values, asked[camera.id].values),
+                given=asked[camera.id].values,
             )
-            for own in held.start.cameras
+            for camera in held.start.cameras
         )
         poses, start = held.values, replace(held.start, cameras=cameras)
         ratio = np.array(
@@ -369,8 +369,10 @@ def _released(
         refusal = refusal or why
     # What is held has no prior: it would be an observation of what is no unknown.
     kept = tuple(
-        replace(own, estimated=own.estimated & free, prior_sigma=np.where(free, own.prior_sigma, np.inf))
-        for own in block.cameras
+        replace(
+            camera, estimated=camera.estimated & free, prior_sigma=np.where(free, camera.prior_sigma, np.inf)
+        )
+        for camera in block.cameras
     )
     findings = []
     used = np.isin(np.arange(len(kept)), released.start.images.camera)
@@ -406,7 +408,7 @@ def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
     """The measured block with cameras, surveyed coordinates and observed values as they were given."""
     names = released.block.images.names
     bare = without_images(block, ~np.isin(block.images.names, names))
-    kept = np.isin(held.block.images.names, names)
+    remaining = np.isin(held.block.images.names, names)
     borne = np.full_like(bare.images.sigma, np.inf)
     if released.start.datum == "free":
         bare = without_single_rays(bare)
@@ -414,9 +416,9 @@ def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
         shifted = len(marked_control(block)) >= FEWEST_CONTROL
         borne = position_sigmas(bare.images, released.values, shifted=shifted)[0]
     bare = replace(bare, datum=released.start.datum, images=replace(bare.images, sigma=borne))
-    poses = np.where(np.isfinite(borne), bare.images.values, held.values[kept])
-    oriented = without_images(held.start, ~kept)
-    oriented = replace(oriented, images=replace(oriented.images, values=held.values[kept]))
+    poses = np.where(np.isfinite(borne), bare.images.values, held.values[remaining])
+    oriented = without_images(held.start, ~remaining)
+    oriented = replace(oriented, images=replace(oriented.images, values=held.values[remaining]))
     values = place(oriented, released.tracks, 0.0)
     sigma = released.block.observations.sigma[len(bare.observations.image) :, 0]
     bare = replace(bare, images=replace(bare.images, values=poses))
@@ -474,7 +476,7 @@ def findings_of_marks(
 
 def _marks_off(suspects: Sequence[dict[str, Any]]) -> list[Finding]:
     """Each mark that is far off; of many the worst, with their number and those that come next."""
-    places = [f"{one['point']} ({one['image']})" for one in suspects]
+    places = [f"{suspect['point']} ({suspect['image']})" for suspect in suspects]
     findings = []
     for one, name in zip(suspects, places, strict=True):
         figures = {"point": one["point"], "image": one["image"]}

@@ -72,25 +72,25 @@ def refine(
     reference = _reference_rays(views, tracks, points)
     middle = np.round(tracks.pixels[reference])
     anchor, axes = _anchors(views, tracks, points, reference, middle)
-    own = tracks.image[reference]
-    base = _jacobians(views, own, anchor, axes)
-    inside = _inside(middle, views.sizes()[own])
+    image = tracks.image[reference]
+    base = _jacobians(views, image, anchor, axes)
+    inside = _inside(middle, views.sizes()[image])
     wanted = _candidates(tracks, reference, partners)
     wanted = wanted[inside[wanted[:, 0]]]
-    rays = _expected(views, wanted, anchor, axes, base, own)
+    rays = _expected(views, wanted, anchor, axes, base, image)
     patches = np.zeros((tracks.count, 2 * HALF + 1, 2 * HALF + 1), dtype=np.float32)
     images = range(len(sources))
-    tasks = [(sources[k], middle[(own == k) & inside]) for k in images]
+    tasks = [(sources[k], middle[(image == k) & inside]) for k in images]
     for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes)):
-        patches[(own == k) & inside] = cut
+        patches[(image == k) & inside] = cut
         done(1)
-    found = []
+    refined = []
     jobs = ((sources[k], part, patches[part.track]) for k in images for part in [rays.rows(rays.image == k)])
     for result in run_tasks(_match_image, jobs, processes):
-        found.append(result)
+        refined.append(result)
         done(1)
-    kept = np.flatnonzero(inside)
-    return _joined(found, kept, own[kept], middle[kept], tracks.conflicts)
+    inner = np.flatnonzero(inside)
+    return _joined(refined, inner, image[inner], middle[inner], tracks.conflicts)
 
 
 def refine_reduced(
@@ -110,19 +110,21 @@ def refine_reduced(
     """
     if not level:
         return refine(sources, views, tracks, points, partners, processes, done)
-    sizes = [own.size_px for own in views.cameras]
+    sizes = [camera.size_px for camera in views.cameras]
     small = [_halved(size, level) for size in sizes]
     zoom = np.array([(w / v, h / u) for (w, h), (v, u) in zip(sizes, small, strict=True)])
     cameras = tuple(
-        replace(own, size_px=size, pitch=(own.pitch[0] * x, own.pitch[1] * y))
-        for own, size, (x, y) in zip(views.cameras, small, zoom.tolist(), strict=True)
+        replace(camera, size_px=size, pitch=(camera.pitch[0] * x, camera.pitch[1] * y))
+        for camera, size, (x, y) in zip(views.cameras, small, zoom.tolist(), strict=True)
     )
     factor = zoom[views.camera]
     reduced = replace(tracks, pixels=(tracks.pixels + 0.5) / factor[tracks.image] - 0.5)
     halved = [replace(source, level=level) for source in sources]
-    found = refine(halved, replace(views, cameras=cameras), reduced, points, partners, processes, done)
-    back = factor[found.image]
-    return replace(found, pixels=(found.pixels + 0.5) * back - 0.5, scale=found.scale * back.mean(axis=1))
+    refined = refine(halved, replace(views, cameras=cameras), reduced, points, partners, processes, done)
+    back = factor[refined.image]
+    return replace(
+        refined, pixels=(refined.pixels + 0.5) * back - 0.5, scale=refined.scale * back.mean(axis=1)
+    )
 
 
 def _halved(size: tuple[int, int], level: int) -> tuple[int, int]:
@@ -154,12 +156,12 @@ def _anchors(
     least = np.eye(3)[np.abs(normal).argmin(axis=1)]
     first = np.cross(normal, least)
     first = first / np.linalg.norm(first, axis=1)[:, None]
-    own = tracks.image[reference]
-    distance = np.linalg.norm(views.station[own] - points, axis=1)
+    image = tracks.image[reference]
+    distance = np.linalg.norm(views.station[image] - points, axis=1)
     # Steps of about a pixel or a few keep the differences within the local linearity.
     axes = np.stack([first, np.cross(normal, first)], axis=1) * (1e-3 * distance)[:, None, None]
-    miss = middle - views.project(own, points)
-    along = np.linalg.solve(_jacobians(views, own, points, axes), miss[..., None])[..., 0]
+    miss = middle - views.project(image, points)
+    along = np.linalg.solve(_jacobians(views, image, points, axes), miss[..., None])[..., 0]
     return points + np.einsum("nk,nkj->nj", along, axes), axes
 
 
@@ -251,18 +253,18 @@ def _matched(image: Floats32, rays: _Rays, patches: Floats32) -> Arrays:
     from photocal.measurement.patch_kernel import match_patches
 
     count = len(rays.track)
-    found, likeness, covariance = np.empty((count, 2)), np.empty(count), np.zeros((count, 2, 2))
-    match_patches(patches, image, rays.place, rays.affinity, FARTHEST_PX, found, likeness, covariance)
+    places, likeness, covariance = np.empty((count, 2)), np.empty(count), np.zeros((count, 2, 2))
+    match_patches(patches, image, rays.place, rays.affinity, FARTHEST_PX, places, likeness, covariance)
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
-    good = np.isfinite(found).all(axis=1) & (likeness >= LIKENESS) & (sigma < _COARSEST_PX)
-    return {"index": np.flatnonzero(good), "pixels": found[good], "sigma": sigma[good]}
+    good = np.isfinite(places).all(axis=1) & (likeness >= LIKENESS) & (sigma < _COARSEST_PX)
+    return {"index": np.flatnonzero(good), "pixels": places[good], "sigma": sigma[good]}
 
 
-def _joined(found: list[Tracks], kept: Integers, own: Integers, middle: Floats, conflicts: int) -> Tracks:
-    track = np.concatenate([kept, *(f.track for f in found)])
-    image = np.concatenate([own, *(f.image for f in found)])
-    pixels = np.concatenate([middle, *(f.pixels for f in found)])
-    sigma = np.concatenate([np.full(len(kept), np.nan), *(f.scale for f in found)])
+def _joined(refined: list[Tracks], kept: Integers, own: Integers, middle: Floats, conflicts: int) -> Tracks:
+    track = np.concatenate([kept, *(f.track for f in refined)])
+    image = np.concatenate([own, *(f.image for f in refined)])
+    pixels = np.concatenate([middle, *(f.pixels for f in refined)])
+    sigma = np.concatenate([np.full(len(kept), np.nan), *(f.scale for f in refined)])
     # The reference ray is as sure as its matches: their median.
     order = np.lexsort((sigma, track))
     matched = np.bincount(track, minlength=int(track.max(initial=-1)) + 1) - 1

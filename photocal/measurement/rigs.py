@@ -101,8 +101,8 @@ def _camera(facts: ImageFacts) -> tuple[object, ...]:
 
 def _together(facts: Sequence[ImageFacts]) -> bool:
     """Whether pictures were taken at one time; without times they may have been."""
-    captures = {own.maker_camera["CaptureUUID"] for own in facts if "CaptureUUID" in own.maker_camera}
-    times = [datetime.fromisoformat(own.taken).timestamp() for own in facts if own.taken]
+    captures = {image.maker_camera["CaptureUUID"] for image in facts if "CaptureUUID" in image.maker_camera}
+    times = [datetime.fromisoformat(image.taken).timestamp() for image in facts if image.taken]
     return len(captures) < 2 and (not times or max(times) - min(times) < TOGETHER_S)
 
 

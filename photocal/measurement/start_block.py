@@ -31,8 +31,8 @@ def explained(
     """Reasons with what the picture itself has to do with them."""
     entries = [dict(entry) for entry in left_out]
     gone = {entry["image"] for entry in entries}
-    of_image = {own.name: own for own in facts}
-    cameras = Counter(_camera(own) for own in facts if own.name not in gone)
+    of_image = {image.name: image for image in facts}
+    cameras = Counter(_camera(image) for image in facts if image.name not in gone)
     usual = cameras.most_common(1)[0][0] if cameras else ""
     others = [path for name, path in paths.items() if name not in gone] if gone & set(paths) else []
     pictures = [grey for path in others[:OTHERS] if (grey := _read(path)) is not None]
@@ -47,9 +47,9 @@ def explained(
     return entries
 
 
-def _camera(own: ImageFacts) -> str:
-    width, height = own.size_px
-    return " ".join(part for part in (own.model or own.make, f"{width} x {height} px") if part)
+def _camera(image: ImageFacts) -> str:
+    width, height = image.size_px
+    return " ".join(part for part in (image.model or image.make, f"{width} x {height} px") if part)
 
 
 def _read(path: Path) -> Bytes | None:
@@ -94,8 +94,8 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
     names, member = group_cameras(facts)
     cameras = []
     for k, camera_name in enumerate(names):
-        one = facts[int(np.flatnonzero(member == k)[0])]
-        stated = stated_camera(camera_name, one)
+        image = facts[int(np.flatnonzero(member == k)[0])]
+        stated = stated_camera(camera_name, image)
         free, guessed = among(*ESTIMATE), stated.guessed
         cameras.append(replace(stated.camera, estimated=free, guessed=guessed, shutter="unknown"))
     poses = np.full((len(facts), 6), np.nan)

@@ -66,8 +66,8 @@ class _Ties:
     def some(self, rays: Flags) -> _Ties:
         """Keep some of the rays, and of those the points with two of them."""
         left = np.bincount(self.tracks.track[rays], minlength=self.tracks.count)
-        kept = rays & (left >= 2)[self.tracks.track]
-        return replace(self, tracks=self.tracks.some(rays), sigma=self.sigma[kept])
+        used = rays & (left >= 2)[self.tracks.track]
+        return replace(self, tracks=self.tracks.some(rays), sigma=self.sigma[used])
 
     def held(self) -> tuple[_Ties, Block]:
         """Points that their rays determine, images that enough of them hold, and both as a block.
@@ -81,8 +81,8 @@ class _Ties:
             known = np.asarray(np.isfinite(values).all(axis=1))
             if not known.all():
                 ties, values = ties.some(known[ties.tracks.track]), values[known]
-            kept = replace(ties.start, images=_kept(ties.start, ties.poses))
-            block = with_ties(kept, ties.tracks, values, ties.sigma)
+            held = replace(ties.start, images=_kept(ties.start, ties.poses))
+            block = with_ties(held, ties.tracks, values, ties.sigma)
             count = np.bincount(block.observations.image, minlength=len(images.names))
             if (count >= FEWEST_RAYS).all():
                 return ties, block
@@ -131,10 +131,10 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
             ties, block, (start, assembly, solution) = _where_rays_meet(ties, block, held=round_ == 0)
         ties = replace(ties, start=start, poses=given_exposures(assembly, solution)[0])
         size, redundancy = by_ray(assembly, solution)
-        own = slice(len(start.observations.image), None)
-        sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[own], redundancy[own])
+        tie_rays = slice(len(start.observations.image), None)
+        sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
         # A residual shows the part of the error that the redundancy number says.
-        standardised = size[own] / (sigma * np.sqrt(2 * np.maximum(redundancy[own], 0.05)))
+        standardised = size[tie_rays] / (sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], 0.05)))
         good = standardised <= (GROSS if round_ else 2 * GROSS)
         ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and good.all():
@@ -177,11 +177,11 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
         if _few_apart(refusal, block):
             raise
         # A readout, and how each image moves in it, is what few images bear least.
-        if any(own.rolling for own in start.cameras):
+        if any(camera.rolling for camera in start.cameras):
             return _solved(
                 replace(start, cameras=without_readouts(start.cameras, "global")), block, poses, held=held
             )
-        if not any(own.estimated.any() for own in start.cameras):
+        if not any(camera.estimated.any() for camera in start.cameras):
             raise
         start = start if held else replace(start, cameras=_held(start.cameras))
         return _solved_with(start, block, poses, _held(start.cameras))
@@ -191,36 +191,37 @@ def _solved_with(start: Block, block: Block, poses: Floats, cameras: tuple[Camer
     assembly, state = assembled(replace(block, cameras=cameras), poses)
     solution = adjust(assembly.network, state=state)
     # A rolling shutter looks like gross errors; who holds the lens cannot tell it.
-    asked = any(own.shutter == "unknown" and own.estimated.any() for own in cameras)
+    asked = any(camera.shutter == "unknown" and camera.estimated.any() for camera in cameras)
     # How far images may move follows their readout: round after round it would swing to and fro.
-    found = any(own.rolling and own.estimated[READOUT] for own in cameras)
-    if found or (asked and rolls_whatever_the_lens(assembly.network, solution)):
+    estimated = any(camera.rolling and camera.estimated[READOUT] for camera in cameras)
+    if estimated or (asked and rolls_whatever_the_lens(assembly.network, solution)):
         network, solution, _ = with_readouts(assembly.network, solution)
         # What the network did not bear it will not bear in the next round.
         shut = [
-            replace(own, shutter="global") if own.shutter == "unknown" else own for own in network.cameras
+            replace(camera, shutter="global") if camera.shutter == "unknown" else camera
+            for camera in network.cameras
         ]
         assembly = replace(assembly, network=replace(network, cameras=tuple(shut)))
     better = tuple(map(_better, start.cameras, assembly.network.cameras, solution.cameras))
     return replace(start, cameras=better), assembly, solution
 
 
-def _better(own: Camera, adjusted: Camera, values: Floats) -> Camera:
+def _better(camera: Camera, adjusted: Camera, values: Floats) -> Camera:
     """The camera with adjusted values, and with the rolling shutter that it was found to have."""
-    if adjusted.rolling and not own.rolling:
-        rolls, direction = own.estimated | among("readout"), adjusted.readout_direction
-        own = replace(own, estimated=rolls, shutter="rolling", readout_direction=direction)
-    elif not own.rolling:
-        own = replace(own, shutter=adjusted.shutter)
-    return replace(own, values=values, given=own.values if own.given is None else own.given)
+    if adjusted.rolling and not camera.rolling:
+        rolls, direction = camera.estimated | among("readout"), adjusted.readout_direction
+        camera = replace(camera, estimated=rolls, shutter="rolling", readout_direction=direction)
+    elif not camera.rolling:
+        camera = replace(camera, shutter=adjusted.shutter)
+    return replace(camera, values=values, given=camera.values if camera.given is None else camera.given)
 
 
 def _opened(start: Block, given: tuple[Camera, ...]) -> Block:
     """The block with shutters that were unknown to be tested again, unless they were found to roll."""
     unknown = {own.id for own in given if own.shutter == "unknown" and not own.rolling}
     cameras = [
-        replace(own, shutter="unknown") if own.id in unknown and not own.rolling else own
-        for own in start.cameras
+        replace(camera, shutter="unknown") if camera.id in unknown and not camera.rolling else camera
+        for camera in start.cameras
     ]
     return replace(start, cameras=tuple(cameras))
 
@@ -237,15 +238,17 @@ def assembled(block: Block, poses: Floats) -> tuple[NetworkOfBlock, State]:
     tie = block.points.of_role("tie")[assembly.points]
     given = assembly.frame.to_local(block.points.values[assembly.points])
     points = np.where(tie[:, None] & np.isfinite(given), given, start.points)
-    cameras = np.array([own.values for own in block.cameras])
+    cameras = np.array([camera.values for camera in block.cameras])
     rotation = matrix_from_angles(local[:, :3])
     return assembly, replace(start, cameras=cameras, rotation=rotation, centre=local[:, 3:], points=points)
 
 
-def _as_given(own: Camera) -> Camera:
+def _as_given(camera: Camera) -> Camera:
     """The camera with values as they were given where priors observe them."""
-    known = own.estimated & np.isfinite(own.prior_sigma)
-    return own if own.given is None else own.with_values(np.where(known, own.given, own.values))
+    known = camera.estimated & np.isfinite(camera.prior_sigma)
+    return (
+        camera if camera.given is None else camera.with_values(np.where(known, camera.given, camera.values))
+    )
 
 
 def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, Block, Solved]:
@@ -301,7 +304,7 @@ def _robustly(ties: _Ties, block: Block) -> _Ties:
 
 
 def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
-    return tuple(replace(own, estimated=np.zeros_like(own.estimated)) for own in cameras)
+    return tuple(replace(camera, estimated=np.zeros_like(camera.estimated)) for camera in cameras)
 
 
 def without_readouts(cameras: tuple[Camera, ...], shutter: Shutter) -> tuple[Camera, ...]:
@@ -312,21 +315,23 @@ def without_readouts(cameras: tuple[Camera, ...], shutter: Shutter) -> tuple[Cam
     readout = among("readout")
     return tuple(
         replace(
-            own.changed(readout=0.0),
-            estimated=own.estimated & ~readout,
-            prior_sigma=np.where(readout, np.inf, own.prior_sigma),
+            camera.changed(readout=0.0),
+            estimated=camera.estimated & ~readout,
+            prior_sigma=np.where(readout, np.inf, camera.prior_sigma),
             shutter=shutter,
         )
-        if own.rolling
-        else own
-        for own in cameras
+        if camera.rolling
+        else camera
+        for camera in cameras
     )
 
 
 def pixel_residuals(assembly: NetworkOfBlock, solution: Solution) -> Floats:
     """Residuals in the order of the block's observations, px, whatever the unit of the cameras; (n, 2)."""
     network = assembly.network
-    pitch = np.array([own.pitch for own in network.cameras])[network.exposures.camera[network.rays.image]]
+    pitch = np.array([camera.pitch for camera in network.cameras])[
+        network.exposures.camera[network.rays.image]
+    ]
     residuals = np.empty_like(solution.residuals)
     residuals[assembly.rays] = solution.residuals / pitch
     return residuals
@@ -352,27 +357,27 @@ def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
     """
     solution, block = adjusted.solution, adjusted.block
     freed = _freed(adjusted)
-    found = []
-    for k, own in enumerate(block.cameras):
+    figures = []
+    for k, camera in enumerate(block.cameras):
         sigma = np.sqrt(np.diag(solution.camera_covariance[k]))
-        found.append(
+        figures.append(
             {
-                "camera": own.id,
-                "unit": own.unit,
+                "camera": camera.id,
+                "unit": camera.unit,
                 "parameters": {
                     n: float(v) for n, v in zip(PARAMETERS, solution.cameras[k], strict=True) if v
                 },
-                "sigma": {n: float(s) for n, s in zip(PARAMETERS, sigma, strict=True) if n in own.free},
-                "held": [n for n in (*PARAMETERS[:3], "K1") if n not in own.free],
-                "released": None if freed is None or "c" in own.free else _released(adjusted, freed, k),
+                "sigma": {n: float(s) for n, s in zip(PARAMETERS, sigma, strict=True) if n in camera.free},
+                "held": [n for n in (*PARAMETERS[:3], "K1") if n not in camera.free],
+                "released": None if freed is None or "c" in camera.free else _released(adjusted, freed, k),
             }
         )
-    return found
+    return figures
 
 
 def _freed(adjusted: Adjusted) -> Solution | None:
     network = adjusted.assembly.network
-    cameras = tuple(replace(own, estimated=own.estimated | among("c")) for own in network.cameras)
+    cameras = tuple(replace(camera, estimated=camera.estimated | among("c")) for camera in network.cameras)
     try:
         return adjust(replace(network, cameras=cameras))
     except PhotocalError:

@@ -118,7 +118,7 @@ def views_of(block: Block, frame: Frame) -> OrientedImages:
     They move during their readout as is known before an adjustment.
     """
     images = block.images
-    readout = np.array([own.value("readout") for own in block.cameras])[images.camera]
+    readout = np.array([camera.value("readout") for camera in block.cameras])[images.camera]
     movement = np.nan_to_num(images.motion) * readout[:, None]
     views = OrientedImages(images.names, block.cameras, images.camera, images.values)
     return replace(views, movement=movement if movement.any() else None).in_local(frame)

@@ -70,9 +70,9 @@ def _places(run: ExposureRun, minutes: Floats, track: Any, height: Any) -> None:
 
 def _timing(run: ExposureRun, minutes: Floats, timing: Any) -> None:
     if run.cameras:
-        for found in run.cameras:
-            m = found.matching
-            timing.plot(minutes[m.event], m.residual_s * 1e3, ".", ms=4, label=found.camera)
+        for camera in run.cameras:
+            m = camera.matching
+            timing.plot(minutes[m.event], m.residual_s * 1e3, ".", ms=4, label=camera.camera)
         timing.axhline(0.0, color="0.7", lw=0.8, zorder=0)
         timing.legend()
         title, label = "Event less image, offset and drift removed", "residual / ms"
@@ -269,7 +269,7 @@ def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str,
     origin = Origin(*frame["origin_lat_lon_height"])
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, [3, 4, 5, 0, 1, 2]]
     names = [exposures.image[row].split() for row in rows.tolist()]
-    every = np.repeat(np.arange(len(rows)), [len(own) for own in names])
+    every = np.repeat(np.arange(len(rows)), [len(of_row) for of_row in names])
     none = np.zeros(0, np.int64)
     # Without points there are no footprints: the camera gives its name only.
     given = Reconstruction(

@@ -47,7 +47,7 @@ def exposure_figures(
         "height": exposures.height_kind,
         "heights": _heights(exposures),
         "sigma": _sigmas(exposures),
-        "cameras": [_camera(found, events) for found in cameras],
+        "cameras": [_camera(camera, events) for camera in cameras],
         "clocks": [clock.figures() for clock in clocks],
         "checks": [_check(check) for check in checks],
         "findings": [finding_json(one, catalogue("en")) for one in found],

@@ -156,9 +156,9 @@ def _observations(
 
 
 def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tuple[Baseline, dict[str, Any]]:
-    own = _own_folder(survey, measured.name)
-    rover, of_rover = _observations(measured.rover, measured.rover_link, "rover", survey, own / "rover")
-    base, of_base = _observations(measured.base, measured.base_link, "base", survey, own / "base")
+    folder = _own_folder(survey, measured.name)
+    rover, of_rover = _observations(measured.rover, measured.rover_link, "rover", survey, folder / "rover")
+    base, of_base = _observations(measured.base, measured.base_link, "base", survey, folder / "base")
     named = [survey.folder / p for p in (*measured.nav, *measured.products)]
     weather = measured_weather(survey.setup.weather)
     files = [*of_rover, *of_base, *named]
@@ -172,8 +172,8 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     options = with_antennas(
         options, survey.antex, (rover, measured.rover_antenna), (base, measured.base_antenna)
     )
-    found = process(inputs, options, "static", survey.engine, own)
-    position, air_m = _through_air(found)
+    result = process(inputs, options, "static", survey.engine, folder)
+    position, air_m = _through_air(result)
     end, covariance = _earth_centred(position)
     first, last = max(rover.time.ns[0], base.time.ns[0]), min(rover.time.ns[-1], base.time.ns[-1])
     session = {
@@ -191,9 +191,9 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     return Baseline(measured.name, measured.start, measured.end, end - start_m, covariance), session
 
 
-def _through_air(found: PpkResult) -> tuple[Trajectory, float]:
+def _through_air(result: PpkResult) -> tuple[Trajectory, float]:
     """Return a static position corrected for the air between both marks, and the correction of its height."""
-    position, common = found.trajectory, found.common
+    position, common = result.trajectory, result.common
     if common is None or common.shift_by_zenith_delay is None:
         return position, 0.0
     corrected = common.corrected(position)
@@ -205,13 +205,13 @@ def _through_air(found: PpkResult) -> tuple[Trajectory, float]:
 
 
 def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]:
-    own = _own_folder(survey, f"ppp-{point.name}")
-    observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, own / "rover")
+    folder = _own_folder(survey, f"ppp-{point.name}")
+    observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, folder / "rover")
     named = [survey.folder / p for p in (*point.nav, *point.products)]
     options = replace(options_for(observed, observed), rover_antenna_m=point.rover_antenna_m, precise=True)
     options = with_antennas(options, survey.antex, (observed, point.rover_antenna), None)
-    found = _precise_point(observed, [*recorded, *named], options, survey.engine, own)
-    place, covariance = _earth_centred(found)
+    result = _precise_point(observed, [*recorded, *named], options, survey.engine, folder)
+    place, covariance = _earth_centred(result)
     session = {
         "name": f"precise point {point.name}",
         "start": "",
@@ -226,9 +226,9 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]
 
 def _own_folder(survey: Survey, name: str) -> Path:
     # A session's name may hold what no file name may.
-    own = survey.scratch / "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
-    own.mkdir(exist_ok=True)
-    return own
+    folder = survey.scratch / "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 def _duration(minutes: float, survey: Survey) -> dict[str, Any]:
@@ -257,17 +257,17 @@ def _precise_point(
             where=rover.path.name,
             remedy="measure a baseline instead",
         )
-    found = in_order(engine.solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
-    found = found.rows(found.quality == _PRECISE)
-    if not len(found):
+    epochs = in_order(engine.solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
+    epochs = epochs.rows(epochs.quality == _PRECISE)
+    if not len(epochs):
         raise IllPosedError(
             "the engine found no precise position",
             where=rover.path.name,
             remedy="check that the products cover the observations",
         )
-    last = found.rows(np.array([len(found) - 1]))
+    last = epochs.rows(np.array([len(epochs) - 1]))
     origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
-    half = found.rows(np.arange(len(found) // 2, len(found)))
+    half = epochs.rows(np.arange(len(epochs) // 2, len(epochs)))
     way = half.offsets(origin)
     spread = np.maximum(np.sqrt(np.mean(way**2, axis=0)), 10 * STATIC_FLOOR_M)
     settled = last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))

@@ -80,7 +80,9 @@ def flown_block(
     parts = _cells_of_pixels(images, ground)
     below = _ground_below(images.station, ground)
     height = images.station[:, 2] - below
-    pixel = np.array([math.sqrt(own.pitch[0] * own.pitch[1]) / own.values[0] for own in images.cameras])
+    pixel = np.array(
+        [math.sqrt(camera.pitch[0] * camera.pitch[1]) / camera.values[0] for camera in images.cameras]
+    )
     gsd = height * pixel[images.camera]
     tilt = np.arccos(np.clip(images.rotation[:, 2, 2], -1.0, 1.0))
     unknown = np.full(len(images), np.nan)
@@ -198,9 +200,11 @@ def gaps(block: FlownBlock, fewest: int = FEWEST_RAYS) -> list[tuple[float, floa
 def _directions(images: OrientedImages, raster: Floats) -> Floats:
     """Directions in object space of rays through places of each image (shares of its sides), (n, m, 3)."""
     rays = []
-    for own in images.cameras:
-        ideal = undistorted(own, pixel_to_plane(own.size_px, own.pitch, raster * own.size_px - 0.5))
-        rays.append(np.column_stack([ideal, np.full(len(ideal), -own.values[0])]))
+    for camera in images.cameras:
+        ideal = undistorted(
+            camera, pixel_to_plane(camera.size_px, camera.pitch, raster * camera.size_px - 0.5)
+        )
+        rays.append(np.column_stack([ideal, np.full(len(ideal), -camera.values[0])]))
     return np.asarray(np.einsum("mkc,mcd->mkd", np.array(rays)[images.camera], images.rotation))
 
 

@@ -95,10 +95,10 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImag
     """
     block = read_any_block(folder)
     frame = block_frame(block)
-    for own in block.cameras:
-        if (own.deviation_sigma > 0).any():
+    for camera in block.cameras:
+        if (camera.deviation_sigma > 0).any():
             raise ConfigurationError(
-                f"camera {own.id} has parameters that vary from image to image",
+                f"camera {camera.id} has parameters that vary from image to image",
                 where=folder,
                 remedy="adjust with a lens that does not vary; products take one lens for all images",
             )
@@ -113,7 +113,7 @@ def _adjusted(images: OrientedImages, run: Path) -> OrientedImages:
     result = read_result(run)
     found = result.images.named(images.names)
     lost = [name for name, camera in zip(found.names, found.camera, strict=True) if camera < 0]
-    strange = [own.id for own in images.cameras if own.id not in result.cameras]
+    strange = [camera.id for camera in images.cameras if camera.id not in result.cameras]
     if lost or strange:
         what = f"image {lost[0]}" if lost else f"camera {strange[0]}"
         raise InputMalformedError(f"lacks {what}", where=run, remedy="name the run of this very block")

@@ -15,7 +15,7 @@ from photocal.report.stored_analysis import Run
 
 def analysis_verdict(analysis: Analysis, say: Catalogue) -> list[Statement]:
     """Warn of hidden errors that are not small."""
-    large = [one for one in analysis.findings if not one.small]
+    large = [finding for finding in analysis.findings if not finding.small]
     if not large:
         return []
     text = say("analysis.verdict", count=len(large), worst=finding_text(large[0], say))
@@ -168,10 +168,10 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
     """Say what each method of calibration asks for and what the network has."""
     heads = columns(say, "analysis", "method_name<", "requirement<", "found<", "needed<", "met<")
     rows, advice = [], list[str]()
-    for one in analysis.methods:
-        for need in one.requirements:
+    for method in analysis.methods:
+        for need in method.requirements:
             words = need_words(need.code, need.figures, say)
-            name = say(f"calibration_method.{one.method}")
+            name = say(f"calibration_method.{method.method}")
             met = say("word.yes" if need.severity == "passed" else "word.no")
             rows.append((name, words["name"], words["found"], words["needed"], met))
             if need.severity != "passed" and words["advice"] not in advice:
@@ -187,7 +187,7 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
 
 def warned(findings: tuple[Finding, ...], say: Catalogue) -> list[Statement]:
     """Say at the head of a document that there are warnings; nothing where there are none."""
-    warnings = [one for one in findings if one.severity != "note"]
+    warnings = [finding for finding in findings if finding.severity != "note"]
     if not warnings:
         return []
     text = say("warnings.verdict", count=len(warnings), first=finding_text(warnings[0], say))
@@ -198,7 +198,11 @@ def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Sect
     """List warnings and notes."""
     tables = []
     for kind in ("warning", "note"):
-        texts = [finding_text(one, say) for one in findings if (one.severity == "note") == (kind == "note")]
+        texts = [
+            finding_text(finding, say)
+            for finding in findings
+            if (finding.severity == "note") == (kind == "note")
+        ]
         heads = (Column(""), *columns(say, "warnings", f"{kind}<"))
         rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
         if rows:

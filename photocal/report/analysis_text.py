@@ -26,14 +26,16 @@ def analysis_text(outcome: Outcome, say: Catalogue) -> str:
         judged = outcome.cameras[camera.id]
         if judged is not None:
             parts.append("\n".join(_camera(camera, judged, outcome, say)))
-    parts.append("\n".join([say("console.methods"), *(_method(one, say) for one in outcome.methods)]))
+    parts.append("\n".join([say("console.methods"), *(_method(method, say) for method in outcome.methods)]))
     return "\n\n".join(parts)
 
 
 def _findings(outcome: Outcome, say: Catalogue) -> str:
     if not outcome.findings:
         return say("analysis.hidden_none")
-    lines = [f"  {n}. {finding_text(one, say, plain)}" for n, one in enumerate(outcome.findings, start=1)]
+    lines = [
+        f"  {n}. {finding_text(finding, say, plain)}" for n, finding in enumerate(outcome.findings, start=1)
+    ]
     return "\n".join([say("analysis.hidden_first"), *lines])
 
 

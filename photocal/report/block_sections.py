@@ -232,13 +232,15 @@ def _check_lengths(run: Run, say: Catalogue) -> Table:
     lengths_of = ("known [mm]", "error [mm]", "adjusted_length [mm]", "known_sigma [mm]")
     rows = [
         (
-            f"{one.first}–{one.second}",
-            fixed(1e3 * one.known, max(decimals_of(1e3 * one.known_sigma), 0), say.mark),
-            fixed(1e3 * one.error, max(decimals_of(1e3 * max(one.sigma, one.known_sigma)), 0), say.mark),
-            _both(1e3 * one.sigma, factor, say),
-            _both(1e3 * one.known_sigma, None, say),
+            f"{length.first}–{length.second}",
+            fixed(1e3 * length.known, max(decimals_of(1e3 * length.known_sigma), 0), say.mark),
+            fixed(
+                1e3 * length.error, max(decimals_of(1e3 * max(length.sigma, length.known_sigma)), 0), say.mark
+            ),
+            _both(1e3 * length.sigma, factor, say),
+            _both(1e3 * length.known_sigma, None, say),
         )
-        for one in lengths
+        for length in lengths
     ]
     worst = max(lengths, key=lambda one: abs(one.error))
     largest = significant(1e3 * abs(worst.error), 3, say.mark)

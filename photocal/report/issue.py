@@ -50,8 +50,8 @@ def record(
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),
-        "warnings": [finding_json(one, say) for one in warnings if one.severity != "note"],
-        "notes": [finding_json(one, say) for one in warnings if one.severity == "note"],
+        "warnings": [finding_json(warning, say) for warning in warnings if warning.severity != "note"],
+        "notes": [finding_json(warning, say) for warning in warnings if warning.severity == "note"],
         # Where the block lay is nobody's concern: the certificate carries its inputs.
         "result": {**result, "block": {**result["block"], "source": ""}},
         "exposures": _exposures(run),

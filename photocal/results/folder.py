@@ -122,7 +122,7 @@ def result_json(result: Result) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         **plain,
-        "cameras": {name: _camera_json(own) for name, own in result.cameras.items()},
+        "cameras": {name: _camera_json(adjusted) for name, adjusted in result.cameras.items()},
         "images": {
             "n": len(result.images),
             "rms": [{"image": name, "rays": n, "rms_x": x, "rms_y": y} for name, n, (x, y) in rows],
@@ -130,37 +130,37 @@ def result_json(result: Result) -> dict[str, Any]:
     }
 
 
-def _camera_json(own: Camera) -> dict[str, Any]:
+def _camera_json(camera: Camera) -> dict[str, Any]:
     parameters = {}
-    for name in own.lens.names if own.rolling else own.lens.names[:-1]:
+    for name in camera.lens.names if camera.rolling else camera.lens.names[:-1]:
         k = PARAMETERS.index(name)
-        prior, deviation = float(own.prior_sigma[k]), float(own.deviation_sigma[k])
+        prior, deviation = float(camera.prior_sigma[k]), float(camera.deviation_sigma[k])
         parameters[name] = {
-            "value": float(own.values[k]),
-            "given": float((own.values if own.given is None else own.given)[k]),
-            "sigma": own.sigma_of(name),
-            "estimated": bool(own.estimated[k]),
+            "value": float(camera.values[k]),
+            "given": float((camera.values if camera.given is None else camera.given)[k]),
+            "sigma": camera.sigma_of(name),
+            "estimated": bool(camera.estimated[k]),
             "prior_sigma": prior if math.isfinite(prior) else None,
         }
         if deviation and math.isfinite(deviation):
             parameters[name]["deviation_sigma"] = deviation
     return {
-        "model": own.model,
-        "unit": own.unit,
-        "size_px": list(own.size_px),
-        "pitch_mm": list(own.pitch) if own.unit == "mm" else None,
-        "reference_radius": own.reference_radius,
-        "affinity": own.affinity,
-        "affinity_form": own.affinity_form,
-        "focus_m": own.focus_m or None,
-        "distortion_at": own.distortion_at,
-        "shutter": own.shutter,
-        "readout_direction": own.readout_direction,
-        "shake_rad": list(own.shake),
-        "c_is_a_guess": own.guessed and not own.estimated[0],
-        "photo_variant": list(own.photo_variant),
+        "model": camera.model,
+        "unit": camera.unit,
+        "size_px": list(camera.size_px),
+        "pitch_mm": list(camera.pitch) if camera.unit == "mm" else None,
+        "reference_radius": camera.reference_radius,
+        "affinity": camera.affinity,
+        "affinity_form": camera.affinity_form,
+        "focus_m": camera.focus_m or None,
+        "distortion_at": camera.distortion_at,
+        "shutter": camera.shutter,
+        "readout_direction": camera.readout_direction,
+        "shake_rad": list(camera.shake),
+        "c_is_a_guess": camera.guessed and not camera.estimated[0],
+        "photo_variant": list(camera.photo_variant),
         "parameters": parameters,
-        "correlation": {"names": list(own.free), "matrix": own.correlation_of(own.free).tolist()},
+        "correlation": {"names": list(camera.free), "matrix": camera.correlation_of(camera.free).tolist()},
     }
 
 
@@ -191,8 +191,8 @@ def _covariances(result: Result) -> Any:
         ),
         ("point", result.points.names, PLACE, result.points.covariance),
     ]
-    for name, own in result.cameras.items():
-        rows.append(("camera", (name,), own.free, own.covariance_of(own.free)[None]))
+    for name, adjusted in result.cameras.items():
+        rows.append(("camera", (name,), adjusted.free, adjusted.covariance_of(adjusted.free)[None]))
     rows += [("head", (head.camera,), head.free, head.covariance()[None]) for head in result.heads]
     lower = [m[:, *np.tril_indices(m.shape[1])] for _, _, _, m in rows]
     return pa.table(
@@ -223,7 +223,7 @@ def read_result(folder: Path) -> Result:
         raise InputNotFoundError(what, where=folder, remedy="give the folder that `photocal adjust` wrote")
     text, _ = read_json(folder / RESULT, SCHEMA, "adjust with this version of photocal")
     content = checked(text, _File, folder / RESULT, AGAIN)
-    cameras = {name: _camera(name, own, folder / RESULT) for name, own in content.cameras.items()}
+    cameras = {name: _camera(name, stored, folder / RESULT) for name, stored in content.cameras.items()}
     images = _images(folder, cameras)
     points = _points(folder)
     table = folder / "residuals.parquet"
@@ -278,7 +278,7 @@ def read_json(path: Path, schema: str, remedy: str) -> tuple[str, dict[str, Any]
 def cameras_of_json(content: object, path: Path) -> dict[str, Camera]:
     """Give the cameras of what `result_json` made; errors as of `read_result`."""
     known = checked(json.dumps(content), dict[str, _Camera], path, AGAIN, "cameras")
-    return {name: _camera(name, own, path) for name, own in known.items()}
+    return {name: _camera(name, stored, path) for name, stored in known.items()}
 
 
 def heads_of_json(content: object, path: Path) -> tuple[AdjustedHead, ...]:
@@ -311,60 +311,66 @@ def _not_a_number(constant: str) -> float:
     raise ValueError(f"contains {constant} where a number must stand")
 
 
-def _camera(name: str, own: _Camera, path: Path) -> Camera:
+def _camera(name: str, stored: _Camera, path: Path) -> Camera:
     where = f"{path}, camera {name}"
-    if "c" not in own.parameters or not own.parameters["c"].value > 0.0:
+    if "c" not in stored.parameters or not stored.parameters["c"].value > 0.0:
         raise InputMalformedError("has no positive principal distance c", where=where, remedy=AGAIN)
-    if own.unit == "mm" and (own.pitch_mm is None or not min(own.pitch_mm) > 0.0):
+    if stored.unit == "mm" and (stored.pitch_mm is None or not min(stored.pitch_mm) > 0.0):
         raise InputMalformedError(
             "has no positive pixel pitch", where=where, remedy="give pitch_mm in block.toml"
         )
-    names = own.correlation.names
-    if len(own.correlation.matrix) != len(names) or any(
-        len(row) != len(names) for row in own.correlation.matrix
+    names = stored.correlation.names
+    if len(stored.correlation.matrix) != len(names) or any(
+        len(row) != len(names) for row in stored.correlation.matrix
     ):
         raise InputMalformedError(
             f"correlation matrix is not {len(names)} by {len(names)}", where=where, remedy=AGAIN
         )
-    unknown = sorted(set(own.parameters) - set(PARAMETERS))
+    unknown = sorted(set(stored.parameters) - set(PARAMETERS))
     if unknown:
         raise InputMalformedError(f"{unknown[0]} is no parameter", where=where, remedy=AGAIN)
-    if sorted(key for key, one in own.parameters.items() if one.estimated) != sorted(names):
+    if sorted(key for key, parameter in stored.parameters.items() if parameter.estimated) != sorted(names):
         raise InputMalformedError(
             "correlation names differ from the estimated parameters", where=where, remedy=AGAIN
         )
-    for key, one in own.parameters.items():
+    for key, one in stored.parameters.items():
         if not (math.isfinite(one.sigma) and one.sigma >= 0.0):
             raise InputMalformedError(f"sigma of {key} is negative", where=where, remedy=AGAIN)
     sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
-    for key, one in own.parameters.items():
+    for key, one in stored.parameters.items():
         sigma[PARAMETERS.index(key)] = one.sigma
     rows = [PARAMETERS.index(key) for key in names]
-    correlation[np.ix_(rows, rows)] = np.array(own.correlation.matrix).reshape(len(names), len(names))
+    correlation[np.ix_(rows, rows)] = np.array(stored.correlation.matrix).reshape(len(names), len(names))
     adjusted = camera(
         name,
-        own.model,
-        own.unit,
-        own.size_px,
-        own.pitch_mm if own.unit == "mm" and own.pitch_mm else (1.0, 1.0),
-        {key: one.value for key, one in own.parameters.items()},
+        stored.model,
+        stored.unit,
+        stored.size_px,
+        stored.pitch_mm if stored.unit == "mm" and stored.pitch_mm else (1.0, 1.0),
+        {key: parameter.value for key, parameter in stored.parameters.items()},
         estimate=names,
-        prior_sigma={k: one.prior_sigma for k, one in own.parameters.items() if one.prior_sigma is not None},
-        reference_radius=own.reference_radius,
-        affinity=own.affinity,
-        affinity_form=own.affinity_form,
+        prior_sigma={
+            k: parameter.prior_sigma
+            for k, parameter in stored.parameters.items()
+            if parameter.prior_sigma is not None
+        },
+        reference_radius=stored.reference_radius,
+        affinity=stored.affinity,
+        affinity_form=stored.affinity_form,
         # Without its size (older versions did not write it) a deviation is free.
-        photo_variant={key: own.parameters[key].deviation_sigma or math.inf for key in own.photo_variant},
-        focus_m=own.focus_m or 0.0,
+        photo_variant={
+            key: stored.parameters[key].deviation_sigma or math.inf for key in stored.photo_variant
+        },
+        focus_m=stored.focus_m or 0.0,
     )
-    given = [own.parameters[key].given if key in own.parameters else 0.0 for key in PARAMETERS]
+    given = [stored.parameters[key].given if key in stored.parameters else 0.0 for key in PARAMETERS]
     return replace(
         adjusted.adjusted(adjusted.values, sigma, correlation),
-        guessed=own.c_is_a_guess,
-        distortion_at=own.distortion_at,
-        shutter=own.shutter,
-        readout_direction=own.readout_direction,
-        shake=own.shake_rad,
+        guessed=stored.c_is_a_guess,
+        distortion_at=stored.distortion_at,
+        shutter=stored.shutter,
+        readout_direction=stored.readout_direction,
+        shake=stored.shake_rad,
         given=None if None in given else np.array(given, dtype=float),
     )
 
@@ -417,17 +423,17 @@ def _diagonal(sigma: Floats) -> Floats:
 
 def _residuals(path: Path, images: tuple[str, ...]) -> Residuals:
     table = read_table(path, ("image", "point", "x", "y", "vx", "vy"), ("rx", "ry", "wx", "wy"))
-    index, found = table.names("image")
+    index, names = table.names("image")
     point, point_names = table.names("point")
     number = {name: k for k, name in enumerate(images)}
-    for name in found:
+    for name in names:
         if name not in number:
             raise InputMalformedError(f"image {name} is not in images.csv", where=path, remedy=AGAIN)
 
     def pair(prefix: str, empty: float | None = np.nan) -> Floats:
         return np.column_stack([table.numbers(prefix + axis, empty=empty) for axis in "xy"])
 
-    image = np.array([number[name] for name in found], dtype=np.int64)[index]
+    image = np.array([number[name] for name in names], dtype=np.int64)[index]
     return Residuals(images, point_names, image, point, pair("", None), pair("v"), pair("r"), pair("w"))
 
 

@@ -130,7 +130,7 @@ class AdjustedHead:
     @property
     def free(self) -> tuple[str, ...]:
         """Names of what is estimated."""
-        return tuple(name for name, one in self.values.items() if one.estimated)
+        return tuple(name for name, value in self.values.items() if value.estimated)
 
     def covariance(self, names: Sequence[str] | None = None) -> Floats:
         """Covariance (deg, m, s) of what is estimated, or of all `names` with zeros for the rest."""
@@ -313,12 +313,13 @@ class Result(Figures):
                 f"  {key:<3}{camera.value(key):>15.8g}  +- {self._sigmas(camera.sigma_of(key))}"
                 for key in camera.free
             ]
-        for one in self.readouts:
-            unit = self.cameras[one.camera].unit
+        for readout in self.readouts:
+            unit = self.cameras[readout.camera].unit
             lines.append(
-                f"camera {one.camera} has a {'rolling' if one.estimated else 'global'} shutter: readout "
-                f"{1e3 * one.value:.3f} +- {1e3 * one.sigma:.3f} ms, {one.effect:.3g} {unit} in the image, "
-                f"{one.way:.3g} m of flight; a global one has p {one.p_value:.2g}"
+                f"camera {readout.camera} has a {'rolling' if readout.estimated else 'global'} shutter: "
+                f"readout {1e3 * readout.value:.3f} +- {1e3 * readout.sigma:.3f} ms, "
+                f"{readout.effect:.3g} {unit} in the image, {readout.way:.3g} m of flight; "
+                f"a global one has p {readout.p_value:.2g}"
             )
         for own in self.heads:
             turns, place, later = (
@@ -334,9 +335,9 @@ class Result(Figures):
                 + (f"; {own.common} rays in both agree to {own.registration_px:.2f} px" if own.common else "")
             )
         lines += [
-            f"sigma of {one.name}: {one.factor:.3f} +- {one.sigma:.3f} times the given one"
-            for one in self.variance_components
-            if one.sigma is not None
+            f"sigma of {component.name}: {component.factor:.3f} +- {component.sigma:.3f} times the given one"
+            for component in self.variance_components
+            if component.sigma is not None
         ]
         if self.rejected:
             lines.append(f"{len(self.rejected)} observation(s) rejected as gross errors")
@@ -346,7 +347,7 @@ class Result(Figures):
             lines.append(f"check points: {self.checks.n}, RMSE {shown} mm")
         if self.checks.lengths:
             lengths = self.checks.lengths
-            worst = 1e3 * max(abs(one.error) for one in lengths)
+            worst = 1e3 * max(abs(length.error) for length in lengths)
             lines.append(f"check lengths: {len(lengths)}, largest length measurement error {worst:.2f} mm")
         return "\n".join(lines)
 

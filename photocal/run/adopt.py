@@ -42,20 +42,20 @@ SHIFTED = 3.0
 def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
     """Their parameters of each camera and ours, with sigmas and the difference in ours."""
     figures: dict[str, Any] = {}
-    stated = {own.id: own for own in (*foreign.block.cameras, *foreign.cameras)}
-    for own in stated.values():
-        ours, promised = result.cameras[own.id], foreign.camera_sigma.get(own.id, {})
-        figures[own.id] = {"unit": own.unit, "model": own.model, "parameters": {}}
+    stated = {camera.id: camera for camera in (*foreign.block.cameras, *foreign.cameras)}
+    for camera in stated.values():
+        ours, promised = result.cameras[camera.id], foreign.camera_sigma.get(camera.id, {})
+        figures[camera.id] = {"unit": camera.unit, "model": camera.model, "parameters": {}}
         for name in PARAMETERS:
-            if name not in ours.free and not own.value(name):
+            if name not in ours.free and not camera.value(name):
                 continue
             sigma = ours.sigma_of(name) if name in ours.free else None
-            figures[own.id]["parameters"][name] = {
-                "theirs": own.value(name),
+            figures[camera.id]["parameters"][name] = {
+                "theirs": camera.value(name),
                 "their_sigma": promised.get(name),
                 "ours": ours.value(name),
                 "sigma": sigma,
-                "difference_in_sigmas": (ours.value(name) - own.value(name)) / sigma if sigma else None,
+                "difference_in_sigmas": (ours.value(name) - camera.value(name)) / sigma if sigma else None,
             }
     return figures
 
@@ -70,14 +70,14 @@ def sigma_figures(
         free = float(seen.redundancy[mine].sum())
         if free > 1:
             stated = float(np.sqrt(np.mean(foreign.block.observations.sigma[mine] ** 2)))
-            found = float(np.sqrt((seen.residual[mine] ** 2).sum() / free))
+            sigma = float(np.sqrt((seen.residual[mine] ** 2).sum() / free))
             rows.append(
                 {
                     "group": name,
                     "unit": "px",
                     "n": int(mine.sum()),
                     "stated": stated if foreign.weighted else None,
-                    "found": found,
+                    "found": sigma,
                 }
             )
     points = foreign.block.points
@@ -189,11 +189,13 @@ def adoption_text(figures: dict[str, Any]) -> str:
         lines.append(
             f"camera {name} ({camera['unit']})          theirs            ours +- sigma     difference"
         )
-        for key, one in camera["parameters"].items():
-            sigma = one["sigma"]
-            theirs = f"{one['theirs']:.8g}" + (f" +- {one['their_sigma']:.2g}" if one["their_sigma"] else "")
-            ours = f"{one['ours']:.8g}" + (f" +- {sigma:.2g}" if sigma else " held")
-            away = "" if sigma is None else f"{one['difference_in_sigmas']:+.2f} sd"
+        for key, parameter in camera["parameters"].items():
+            sigma = parameter["sigma"]
+            theirs = f"{parameter['theirs']:.8g}" + (
+                f" +- {parameter['their_sigma']:.2g}" if parameter["their_sigma"] else ""
+            )
+            ours = f"{parameter['ours']:.8g}" + (f" +- {sigma:.2g}" if sigma else " held")
+            away = "" if sigma is None else f"{parameter['difference_in_sigmas']:+.2f} sd"
             lines.append(f"  {key:<4}{theirs:>28}{ours:>28}{away:>14}")
     for row in figures["sigmas"]:
         stated = "not stated" if row["stated"] is None else f"stated {row['stated']:.3g} {row['unit']}"
@@ -387,11 +389,15 @@ def _determined(folder: Path, foreign: ForeignProject) -> ForeignProject:
     try:
         _solved(folder)
     except (IllPosedError, NotConvergedError) as refusal:
-        if not any(own.estimated.any() for own in foreign.block.cameras):
+        if not any(camera.estimated.any() for camera in foreign.block.cameras):
             raise
         cameras = tuple(
-            replace(own, estimated=np.zeros_like(own.estimated), prior_sigma=np.full_like(own.values, np.inf))
-            for own in foreign.block.cameras
+            replace(
+                camera,
+                estimated=np.zeros_like(camera.estimated),
+                prior_sigma=np.full_like(camera.values, np.inf),
+            )
+            for camera in foreign.block.cameras
         )
         remark = f"the cameras are held as the program has them: {refusal.what}"
         block = replace(foreign.block, cameras=cameras)
@@ -424,11 +430,11 @@ def _as_residuals_agree(folder: Path) -> tuple[Result | None, dict[str, float]]:
     block = read_block(folder)
     assembly = assemble(block)
     try:
-        found = estimate_components(assembly.network, settled=_SETTLED)
+        estimated = estimate_components(assembly.network, settled=_SETTLED)
     except (IllPosedError, NotConvergedError):
         return None, {}
-    factors = {one.name: one.factor for one in found.components if one.estimated}
-    return result_of(block, replace(assembly, network=found.network), found.solution), factors
+    factors = {component.name: component.factor for component in estimated.components if component.estimated}
+    return result_of(block, replace(assembly, network=estimated.network), estimated.solution), factors
 
 
 def _solved(folder: Path) -> Result:

@@ -85,7 +85,7 @@ def survey(folder: Path) -> Survey:
             except PhotocalError as refusal:
                 seen.unread.append(str(refusal))
     seen.pictures = {where: tuple(facts) for where, facts in pictures.items()}
-    sizes = {own.name: own.size_px for facts in pictures.values() for own in facts}
+    sizes = {image.name: image.size_px for facts in pictures.values() for image in facts}
     for path in files:
         kind = path.suffix.lower()
         if kind in _LOGS:

@@ -112,7 +112,7 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
         "height": project.height,
         "camera": [keys.model_dump(mode="json") for keys in project.contents.camera],
         "head": [keys.model_dump(mode="json") for keys in project.contents.head],
-        "targets": [own.model_dump(mode="json") for own in control.targets],
+        "targets": [target.model_dump(mode="json") for target in control.targets],
         "sigma_px": None if given is None else given.sigma_px,
         "position_sigma_m": project.images.position_sigma_m,
         "lens": project.images.lens,
@@ -137,7 +137,7 @@ def pictures_of(project: Project) -> dict[str, Path]:
 def _without_exposure(exposures: Path) -> list[str]:
     """Images of the project that belong to no event; the exposures' summary warns of them."""
     cameras = json.loads((exposures / "exposures.json").read_text(encoding="utf-8"))["cameras"]
-    return [name for own in cameras for kind in _UNMATCHED for name in own[kind]]
+    return [name for camera in cameras for kind in _UNMATCHED for name in camera[kind]]
 
 
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:

@@ -65,9 +65,11 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
         )
     pictures = max(seen.pictures, key=lambda where: len(seen.pictures[where]), default=None)
     facts = seen.pictures[pictures] if pictures is not None else ()
-    frame = recognised({where / own.name: own for where, some in seen.pictures.items() for own in some})
+    frame = recognised({where / image.name: image for where, some in seen.pictures.items() for image in some})
     if frame is not None:
-        facts = tuple(own for w, some in seen.pictures.items() for own in some if w / own.name in frame.head)
+        facts = tuple(
+            image for w, some in seen.pictures.items() for image in some if w / image.name in frame.head
+        )
         pictures = Path(os.path.commonpath([path.parent for path in frame.head]))
     control = _chosen(seen, facts)
     if crs and control is not None:
@@ -90,15 +92,15 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
 
 def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> Found | None:
     """The control of the folder: with marks in its pictures if there is such a file, else the first."""
-    names = [own.name for own in facts]
+    names = [image.name for image in facts]
     if not seen.control:
         return None
 
-    def shown(one: Found) -> int:
-        return sum(mark.image in names for mark in named_after(one.marks, names))
+    def shown(control: Found) -> int:
+        return sum(mark.image in names for mark in named_after(control.marks, names))
 
-    def checks(one: Found) -> int:
-        return 0 if one.points is None else int(one.points.of_role("check").sum())
+    def checks(control: Found) -> int:
+        return 0 if control.points is None else int(control.points.of_role("check").sum())
 
     best = max(seen.control, key=lambda one: (shown(one), checks(one)))
     if shown(best):
@@ -106,7 +108,7 @@ def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> Found | None:
     tables = sorted(seen.marks, key=shown, reverse=True)
     points = (best.points or NO_POINTS).names
     # Programs leave the same marks in several files.
-    every = {(m.image, m.point): m for one in tables[::-1] for m in one.marks if m.point in points}
+    every = {(m.image, m.point): m for table in tables[::-1] for m in table.marks if m.point in points}
     return replace(best, marks=tuple(every.values()))
 
 
@@ -129,13 +131,13 @@ class _Text:
         self.cameras, self.member = group_cameras(facts)
         if frame is not None:
             head = {path.name: own for path, own in frame.head.items()}
-            own_head = [head[own.name] for own in facts]
+            own_head = [head[image.name] for image in facts]
             self.member = np.array([frame.heads.index(own) for own in own_head], dtype=np.int64)
             self.cameras = tuple(_plain(f"{facts[own_head.index(h)].model}-{h}") for h in frame.heads)
         self.found: list[str] = []
         self.missing: list[str] = []
         self.asked: list[str] = []
-        self.placed = [own for own in facts if own.has_position]
+        self.placed = [image for image in facts if image.has_position]
         self.control_points = NO_POINTS
         self.marks: tuple[Mark, ...] = ()
         self._systems()
@@ -150,7 +152,7 @@ class _Text:
             elif self.placed:
                 crs = _system_of(points, self.placed)
             self.control_points, self.crs = points, crs
-            self.marks = named_after(self.given.marks, [own.name for own in self.facts])
+            self.marks = named_after(self.given.marks, [image.name for image in self.facts])
             if not crs:
                 self.asked.append('crs: the system of the control points ("EPSG:31982"), or "local"')
         elif self.placed and not self.crs:
@@ -184,7 +186,7 @@ class _Text:
     def _height_comment(self) -> str:
         if self.crs == "local" or self.control_points.names:
             return ""
-        if any(own.altitude_kind.lower().startswith("rtk") for own in self.placed):
+        if any(image.altitude_kind.lower().startswith("rtk") for image in self.placed):
             return "  # RTK positions are"
         text = "pictures do not say from where their altitudes count: heights may be off by the geoid"
         self.missing.append(text)
@@ -216,7 +218,8 @@ class _Text:
         self.asked.append("camera_to_antenna_m in [rig]: from the projection centre to the antenna")
 
     def _images(self) -> Iterator[str]:
-        count, stated = len(self.facts), sum(np.isfinite(own.position_sigma_m).all() for own in self.placed)
+        count = len(self.facts)
+        stated = sum(np.isfinite(image.position_sigma_m).all() for image in self.placed)
         others = [where for where in self.seen.pictures if where != self.pictures]
         if self.frame is not None:
             exposures = len(set(self.frame.exposure.values()))
@@ -224,12 +227,12 @@ class _Text:
             self.found.append(f"{by}: {', '.join(self.frame.heads)}; {exposures} exposures")
             used = {path.parent for path in self.frame.head}
             others = [where for where in others if where not in used]
-        said = f"{count} pictures in {self._beside(self.pictures)}, {len(self.placed)} with a position"
-        self.found.append(said + (f", {stated} with its sigma" if stated else ""))
+        comment = f"{count} pictures in {self._beside(self.pictures)}, {len(self.placed)} with a position"
+        self.found.append(comment + (f", {stated} with its sigma" if stated else ""))
         self.found += [
             f"{len(self.seen.pictures[w])} pictures in {self._beside(w)}: not used" for w in others
         ]
-        yield f"\n[images]  # {said}"
+        yield f"\n[images]  # {comment}"
         yield f"folder = {_quoted(self._beside(self.pictures))}"
         if self.frame is not None:
             yield f"pictures = {_quoted(PICTURES)}  # camera and exposure of each"
@@ -243,25 +246,25 @@ class _Text:
             yield f"position_sigma_m = {list(sigma)}  # east, north, up: assumed, the pictures do not say it"
 
     def _cameras(self) -> Iterator[str]:
-        known = {own.size_px: own for own in (self.given.cameras if self.given is not None else ())}
+        known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}
         member = self.member
         for k, name in enumerate(self.cameras):
-            own = stated_camera(name, self.facts[int(np.flatnonzero(member == k)[0])])
+            stated = stated_camera(name, self.facts[int(np.flatnonzero(member == k)[0])])
             taken = int((member == k).sum())
-            if own.camera.size_px in known:
+            if stated.camera.size_px in known:
                 source = f"of {self._beside(self.given.file)}" if self.given is not None else ""
                 yield f"\n[[camera]]  # {taken} pictures; {source}"
-                yield from _given_camera(replace(known[own.camera.size_px], id=name))
+                yield from _given_camera(replace(known[stated.camera.size_px], id=name))
                 self.found.append(f"camera {name}: {source}")
                 continue
-            kind = "a guess" if own.guessed else f"prior, {100 * own.share:g} %"
-            said = f"c = {own.camera.value('c'):.1f} px ({own.source}; {kind})"
-            self.found.append(f"camera {name}: {taken} pictures, {said}")
-            yield f"\n[[camera]]  # {taken} pictures; {said}"
-            yield from _camera(own)
-            if not own.camera.rolling:
+            kind = "a guess" if stated.guessed else f"prior, {100 * stated.share:g} %"
+            comment = f"c = {stated.camera.value('c'):.1f} px ({stated.source}; {kind})"
+            self.found.append(f"camera {name}: {taken} pictures, {comment}")
+            yield f"\n[[camera]]  # {taken} pictures; {comment}"
+            yield from _camera(stated)
+            if not stated.camera.rolling:
                 yield 'shutter = "unknown"  # tested, and a readout is estimated when it rolls; or "global"'
-            if own.guessed:
+            if stated.guessed:
                 self.missing.append(f"nothing tells the c of camera {name}: it is a guess, to be estimated")
 
     def _heads(self) -> Iterator[str]:
@@ -284,8 +287,8 @@ class _Text:
         """Camera and exposure of each picture."""
         exposure = {} if self.frame is None else {p.name: e for p, e in self.frame.exposure.items()}
         rows = [
-            [own.name, self.cameras[k], exposure.get(own.name, "")]
-            for own, k in zip(self.facts, self.member, strict=True)
+            [image.name, self.cameras[k], exposure.get(image.name, "")]
+            for image, k in zip(self.facts, self.member, strict=True)
         ]
         return rows_text(("image", "camera", "exposure"), rows)
 
@@ -301,10 +304,10 @@ class _Text:
                 self.missing.append("no control points: nothing independent checks the result")
             return
         images = len({mark.image for mark in self.marks})
-        said = f"{len(points.names)} points of {self._beside(given.file)}, "
-        said += f"{len(self.marks)} marks in {images} images"
-        self.found.append(f"control: {said}")
-        yield f"\n[control]  # {said}"
+        comment = f"{len(points.names)} points of {self._beside(given.file)}, "
+        comment += f"{len(self.marks)} marks in {images} images"
+        self.found.append(f"control: {comment}")
+        yield f"\n[control]  # {comment}"
         yield 'points = "control.csv"' + (
             f"  # sigmas of {ASSUMED_M[0]} m, in height {ASSUMED_M[1]} m, are assumed"
             if given.assumed
@@ -323,37 +326,37 @@ class _Text:
         return "" if path is None else Path(os.path.relpath(path, self.folder)).as_posix()
 
 
-def _camera(own: StatedCamera) -> Iterator[str]:
+def _camera(stated: StatedCamera) -> Iterator[str]:
     """Keys of a camera of the pictures: all is estimated that has a prior, or that rays determine."""
-    prior = own.prior_sigma()
+    prior = stated.prior_sigma()
     # Of other lenses those terms that their makers state.
-    wanted = prior if own.camera.lens.relative else {*_ESTIMATE, *prior}
+    wanted = prior if stated.camera.lens.relative else {*_ESTIMATE, *prior}
     estimate = [name for name in PARAMETERS if name in wanted]
-    yield from _given_camera(own.camera)
+    yield from _given_camera(stated.camera)
     yield f"estimate = {json.dumps(estimate)}"
     yield "prior_sigma = { " + ", ".join(f"{n} = {s:.3g}" for n, s in prior.items()) + " }"
-    if own.guessed:
+    if stated.guessed:
         yield "guessed = true"
 
 
-def _given_camera(own: Camera) -> Iterator[str]:
+def _given_camera(camera: Camera) -> Iterator[str]:
     """Keys of a camera that somebody else has calibrated: held."""
-    values = {n: float(v) for n, v in zip(PARAMETERS, own.values, strict=True) if v or n == "c"}
-    yield f"id = {_quoted(own.id)}"
-    yield f"model = {_quoted(own.model)}"
-    yield f"unit = {_quoted(own.unit)}"
-    yield f"size_px = {list(own.size_px)}"
-    if own.unit == "mm":
-        yield f"pitch_mm = {list(own.pitch)}"
-    if own.rolling:
+    values = {n: float(v) for n, v in zip(PARAMETERS, camera.values, strict=True) if v or n == "c"}
+    yield f"id = {_quoted(camera.id)}"
+    yield f"model = {_quoted(camera.model)}"
+    yield f"unit = {_quoted(camera.unit)}"
+    yield f"size_px = {list(camera.size_px)}"
+    if camera.unit == "mm":
+        yield f"pitch_mm = {list(camera.pitch)}"
+    if camera.rolling:
         yield 'shutter = "rolling"  # its maker states how long a line takes'
-    yield f"affinity = {_quoted(own.affinity)}"
+    yield f"affinity = {_quoted(camera.affinity)}"
     yield "parameters = { " + ", ".join(f"{n} = {v!r}" for n, v in values.items()) + " }"
 
 
 def _zone_of(placed: Sequence[ImageFacts]) -> str:
     """UTM zone of the middle of the pictures."""
-    middle = np.mean([(own.longitude_deg, own.latitude_deg, 0.0) for own in placed], axis=0)
+    middle = np.mean([(image.longitude_deg, image.latitude_deg, 0.0) for image in placed], axis=0)
     return in_map_system(ControlMarks("EPSG:4326", ObjectPoints(("middle",), middle[None]), ())).crs
 
 

@@ -120,7 +120,8 @@ def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
         # A run that is killed from here on knows both its old and its new files.
         both = {name: owned.get(name, []) for name in owned.keys() | new.keys()}
         _remember(record, {name: [*old, new[name]] if name in new else old for name, old in both.items()})
-        said = _set_aside(public) if public.is_symlink() or (public.exists() and not public.is_dir()) else []
+        foreign_place = public.is_symlink() or (public.exists() and not public.is_dir())
+        remarks = _set_aside(public) if foreign_place else []
         for name in owned.keys() - new.keys():
             if _digest(public / name) in owned[name]:
                 (public / name).unlink()
@@ -128,23 +129,23 @@ def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
                     (public / name).parent.rmdir()
         for name, digest in new.items():
             own = (digest, *owned.get(name, ()))
-            said += _place(made / name, public, name, own, record.with_suffix(".partial"))
+            remarks += _place(made / name, public, name, own, record.with_suffix(".partial"))
         _remember(record, {name: [digest] for name, digest in new.items()})
         foreign = (path.relative_to(public).as_posix() for path in _files(public))
-        return (*said, *(f"{name} is not of this run and stays" for name in foreign if name not in new))
+        return (*remarks, *(f"{name} is not of this run and stays" for name in foreign if name not in new))
 
 
 def _place(source: Path, public: Path, name: str, own: tuple[str, ...], aside: Path) -> list[str]:
     """Put a file in its place, unless it is there; what stands there and is not ours is renamed."""
-    place, said = public / name, []
+    place, remarks = public / name, []
     for parent in reversed(PurePosixPath(name).parents[:-1]):
         if (public / parent).is_symlink() or (public / parent).is_file():
-            said += _set_aside(public / parent)
+            remarks += _set_aside(public / parent)
     there = _digest(place)
     if there == own[0]:
-        return said
+        return remarks
     if os.path.lexists(place) and there not in own:
-        said += _set_aside(place)
+        remarks += _set_aside(place)
     place.parent.mkdir(parents=True, exist_ok=True)
     aside.unlink(missing_ok=True)
     try:
@@ -152,7 +153,7 @@ def _place(source: Path, public: Path, name: str, own: tuple[str, ...], aside: P
     except OSError:
         shutil.copyfile(source, aside)
     aside.replace(place)
-    return said
+    return remarks
 
 
 def _set_aside(path: Path) -> list[str]:

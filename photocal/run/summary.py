@@ -36,9 +36,9 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
     for stage, name, read in _SOURCES:
         path = work / stage / name
         content = read_json(path) if stages is None or stage in stages else None
-        for one in read(content, path) if content is not None else ():
-            if not any((one.code, one.subject) == (other.code, other.subject) for other in listed):
-                listed.append(replace(one, stage=stage))
+        for finding in read(content, path) if content is not None else ():
+            if not any((finding.code, finding.subject) == (other.code, other.subject) for other in listed):
+                listed.append(replace(finding, stage=stage))
     ppk = read_json(work / "ppk" / "ppk.json")
     return causes_first(listed, 100.0 if ppk is None else float(ppk["fixed_percent"]))
 
@@ -65,7 +65,7 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding
     if not (run / RESULT).is_file():
         return None
     result, findings = read_result(run), gather(work, stages)
-    estimated = any(one.code == "sigmas-from-residuals" for one in findings)
+    estimated = any(finding.code == "sigmas-from-residuals" for finding in findings)
     accepted = None if result.global_test is None else result.global_test.accepted
     figures = result.chi_squared, result.degrees_of_freedom
     return verdict((*findings, of_global_test(*figures, accepted, estimated=estimated)))
@@ -75,7 +75,7 @@ def outdated(work: Path) -> bool:
     """Whether the certificate of a project, or else its adjustment, was made of another block than this."""
     certified = read_json(work / "certificate" / "certificate.json")
     adjusted = read_json(work / "calibration" / RESULT) if certified is None else certified.get("result")
-    inputs = tuple(InputFile(**one) for one in (adjusted or {}).get("inputs", ()))
+    inputs = tuple(InputFile(**entry) for entry in (adjusted or {}).get("inputs", ()))
     return bool(changed_inputs(inputs, work / "block"))
 
 
@@ -95,18 +95,24 @@ def causes_first(
     lever arm or zoom. Unless the search explains more than what would excuse it: then that is what follows.
     """
     findings = tuple(given)
-    codes = {one.code for one in findings}
+    codes = {finding.code for finding in findings}
     if fixed_percent >= _JUDGED_FROM_PERCENT:
         codes.discard("ppk-not-fixed")
     excuse = next((entry for code in _EXCUSES if code in codes and (entry := fault(code, table))), None)
     if excuse is not None:
-        alike = [one for one in findings if one.stage == "georeferencing" and one.code in excuse.imitates]
-        behind = [one for one in findings if one.code == excuse.code and _explains_less(one, alike)]
+        alike = [
+            finding
+            for finding in findings
+            if finding.stage == "georeferencing" and finding.code in excuse.imitates
+        ]
+        behind = [
+            finding for finding in findings if finding.code == excuse.code and _explains_less(finding, alike)
+        ]
         if behind:
             findings = tuple(replace(f, severity="consequence") if f in behind else f for f in findings)
         else:
             findings = tuple(_not_judged(f, excuse.code) if f in alike else f for f in findings)
-    codes = {one.code for one in findings}
+    codes = {finding.code for finding in findings}
     symptoms = {code for one in table if one.code in codes for code in one.symptoms}
     findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
     order = ("warning", "consequence", "note")
@@ -116,14 +122,16 @@ def causes_first(
 def _explains_less(excuse: Finding, others: Sequence[Finding]) -> bool:
     """Whether it lowers v'Pv of the same observations by less than what it would excuse."""
     fall = excuse.figures.get("fall")
-    gains = [gain for one in others if isinstance(gain := one.figures.get("fall"), float)]
+    gains = [gain for other in others if isinstance(gain := other.figures.get("fall"), float)]
     return isinstance(fall, float) and max(gains, default=0.0) > fall
 
 
-def _not_judged(one: Finding, cause: str) -> Finding:
+def _not_judged(finding: Finding, cause: str) -> Finding:
     """The same, where something else is known to be wrong that looks like it."""
-    said = replace(one, code="not-judged", severity="consequence", subject=one.code, clauses=(), cause=cause)
-    return replace(said, figures={**one.figures, "same": (one.code,)})
+    unjudged = replace(
+        finding, code="not-judged", severity="consequence", subject=finding.code, clauses=(), cause=cause
+    )
+    return replace(unjudged, figures={**finding.figures, "same": (finding.code,)})
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
@@ -135,18 +143,24 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def _stored(content: dict[str, Any], path: Path) -> Iterator[Finding]:
-    yield from (one for one in findings_of(content.get("findings"), path) if one.severity in _ORDER)
+    yield from (
+        finding for finding in findings_of(content.get("findings"), path) if finding.severity in _ORDER
+    )
 
 
 def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
     """Shutters that roll, and parameters that left what was known of them: something else went into them."""
     result = read_result(path.parent)
-    for one in result.readouts:
-        if one.estimated:
-            effect_px = one.effect / result.cameras[one.camera].pitch[0]
-            figures = {"camera": one.camera, "value_ms": 1e3 * one.value, "sigma_ms": 1e3 * one.sigma}
-            figures |= {"effect_px": effect_px, "way_m": one.way}
-            yield Finding("shutter-rolls", "note", one.camera, figures)
+    for readout in result.readouts:
+        if readout.estimated:
+            effect_px = readout.effect / result.cameras[readout.camera].pitch[0]
+            figures = {
+                "camera": readout.camera,
+                "value_ms": 1e3 * readout.value,
+                "sigma_ms": 1e3 * readout.sigma,
+            }
+            figures |= {"effect_px": effect_px, "way_m": readout.way}
+            yield Finding("shutter-rolls", "note", readout.camera, figures)
     for name, camera in result.cameras.items():
         if camera.shake:
             figures = {"camera": name, "effect_px": camera.shaken / camera.pitch[0]}
@@ -164,7 +178,7 @@ def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
 
 def _of_analysis(content: dict[str, Any], path: Path) -> Iterator[Finding]:
     """What the other stages cannot see; the rest of the analysis has its own part of the certificate."""
-    yield from (one for one in _stored(content, path) if fault(one.code) and not one.small)
+    yield from (finding for finding in _stored(content, path) if fault(finding.code) and not finding.small)
 
 
 _SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any], Path], Iterator[Finding]]], ...] = (
@@ -221,9 +235,9 @@ def _exposures(figures: dict[str, Any]) -> dict[str, Any]:
     return {
         "events": figures["events"],
         "placed": figures["placed"],
-        "images": sum(one["matched"] + len(one["unmatched_images"]) for one in cameras),
-        "matched": sum(one["matched"] for one in cameras),
-        "events_without_image": sum(len(one["unmatched_events"]) for one in cameras),
+        "images": sum(camera["matched"] + len(camera["unmatched_images"]) for camera in cameras),
+        "matched": sum(camera["matched"] for camera in cameras),
+        "events_without_image": sum(len(camera["unmatched_events"]) for camera in cameras),
     }
 
 
@@ -271,7 +285,7 @@ def _predicted(points: list[dict[str, Any]]) -> dict[str, float | None]:
         return dict.fromkeys("XYZ")
     # Lower triangle, row by row: the variances stand at 0, 2 and 5.
     return {
-        axis: math.sqrt(sum(one["covariance_m2"][k] for one in points) / len(points))
+        axis: math.sqrt(sum(point["covariance_m2"][k] for point in points) / len(points))
         for axis, k in zip("XYZ", (0, 2, 5), strict=True)
     }
 
@@ -335,9 +349,9 @@ def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:
         return
     for word, names, unit in (("lever arm", _LEVER, "m"), ("boresight", _BORESIGHT, "deg")):
         values = [mounting[key] for key in names]
-        if any(one["estimated"] for one in values):
+        if any(value["estimated"] for value in values):
             yield _line(
-                word, ", ".join(with_sigma(one["value"], one["sigma"]) for one in values) + f" {unit}"
+                word, ", ".join(with_sigma(value["value"], value["sigma"]) for value in values) + f" {unit}"
             )
     offset = mounting["time_offset"]
     if offset["estimated"]:
@@ -345,38 +359,37 @@ def _calibration_lines(figures: dict[str, Any]) -> Iterator[str]:
 
 
 def _check_lines(methods: dict[str, Any]) -> Iterator[str]:
-    if any(one["n"] for one in methods.values()):
+    if any(check["n"] for check in methods.values()):
         yield _line("check points", "RMSE in X, Y, Z / predicted with the survey's own sigma, mm")
-    for name, one in methods.items():
-        if one["n"]:
+    for name, check in methods.items():
+        if check["n"]:
             cells = ", ".join(
-                f"{1e3 * one['rmse_m'][axis]:.0f}/{1e3 * one['predicted_m'][axis]:.0f}" for axis in "XYZ"
+                f"{1e3 * check['rmse_m'][axis]:.0f}/{1e3 * check['predicted_m'][axis]:.0f}" for axis in "XYZ"
             )
-            ratio = one["errors_over_prediction"]
+            ratio = check["errors_over_prediction"]
             over = "" if ratio is None else f"; errors {ratio:.2f} times the prediction"
-            yield _line(f"  {name}", f"{cells} at {one['n']} points{over}")
+            yield _line(f"  {name}", f"{cells} at {check['n']} points{over}")
 
 
 def _class_texts(standards: list[dict[str, Any]]) -> Iterator[str]:
-    for one in standards:
-        if "product" in one:
-            if one["size"] is None:
+    for standard in standards:
+        if "product" in standard:
+            if standard["size"] is None:
                 continue
-            size = f"1:{one['size']:g}" if one["basis"] == "scale" else f"{one['size']:g} m"
-            classes = (
-                f"accuracy {one['accuracy_class'] or 'none'}, precision {one['precision_class'] or 'none'}"
-            )
-            yield f"{one['standard']} {one['product']} {size}: {classes}"
-        elif one["horizontal"] is not None and one["vertical"] is not None:
+            size = f"1:{standard['size']:g}" if standard["basis"] == "scale" else f"{standard['size']:g} m"
+            accuracy, precision = (standard[f"{kind}_class"] or "none" for kind in ("accuracy", "precision"))
+            name = f"{standard['standard']} {standard['product']} {size}"
+            yield f"{name}: accuracy {accuracy}, precision {precision}"
+        elif standard["horizontal"] is not None and standard["vertical"] is not None:
             yield (
-                f"{one['standard']}: horizontal {one['horizontal']['class_cm']} cm, "
-                f"vertical {one['vertical']['class_cm']} cm"
+                f"{standard['standard']}: horizontal {standard['horizontal']['class_cm']} cm, "
+                f"vertical {standard['vertical']['class_cm']} cm"
             )
 
 
 def _warning_lines(warnings: list[dict[str, str]], final: dict[str, Any] | None) -> Iterator[str]:
     for group in ("warning", "consequence", "note"):
-        texts = [f"{one['code']}: {one['text']}" for one in warnings if one["kind"] == group]
+        texts = [f"{warning['code']}: {warning['text']}" for warning in warnings if warning["kind"] == group]
         if not texts and group == "warning":
             # Nothing is called clean while the verdict is not.
             texts = ["none"] if final is None or final["severity"] == "passed" else ["see the verdict"]

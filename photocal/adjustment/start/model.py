@@ -212,7 +212,7 @@ def adjusted(model: Model) -> Model:
         tuple(str(j) for j in points),
         datum_points=None if held.any() else np.zeros(0, dtype=np.int64),
     )
-    start = replace(start_state(network), cameras=np.array([own.values for own in seen.cameras]))
+    start = replace(start_state(network), cameras=np.array([camera.values for camera in seen.cameras]))
     with np.errstate(all="ignore"):
         state = robust_state(with_datum(prepare(network), start), start)
     rotation, centre = model.rotation.copy(), model.centre.copy()
@@ -220,8 +220,8 @@ def adjusted(model: Model) -> Model:
     where = model.points.copy()
     where[points] = state.points
     better = replace(model, rotation=rotation, centre=centre, points=where)
-    if any(own.estimated.any() for own in network.cameras):
-        cameras = tuple(own.with_values(v) for own, v in zip(seen.cameras, state.cameras, strict=True))
+    if any(camera.estimated.any() for camera in network.cameras):
+        cameras = tuple(camera.with_values(v) for camera, v in zip(seen.cameras, state.cameras, strict=True))
         better = replace(better, bearings=seen.by(cameras))
     return better if misfit(better) < STRAINED * misfit(model) else model
 
@@ -252,7 +252,7 @@ def _to_calibrate(seen: Bearings, rays: Integers) -> tuple[Camera, ...]:
 def held_to_given(model: Model) -> Model:
     """The same images and points with the principal distances that were given, reached in steps."""
     seen = model.bearings
-    first = [own.value("c") for own in seen.cameras]
+    first = [camera.value("c") for camera in seen.cameras]
     for share in (0.25, 0.5, 0.75, 1.0):
         cameras = []
         for own, given, c in zip(model.bearings.cameras, seen.given, first, strict=True):

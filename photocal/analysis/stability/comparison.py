@@ -72,8 +72,8 @@ def compare(
     raises NotConvergedError: when two bundles cannot be brought together.
     """
     _check(calibrations)
-    views = {one.id: view(one, pixels) for one in calibrations}
-    wobbles = {one.id: wobble(one, pixels) for one in calibrations}
+    views = {calibration.id: view(calibration, pixels) for calibration in calibrations}
+    wobbles = {calibration.id: wobble(calibration, pixels) for calibration in calibrations}
     pairs = []
     for a, b in combinations(calibrations, 2):
         figures = tuple(
@@ -169,7 +169,7 @@ def _check(calibrations: tuple[Camera, ...]) -> None:
             f"{len(calibrations)} calibration cannot be compared",
             remedy="give two or more [[camera]] entries",
         )
-    names = [one.id for one in calibrations]
+    names = [calibration.id for calibration in calibrations]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise ConfigurationError(f"camera {twice[0]} occurs twice", remedy="give each calibration its own id")

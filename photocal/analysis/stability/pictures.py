@@ -44,8 +44,8 @@ def draw_curves(calibrations: tuple[Camera, ...], path: Path) -> None:
     with output_picture(path, (10.5, 9.5), font=10.0, dpi=130) as canvas:
         grid = canvas.add_gridspec(3, 12)
         radial, decentring = canvas.add_subplot(grid[0, :6]), canvas.add_subplot(grid[0, 6:])
-        for k, one in enumerate(calibrations):
-            _profiles(one, radial, decentring, _DASHES[k % len(_DASHES)])
+        for k, calibration in enumerate(calibrations):
+            _profiles(calibration, radial, decentring, _DASHES[k % len(_DASHES)])
         radial.set_title("radial distortion", fontsize=9)
         decentring.set_title("decentring distortion, largest at a radius (profile function)", fontsize=9)
         for axes in (radial, decentring):
@@ -94,7 +94,9 @@ def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: Axes) 
     axes.errorbar(
         range(len(values)), values, yerr=sigmas, fmt="o-", color="#1a1a1a", linewidth=0.8, capsize=3
     )
-    axes.set_xticks(range(len(values)), [one.id for one in calibrations], rotation=45, fontsize=7)
+    axes.set_xticks(
+        range(len(values)), [calibration.id for calibration in calibrations], rotation=45, fontsize=7
+    )
     axes.set_title(f"{name}, px, with its standard deviation", fontsize=9)
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.tick_params(axis="y", labelsize=7)

@@ -126,26 +126,26 @@ def of_strips(search: Search) -> list[Finding]:
         Finding(
             "strip-position",
             "doubtful",
-            f"{one.first}-{one.last}",
-            {"images": float(one.positions), "numbers": _by_axis(one.shift, one.sigma)},
+            f"{strip.first}-{strip.last}",
+            {"images": float(strip.positions), "numbers": _by_axis(strip.shift, strip.sigma)},
         )
-        for one in search.strips
-        if one.p_value < LEVEL and one.beyond_stated
+        for strip in search.strips
+        if strip.p_value < LEVEL and strip.beyond_stated
     ]
 
 
 def of_members(search: Search) -> list[Finding]:
     """Name positions and control points that contradict all others."""
     network, listed = search.first.network, []
-    for one in search.members:
-        of_image = one.kind == "position"
+    for member in search.members:
+        of_image = member.kind == "position"
         names = network.image_names if of_image else network.point_names
-        sigma = np.sqrt(np.diag(one.covariance))
-        figures: dict[str, Figure] = {"numbers": _by_axis(one.error, sigma)}
-        worst = int(np.argmax(np.abs(one.error)))
-        size = Size(float(one.error[worst]), "m", float(sigma[worst]))
+        sigma = np.sqrt(np.diag(member.covariance))
+        figures: dict[str, Figure] = {"numbers": _by_axis(member.error, sigma)}
+        worst = int(np.argmax(np.abs(member.error)))
+        size = Size(float(member.error[worst]), "m", float(sigma[worst]))
         code = "position-contradicts" if of_image else "control-contradicts"
-        listed.append(Finding(code, "doubtful", names[one.index], figures, size=size))
+        listed.append(Finding(code, "doubtful", names[member.index], figures, size=size))
     return listed
 
 

@@ -35,25 +35,25 @@ SMALL_RATIO = 1.25
 def of_stated(search: Search) -> list[Finding]:
     """Name groups whose stated standard deviations are wrong by a factor."""
     listed = []
-    for one in search.groups:
-        if one.p_value >= LEVEL / len(search.groups) or abs(one.factor - 1.0) < WRONG_SIGMA:
+    for group in search.groups:
+        if group.p_value >= LEVEL / len(search.groups) or abs(group.factor - 1.0) < WRONG_SIGMA:
             continue
         # What is known beforehand is stated with caution: no error of measurement says otherwise.
-        if one.factor < 1.0 and one.name in ("camera", "mounting", "head", "rig"):
+        if group.factor < 1.0 and group.name in ("camera", "mounting", "head", "rig"):
             continue
         figures: dict[str, Figure] = {
-            "group": one.name,
-            "factor": one.factor,
-            "lower": one.lower,
-            "upper": one.upper,
-            "camera": one.of,
+            "group": group.name,
+            "factor": group.factor,
+            "lower": group.lower,
+            "upper": group.upper,
+            "camera": group.of,
         }
-        size = Size(one.factor, "1")
-        if one.factor > 1.0:
-            severity: Severity = "doubtful" if one.factor > SMALL_RATIO else "note"
-            listed.append(Finding("sigmas-too-small", severity, one.name, figures, size=size))
+        size = Size(group.factor, "1")
+        if group.factor > 1.0:
+            severity: Severity = "doubtful" if group.factor > SMALL_RATIO else "note"
+            listed.append(Finding("sigmas-too-small", severity, group.name, figures, size=size))
         else:
-            listed.append(Finding("sigmas-too-large", "note", one.name, figures, size=size))
+            listed.append(Finding("sigmas-too-large", "note", group.name, figures, size=size))
     return listed
 
 
@@ -61,16 +61,16 @@ def of_groups(search: Search) -> list[Finding]:
     """Describe image axes and cameras that scatter differently."""
     overall = search.sigma.found / search.sigma.assumed
     return [
-        _scatter(code, one, search)
+        _scatter(code, component, search)
         for code, components in (("axis-scatter", search.axes), ("camera-scatter", search.cameras))
-        for one in components
-        if one.p_value < LEVEL and one.ratio > WORTH_A_LINE * overall
+        for component in components
+        if component.p_value < LEVEL and component.ratio > WORTH_A_LINE * overall
     ]
 
 
 def of_images(search: Search) -> list[Finding]:
     """Describe images that scatter more, or have a scale or principal point of their own."""
-    components = {one.name: one for one in search.images}
+    components = {image.name: image for image in search.images}
     sigma_px = search.sigma.found / min(search.last.network.cameras[0].pitch)
     overall = search.sigma.found / search.sigma.assumed
     listed = []

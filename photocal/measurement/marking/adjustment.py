@@ -86,7 +86,9 @@ def block_of_marks(
 ) -> tuple[Block, tuple[str, ...]]:
     """Make the block of those marks that can be adjusted."""
     none, free = np.zeros(len(PARAMETERS), dtype=np.bool_), np.full(len(PARAMETERS), np.inf)
-    cameras = tuple(replace(own, estimated=none, prior_sigma=free) for own in orientation.images.cameras)
+    cameras = tuple(
+        replace(camera, estimated=none, prior_sigma=free) for camera in orientation.images.cameras
+    )
     whole, _ = with_marks(
         Block(
             "marks",

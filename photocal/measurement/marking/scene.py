@@ -64,7 +64,7 @@ def scene_of_project(project: Project, run: Path | None) -> tuple[Scene, Path]:
         )
     pictures = read_pictures(project.picture_folder)
     orientation = of_project(project, tuple(pictures)) if run is None else of_run(run)
-    dictionaries = tuple(own.dictionary for own in control.coded_targets) or DICTIONARIES
+    dictionaries = tuple(target.dictionary for target in control.coded_targets) or DICTIONARIES
     points = NO_POINTS if control.points is None else read_points(control.points)
     return Scene(project.name, pictures, points, True, orientation, dictionaries), control.marks
 

@@ -78,12 +78,12 @@ class MarkingService:
             "images": [
                 {
                     "name": name,
-                    "width": own.size_px[0],
-                    "height": own.size_px[1],
-                    "turn": own.turn_deg,
-                    "reason": own.reason,
+                    "width": picture.size_px[0],
+                    "height": picture.size_px[1],
+                    "turn": picture.turn_deg,
+                    "reason": picture.reason,
                 }
-                for name, own in scene.pictures.items()
+                for name, picture in scene.pictures.items()
             ],
             "points": [
                 {"name": name, "role": ROLES[role]}
@@ -120,7 +120,7 @@ class MarkingService:
 
     def images(self, point: str) -> dict[str, Any]:
         """Images by how likely they show a point, and where."""
-        names = [name for name, own in self._scene.pictures.items() if not own.reason]
+        names = [name for name, picture in self._scene.pictures.items() if not picture.reason]
         orientation = self._orientation
         known = self._scene.points
         seen: dict[str, dict[str, Any]] = {}
