@@ -75,23 +75,23 @@ def estimate_text(estimate: Estimate) -> str:
     )
 
 
-def _mistyped(one: Mistyped) -> Finding:
-    axes = zip("XYZ", one.d, one.sigma, strict=True)
+def _mistyped(point: Mistyped) -> Finding:
+    axes = zip("XYZ", point.d, point.sigma, strict=True)
     figures: dict[str, Figure] = {
         "numbers": tuple(f"{axis} {d:+.3f} +- {s:.3f}" for axis, d, s in axes),
-        "slips": one.slips,
+        "slips": point.slips,
     }
-    remedy = "" if one.slips else "look-at-point"
-    cause = "slip" if one.slips else ""
-    return Finding("control-mistyped", "grave", one.point, figures, cause=cause, remedy=remedy)
+    remedy = "" if point.slips else "look-at-point"
+    cause = "slip" if point.slips else ""
+    return Finding("control-mistyped", "grave", point.point, figures, cause=cause, remedy=remedy)
 
 
-def _stated_sigma(one: GroupTest) -> Finding:
+def _stated_sigma(group: GroupTest) -> Finding:
     """Name standard deviations that are wrong by a factor: too large ones only cost precision."""
-    figures = {"group": one.name, "factor": one.factor, "lower": one.lower, "upper": one.upper}
-    if one.factor > 1.0:
-        return Finding("sigmas-too-small", "doubtful", one.name, figures)
-    return Finding("sigmas-too-large", "note", one.name, figures)
+    figures = {"group": group.name, "factor": group.factor, "lower": group.lower, "upper": group.upper}
+    if group.factor > 1.0:
+        return Finding("sigmas-too-small", "doubtful", group.name, figures)
+    return Finding("sigmas-too-large", "note", group.name, figures)
 
 
 def named(errors: tuple[SystematicError, ...]) -> list[Finding]:
@@ -210,10 +210,10 @@ def _judged(judged: Judged) -> list[Finding]:
     return listed
 
 
-def separation_findings(found: Separation) -> tuple[Finding, ...]:
+def separation_findings(separation: Separation) -> tuple[Finding, ...]:
     """Name what the flight cannot separate, and what would."""
     listed = []
-    for group in found.groups:
+    for group in separation.groups:
         bare = tuple(dict.fromkeys(name.split("[")[0] for name in group))
         code = "not-determined" if len(group) == 1 else "not-separated"
         listed.append(Finding(code, "note", figures={"terms": bare}, clauses=_advice(frozenset(bare))))

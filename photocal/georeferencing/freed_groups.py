@@ -147,62 +147,64 @@ class Estimate:
 
 def faults_of(block: Block, change: Change | None, table: tuple[Fault, ...] = FAULTS) -> tuple[Fault, ...]:
     """Give the faults that a block may be tested for: what it leaves free itself is none."""
-    free = {one.code for one in table if one.frees and left_free(block, one)}
-    taken = free | {code for one in table if one.code in free for code in one.contains}
+    free = {fault.code for fault in table if fault.frees and left_free(block, fault)}
+    taken = free | {code for fault in table if fault.code in free for code in fault.contains}
     return tuple(
-        one for one in table if one.frees and one.code not in taken and _testable(block, one, change)
+        fault
+        for fault in table
+        if fault.frees and fault.code not in taken and _testable(block, fault, change)
     )
 
 
-def of_camera(one: Fault) -> bool:
+def of_camera(fault: Fault) -> bool:
     """Whether a fault frees parameters of cameras; the others free values of the mounting."""
-    return one.frees[0] in PARAMETERS
+    return fault.frees[0] in PARAMETERS
 
 
-def left_free(block: Block, one: Fault) -> bool:
+def left_free(block: Block, fault: Fault) -> bool:
     """Tell whether the block itself leaves values of a fault free: all of the mounting, any of a camera."""
-    if one.each == "part":
+    if fault.each == "part":
         return False
-    if of_camera(one):
-        at = [PARAMETERS.index(name) for name in one.frees]
+    if of_camera(fault):
+        at = [PARAMETERS.index(name) for name in fault.frees]
         return any(
             bool(c.estimated[k]) and not math.isfinite(c.prior_sigma[k]) for c in block.cameras for k in at
         )
     sigma = block.mounting.sigma
-    at = _first_strip(one) if one.each == "strip" else _columns(one)
+    at = _first_strip(fault) if fault.each == "strip" else _columns(fault)
     return len(sigma) > max(at) and bool(np.isinf(sigma[at]).all())
 
 
-def _testable(block: Block, one: Fault, change: Change | None) -> bool:
+def _testable(block: Block, fault: Fault, change: Change | None) -> bool:
     """Whether the observations of a block can say anything of a fault."""
-    if one.each == "part":
+    if fault.each == "part":
         return change is not None
-    if one.each == "strip":
+    if fault.each == "strip":
         return len(np.unique(block.positions.strip)) > 1
-    if one.frees[0].startswith("boresight"):
+    if fault.frees[0].startswith("boresight"):
         return len(block.attitudes.image) > 0
-    return one.frees[0] != "time_offset" or bool(np.any(block.positions.velocity))
+    return fault.frees[0] != "time_offset" or bool(np.any(block.positions.velocity))
 
 
-def with_freed(block: Block, one: Fault, change: Change | None) -> Block:
+def with_freed(block: Block, fault: Fault, change: Change | None) -> Block:
     """Return the block with the values of one fault freed, weakly observed as they are given."""
-    if one.each == "part" and change is not None:
-        return _split_at(block, change, one)
-    if of_camera(one):
-        which = [PARAMETERS.index(name) for name in one.frees]
+    if fault.each == "part" and change is not None:
+        return _split_at(block, change, fault)
+    if of_camera(fault):
+        which = [PARAMETERS.index(name) for name in fault.frees]
         cameras = []
         for camera in block.cameras:
             estimated, prior = camera.estimated.copy(), camera.prior_sigma.copy()
-            estimated[which], prior[which] = True, one.prior * _scale(camera.value("c"), which)
+            estimated[which], prior[which] = True, fault.prior * _scale(camera.value("c"), which)
             cameras.append(replace(camera, estimated=estimated, prior_sigma=prior))
         return replace(block, cameras=tuple(cameras))
     sigma = block.mounting.sigma.copy()
-    if one.each == "strip":
+    if fault.each == "strip":
         # Images without position have no strip: their columns stay held.
         for strip in np.unique(block.positions.strip):
-            sigma[[6 * int(strip) + k for k in _first_strip(one)]] = one.prior
+            sigma[[6 * int(strip) + k for k in _first_strip(fault)]] = fault.prior
     else:
-        sigma[_columns(one)] = one.prior
+        sigma[_columns(fault)] = fault.prior
     return replace(block, mounting=replace(block.mounting, sigma=sigma))
 
 
@@ -212,16 +214,16 @@ def _scale(c: float, which: list[int]) -> Floats:
     return np.array([c if k < 3 else (2.0 / c) ** powers[PARAMETERS[k]] for k in which])
 
 
-def _columns(one: Fault) -> list[int]:
-    return [COMMON.index(name) for name in one.frees]
+def _columns(fault: Fault) -> list[int]:
+    return [COMMON.index(name) for name in fault.frees]
 
 
-def _first_strip(one: Fault) -> list[int]:
+def _first_strip(fault: Fault) -> list[int]:
     """Columns of the first strip's own values; those of the next one follow by six."""
-    return [STRIPS + k - SHIFT.start for k in _columns(one)]
+    return [STRIPS + k - SHIFT.start for k in _columns(fault)]
 
 
-def estimates_of(block: Block, freed: Block, solution: Shared, one: Fault) -> tuple[Estimate, ...]:
+def estimates_of(block: Block, freed: Block, solution: Shared, fault: Fault) -> tuple[Estimate, ...]:
     """Give the values of one fault from the solution in which it is freed."""
     critical = float(stats.norm.ppf(1.0 - SIGNIFICANCE / 2.0))
 
@@ -229,8 +231,8 @@ def estimates_of(block: Block, freed: Block, solution: Shared, one: Fault) -> tu
         t = (value - given) / sigma if sigma > 0 else 0.0
         return Estimate(label, unit, value - given, value, sigma, t, abs(t) > critical)
 
-    if of_camera(one):
-        which = [PARAMETERS.index(name) for name in one.frees]
+    if of_camera(fault):
+        which = [PARAMETERS.index(name) for name in fault.frees]
         return tuple(
             estimate(
                 f"{PARAMETERS[k]}[{camera.id}]",
@@ -239,20 +241,22 @@ def estimates_of(block: Block, freed: Block, solution: Shared, one: Fault) -> tu
                 float(camera.values[k]),
                 math.sqrt(solution.camera_covariance[index, k, k]),
             )
-            for index, camera in enumerate(freed.cameras if one.each == "part" else block.cameras)
+            for index, camera in enumerate(freed.cameras if fault.each == "part" else block.cameras)
             for k in which
         )
     common, sigma = solution.common, np.sqrt(np.diag(solution.common_covariance))
     given = block.mounting.values
-    if one.each == "strip":
+    if fault.each == "strip":
         labels = [
             (f"{name}[{strip}]", 6 * strip + at)
             for strip in np.unique(freed.positions.strip).tolist()
-            for name, at in zip(one.frees, _first_strip(one), strict=True)
+            for name, at in zip(fault.frees, _first_strip(fault), strict=True)
         ]
     else:
-        labels = list(zip(one.frees, _columns(one), strict=True))
-    unit = "deg" if one.frees[0].startswith("boresight") else "s" if one.frees == ("time_offset",) else "m"
+        labels = list(zip(fault.frees, _columns(fault), strict=True))
+    unit = (
+        "deg" if fault.frees[0].startswith("boresight") else "s" if fault.frees == ("time_offset",) else "m"
+    )
     scale = math.degrees(1.0) if unit == "deg" else 1.0
     return tuple(
         estimate(label, unit, common[k] * scale, given[k] * scale, sigma[k] * scale) for label, k in labels
@@ -265,20 +269,20 @@ def stated_of_positions(block: Block) -> Floats:
     return np.asarray(np.median(np.sqrt(variance), axis=0) if len(variance) else np.full(3, np.nan))
 
 
-def positions_moved(block: Block, solution: Shared, one: Fault, stated: Floats) -> float:
+def positions_moved(block: Block, solution: Shared, fault: Fault, stated: Floats) -> float:
     """How far an error that was freed moves the positions, in stated sigmas; infinite where it does not."""
-    own, given = block.positions, block.mounting.values
-    if "positions" not in one.where or not len(own.image):
+    positions, given = block.positions, block.mounting.values
+    if "positions" not in fault.where or not len(positions.image):
         return math.inf
-    strips = np.unique(own.strip).tolist() if one.each == "strip" else [0]
-    first = _first_strip(one) if one.each == "strip" else _columns(one)
+    strips = np.unique(positions.strip).tolist() if fault.each == "strip" else [0]
+    first = _first_strip(fault) if fault.each == "strip" else _columns(fault)
     columns = np.array([6 * strip + k for strip in strips for k in first])
     moved = (solution.common - given)[columns]
     covariance = solution.common_covariance[np.ix_(columns, columns)]
     scale = np.tile(stated, len(strips))
-    if one.frees == ("time_offset",):
-        scale = stated[:2].min() / np.median(np.linalg.norm(own.velocity, axis=1), keepdims=True)
-    elif one.each == "strip":
+    if fault.frees == ("time_offset",):
+        scale = stated[:2].min() / np.median(np.linalg.norm(positions.velocity, axis=1), keepdims=True)
+    elif fault.each == "strip":
         n = len(strips)
         against = np.kron(np.eye(n) - (1.0 - np.eye(n)) / (n - 1), np.eye(3))
         moved, covariance = against @ moved, against @ covariance @ against.T
@@ -301,12 +305,12 @@ def places_of_change(block: Block) -> tuple[int, ...]:
     return tuple(int(first[k]) for k in np.unique(chosen))
 
 
-def _split_at(block: Block, change: Change, one: Fault) -> Block:
+def _split_at(block: Block, change: Change, fault: Fault) -> Block:
     """Return the block with a second camera from an image on, what the fault frees free in both."""
     (own,) = block.cameras
-    which = [PARAMETERS.index(name) for name in one.frees]
+    which = [PARAMETERS.index(name) for name in fault.frees]
     estimated, sigma = own.estimated.copy(), own.prior_sigma.copy()
-    estimated[which], sigma[which] = True, one.prior * _scale(own.value("c"), which)
+    estimated[which], sigma[which] = True, fault.prior * _scale(own.value("c"), which)
     first = replace(own, estimated=estimated, prior_sigma=sigma)
     begin, values = change
     later = block.images.names[begin]
@@ -315,13 +319,13 @@ def _split_at(block: Block, change: Change, one: Fault) -> Block:
     return replace(block, cameras=(first, second), images=replace(block.images, camera=camera))
 
 
-def unknowns_of(block: Block, one: Fault, estimates: tuple[Estimate, ...]) -> int:
+def unknowns_of(block: Block, fault: Fault, estimates: tuple[Estimate, ...]) -> int:
     """Count what freeing a fault adds: for a second camera all its free values, and those of the first."""
-    if one.each != "part":
+    if fault.each != "part":
         return len(estimates)
-    (own,) = block.cameras
-    free = own.estimated.copy()
-    which = [PARAMETERS.index(name) for name in one.frees]
+    (camera,) = block.cameras
+    free = camera.estimated.copy()
+    which = [PARAMETERS.index(name) for name in fault.frees]
     held = int((~free[which]).sum())
     free[which] = True
     return int(free.sum()) + held
@@ -383,7 +387,7 @@ def wrong_sigma(first: Solution, cause: float) -> GroupTest | None:
         and abs(group.factor - 1.0) > _NO_FINDING
         and (group.factor < 1.0 or group.gain > cause)
     ]
-    return max(wrong, key=lambda one: one.gain, default=None)
+    return max(wrong, key=lambda test: test.gain, default=None)
 
 
 def with_agreeing(block: Block, one: GroupTest) -> tuple[Block, GroupTest]:
@@ -392,8 +396,8 @@ def with_agreeing(block: Block, one: GroupTest) -> tuple[Block, GroupTest]:
     for _ in range(_SETTLING):
         total *= one.factor
         if one.name == "position":
-            own = replace(block.positions, covariance=block.positions.covariance * one.factor**2)
-            block = replace(block, positions=own)
+            positions = replace(block.positions, covariance=block.positions.covariance * one.factor**2)
+            block = replace(block, positions=positions)
         else:
             turns = replace(block.attitudes, covariance=block.attitudes.covariance * one.factor**2)
             block = replace(block, attitudes=turns)

@@ -84,7 +84,7 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
     returns: lengths in m; null where a figure does not exist.
     """
     exposures, apart = check.exposures, check.separation
-    found, say = block_findings(check), say or catalogue("en")
+    findings, say = block_findings(check), say or catalogue("en")
     scale = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
     content: dict[str, Any] = {
         "schema": SCHEMA,
@@ -110,8 +110,8 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
             {"point": one.point, "d_m": one.d, "sigma_m": one.sigma, "slips": one.slips}
             for one in check.mistyped
         ],
-        "verdict": finding_json(verdict(found), say),
-        "findings": [finding_json(one, say) for one in found],
+        "verdict": finding_json(verdict(findings), say),
+        "findings": [finding_json(one, say) for one in findings],
     }
     return {key: as_plain(part) for key, part in content.items()}
 
@@ -135,19 +135,19 @@ def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
     }
 
 
-def _differences(found: Differences) -> dict[str, Any]:
-    one = found.joint
+def _differences(differences: Differences) -> dict[str, Any]:
+    joint = differences.joint
     return {
-        "n": len(found.names),
-        "rmse_m": _by_axis(found.rmse),
-        "predicted_m": _by_axis(found.predicted),
-        "errors_over_prediction": found.ratio,
+        "n": len(differences.names),
+        "rmse_m": _by_axis(differences.rmse),
+        "predicted_m": _by_axis(differences.predicted),
+        "errors_over_prediction": differences.ratio,
         "critical_w": CRITICAL_W,
         "ellipse_probability": ELLIPSE_PROBABILITY,
         "joint": None
-        if one is None
-        else {**as_plain(one), "mean": _by_axis(one.mean), "mean_sigma": _by_axis(one.mean_sigma)},
-        "points": [_point(found, k) for k in range(len(found.names))],
+        if joint is None
+        else {**as_plain(joint), "mean": _by_axis(joint.mean), "mean_sigma": _by_axis(joint.mean_sigma)},
+        "points": [_point(differences, k) for k in range(len(differences.names))],
     }
 
 
@@ -155,18 +155,21 @@ def _by_axis(values: Floats) -> dict[str, float]:
     return dict(zip(_AXES, values, strict=True))
 
 
-def _point(found: Differences, k: int) -> dict[str, Any]:
-    keyed: dict[str, Any] = {"point": found.names[k]}
+def _point(differences: Differences, k: int) -> dict[str, Any]:
+    keyed: dict[str, Any] = {"point": differences.names[k]}
     for a, axis in enumerate(_AXES):
         keyed |= {
-            f"d{axis}_m": found.d[k, a],
-            f"s{axis}_m": found.product_sigma[k, a],
-            f"w{axis}": found.w[k, a],
+            f"d{axis}_m": differences.d[k, a],
+            f"s{axis}_m": differences.product_sigma[k, a],
+            f"w{axis}": differences.w[k, a],
         }
-    major, minor = found.ellipses.semi_axes[k]
+    major, minor = differences.ellipses.semi_axes[k]
     ellipse = {"semi_major_m": major, "semi_minor_m": minor}
-    keyed |= {"chi_squared": found.distance[k], "covariance_m2": found.covariance[k][np.tril_indices(3)]}
-    return {**keyed, "ellipse": ellipse | {"azimuth_deg": math.degrees(found.ellipses.azimuth[k])}}
+    keyed |= {
+        "chi_squared": differences.distance[k],
+        "covariance_m2": differences.covariance[k][np.tril_indices(3)],
+    }
+    return {**keyed, "ellipse": ellipse | {"azimuth_deg": math.degrees(differences.ellipses.azimuth[k])}}
 
 
 def _systematic(errors: SystematicErrors) -> dict[str, Any]:
@@ -188,8 +191,8 @@ def _name(code: str) -> str:
     return code.replace("-", " ")
 
 
-def _hypothesis(one: Hypothesis) -> dict[str, Any]:
-    return {**as_plain(one), "name": _name(one.name)}
+def _hypothesis(hypothesis: Hypothesis) -> dict[str, Any]:
+    return {**as_plain(hypothesis), "name": _name(hypothesis.name)}
 
 
 def to_text(check: BlockCheck) -> str:
@@ -234,10 +237,10 @@ def to_text(check: BlockCheck) -> str:
     return "\n".join(lines)
 
 
-def _row(judged: Judged, found: Differences) -> str:
-    ratio = "-" if math.isnan(found.ratio) else f"{found.ratio:.2f}"
-    left = f"{judged.found.method:<12}{found.role:<9}{len(found.names):>4}  {cells(found.rmse)}"
-    return f"{left}   {cells(found.predicted)}   {ratio:>11}"
+def _row(judged: Judged, differences: Differences) -> str:
+    ratio = "-" if math.isnan(differences.ratio) else f"{differences.ratio:.2f}"
+    which = f"{judged.found.method:<12}{differences.role:<9}{len(differences.names):>4}"
+    return f"{which}  {cells(differences.rmse)}   {cells(differences.predicted)}   {ratio:>11}"
 
 
 def _points(judged: Judged) -> list[str]:
@@ -331,10 +334,16 @@ def _images(check: BlockCheck) -> str:
 def _systematic_csv(check: BlockCheck) -> str:
     header = ["group", "name", "unit", "correction", "value", "sigma", "t", "f", "critical", "significant"]
     rows: list[list[object]] = []
-    for one in check.systematic.tested if check.systematic else ():
+    for hypothesis in check.systematic.tested if check.systematic else ():
         rows += [
-            [one.name, *(getattr(e, key) for key in header[1:7]), one.f, one.critical, one.significant]
-            for e in one.estimates
+            [
+                hypothesis.name,
+                *(getattr(e, key) for key in header[1:7]),
+                hypothesis.f,
+                hypothesis.critical,
+                hypothesis.significant,
+            ]
+            for e in hypothesis.estimates
         ]
     return rows_text(header, rows)
 

@@ -136,9 +136,11 @@ def most_probable(
 ) -> Hypothesis | None:
     """Choose the most probable significant hypothesis (Schwarz 1978): gain less ln(n) for each unknown."""
     penalty = _scale(tries) * math.log(observations)
-    significant = tuple(one for one in tries if one.significant and _noteworthy(one))
+    significant = tuple(
+        hypothesis for hypothesis in tries if hypothesis.significant and _noteworthy(hypothesis)
+    )
     tried = causes_first(significant, table)
-    return max(tried, key=lambda one: one.gain - one.unknowns * penalty, default=None)
+    return max(tried, key=lambda hypothesis: hypothesis.gain - hypothesis.unknowns * penalty, default=None)
 
 
 def causes_first(tries: tuple[Hypothesis, ...], table: tuple[Fault, ...] = FAULTS) -> tuple[Hypothesis, ...]:
@@ -148,15 +150,15 @@ def causes_first(tries: tuple[Hypothesis, ...], table: tuple[Fault, ...] = FAULT
     height where there are two heights: what they make needless is given up when nothing else is left.
     """
     like_all = imitators(table)
-    return tuple(one for one in tries if one.name not in like_all) or tries
+    return tuple(hypothesis for hypothesis in tries if hypothesis.name not in like_all) or tries
 
 
-def _noteworthy(one: Hypothesis) -> bool:
+def _noteworthy(hypothesis: Hypothesis) -> bool:
     """Whether an error is larger than what was stated of positions, or of one camera, allows."""
-    known = fault(one.name)
+    known = fault(hypothesis.name)
     if known is None or known.each != "part":
-        return max(one.moved, one.on_c) > _STATED
-    before, after = one.estimates[0].value, one.estimates[1].value
+        return max(hypothesis.moved, hypothesis.on_c) > _STATED
+    before, after = hypothesis.estimates[0].value, hypothesis.estimates[1].value
     return abs(after - before) / before > _NOTEWORTHY
 
 
@@ -270,7 +272,7 @@ class _Search:
         self._fits = {frozenset[str](): _fit(_shared(first), {}, {})}
         self._change = best_change(block, first, table)
         # A second camera is made of the first one, so it stands before what is freed in both.
-        self._faults = {one.code: one for one in faults_of(block, self._change, table)}
+        self._faults = {cause.code: cause for cause in faults_of(block, self._change, table)}
         self.refused: dict[str, str] = {}
 
     def beside(self, accepted: tuple[str, ...]) -> tuple[Hypothesis, ...]:
@@ -281,16 +283,16 @@ class _Search:
         for name in self._faults:
             if name in taken:
                 continue
-            one = self._tested(name, accepted)
-            if one is not None:
-                tries.append(one)
+            hypothesis = self._tested(name, accepted)
+            if hypothesis is not None:
+                tries.append(hypothesis)
         return tuple(tries)
 
     def needed(self, accepted: tuple[str, ...]) -> tuple[str, ...]:
         """Give up groups, the least significant one first, until each is needed beside the others."""
         while len(accepted) > 1:
             tries = (self._tested(name, _less(accepted, name)) for name in accepted)
-            weakest = min((one for one in tries if one), key=lambda one: one.f / one.critical, default=None)
+            weakest = min(filter(None, tries), key=lambda tried: tried.f / tried.critical, default=None)
             if weakest is None or weakest.significant:
                 break
             accepted = _less(accepted, weakest.name)
@@ -298,17 +300,17 @@ class _Search:
 
     def errors(self, accepted: tuple[str, ...]) -> tuple[SystematicError, ...]:
         """Give the accepted groups, each beside those before it, and what could stand in their places."""
-        found: list[SystematicError] = []
+        errors: list[SystematicError] = []
         left = accepted
         while left:
-            tries = self.beside(tuple(one.found.name for one in found))
+            tries = self.beside(tuple(one.found.name for one in errors))
             mine = tuple(one for one in tries if one.name in left)
             if not mine:
                 break
             gravest = max(causes_first(mine, tuple(self._faults.values())), key=lambda one: one.gain)
-            found.append(SystematicError(gravest, as_good(gravest, tries)))
+            errors.append(SystematicError(gravest, as_good(gravest, tries)))
             left = _less(left, gravest.name)
-        return tuple(found)
+        return tuple(errors)
 
     def together(self, accepted: tuple[str, ...]) -> tuple[Estimate, ...]:
         """Give the values of all accepted groups from one adjustment."""
@@ -329,13 +331,15 @@ class _Search:
     def _fit(self, groups: frozenset[str]) -> Fit:
         if groups not in self._fits:
             freed = self._block
-            chosen = [one for name, one in self._faults.items() if name in groups]
-            for one in chosen:
-                freed = with_freed(freed, one, self._change)
+            chosen = [cause for name, cause in self._faults.items() if name in groups]
+            for cause in chosen:
+                freed = with_freed(freed, cause, self._change)
             network = assemble(freed).network
             solution = shared(factorised(*minimum_of(network, state=beside(network, self._first))))
-            estimates = {one.code: estimates_of(self._block, freed, solution, one) for one in chosen}
-            moved = {one.code: positions_moved(self._block, solution, one, self._stated) for one in chosen}
+            estimates = {cause.code: estimates_of(self._block, freed, solution, cause) for cause in chosen}
+            moved = {
+                cause.code: positions_moved(self._block, solution, cause, self._stated) for cause in chosen
+            }
             self._fits[groups] = _fit(solution, estimates, moved)
             self._done()
         return self._fits[groups]

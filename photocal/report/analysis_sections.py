@@ -28,12 +28,12 @@ def hidden_errors(run: Run, say: Catalogue) -> Section:
     if run.analysis is None:
         return Section(title, (Paragraph(say("analysis.not_made")),))
     pieces: list[Piece] = [Paragraph(say("analysis.hidden_text"))]
-    found = run.analysis.findings
-    if found:
+    findings = run.analysis.findings
+    if findings:
         heads = columns(say, "analysis", "grade<", "finding<")
         rows = tuple(
-            (say("analysis.small" if one.small else "analysis.large"), finding_text(one, say))
-            for one in found
+            (say("analysis.small" if finding.small else "analysis.large"), finding_text(finding, say))
+            for finding in findings
         )
         pieces.append(Table(say("analysis.hidden_table"), heads, rows, widths=(0.14, 0.86)))
     else:

@@ -92,10 +92,10 @@ def _number(value: float, say: Catalogue) -> Number:
     return Number(value, say.mark)
 
 
-def _tests(one: CameraAnalysis, say: Catalogue) -> list[str]:
+def _tests(camera: CameraAnalysis, say: Catalogue) -> list[str]:
     lines = []
-    effects = {effect.parameters: effect for effect in one.effects}
-    for test in one.significance:
+    effects = {effect.parameters: effect for effect in camera.effects}
+    for test in camera.significance:
         effect = effects.get(test.parameters)
         in_px = ""
         if effect is not None and test.kind != "cumulative" and math.isfinite(effect.largest_px):
@@ -151,11 +151,11 @@ def _jackknife(camera: Camera, opinions: Opinions, say: Catalogue) -> list[str]:
     return [say("console.jackknife", camera=camera.id), *lines] if lines else []
 
 
-def _method(one: MethodCheck, say: Catalogue) -> str:
-    name = say(f"calibration_method.{one.method}")
+def _method(method: MethodCheck, say: Catalogue) -> str:
+    name = say(f"calibration_method.{method.method}")
     missing = [
         say("console.needs", **need_words(need.code, need.figures, say))
-        for need in one.requirements
+        for need in method.requirements
         if need.severity != "passed"
     ]
     if not missing:
@@ -176,9 +176,9 @@ def published_record(sets: tuple[PublishedSet, ...]) -> dict[str, Any]:
     return {"schema": SCHEMA, "sets": [_published_record(one) for one in sets]}
 
 
-def _published_lines(one: PublishedSet, say: Catalogue) -> list[str]:
-    lines = [say("published.set", name=one.name)] if one.name else []
-    for test in one.tests:
+def _published_lines(published: PublishedSet, say: Catalogue) -> list[str]:
+    lines = [say("published.set", name=published.name)] if published.name else []
+    for test in published.tests:
         verdict = say("console.is_significant" if test.significant else "console.not_significant")
         kind, critical = say(f"test.{test.kind}"), f"{test.critical:.2f}"
         lines.append(
@@ -186,9 +186,9 @@ def _published_lines(one: PublishedSet, say: Catalogue) -> list[str]:
         )
     lines += [
         f"  {pair.first}-{pair.second} {pair.value:+.3f}: {say(f'cause.{pair.cause}')}"
-        for pair in one.correlations
+        for pair in published.correlations
     ]
-    return lines if one.components is None else [*lines, *_components_table(one.components, say)]
+    return lines if published.components is None else [*lines, *_components_table(published.components, say)]
 
 
 def _components_table(components: Components, say: Catalogue) -> list[str]:
@@ -207,13 +207,14 @@ def _components_table(components: Components, say: Catalogue) -> list[str]:
     ]
 
 
-def _published_record(one: PublishedSet) -> dict[str, Any]:
+def _published_record(published: PublishedSet) -> dict[str, Any]:
     shown = ("eigenvalues", "percent", "cumulative_percent", "loadings")
     return {
-        "set": one.name or None,
-        "parameters": list(one.estimates.names),
-        "degrees_of_freedom": as_plain(one.degrees_of_freedom),
-        "tests": as_plain(one.tests),
-        "correlations": as_plain(one.correlations),
-        "components": one.components and {key: as_plain(getattr(one.components, key)) for key in shown},
+        "set": published.name or None,
+        "parameters": list(published.estimates.names),
+        "degrees_of_freedom": as_plain(published.degrees_of_freedom),
+        "tests": as_plain(published.tests),
+        "correlations": as_plain(published.correlations),
+        "components": published.components
+        and {key: as_plain(getattr(published.components, key)) for key in shown},
     }

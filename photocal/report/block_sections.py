@@ -108,21 +108,21 @@ def relative_orientations(title: str, run: Run, say: Catalogue) -> tuple[Section
     heads_of += [Column(name, unit) for name, unit in quantities]
     heads_of += [Column(f"σ {name}", unit.replace("(°)", "(″)")) for name, unit in quantities]
     rows, strong = [], []
-    for one in heads:
-        places = [one.values[name] for name in CENTRES]
-        turns = [one.values[name] for name in TURNS]
-        later = one.values["time"]
+    for head in heads:
+        places = [head.values[name] for name in CENTRES]
+        turns = [head.values[name] for name in TURNS]
+        later = head.values["time"]
         values = [fixed(1e3 * v.value, 2, say.mark) for v in places]
-        values += [fixed(angle, 5, say.mark) for angle in one.rotation_deg]
+        values += [fixed(angle, 5, say.mark) for angle in head.rotation_deg]
         values.append(fixed(1e3 * later.value, 3, say.mark))
         sigmas = [1e3 * v.sigma for v in places] + [ARCSECONDS * v.sigma for v in turns] + [1e3 * later.sigma]
-        row = (f"{one.camera} / {one.of}", str(one.exposures), *values, *(_sigma(s, say) for s in sigmas))
+        row = (f"{head.camera} / {head.of}", str(head.exposures), *values, *(_sigma(s, say) for s in sigmas))
         rows.append(row)
-        names, matrix = one.free, np.array(one.correlation)
+        names, matrix = head.free, np.array(head.correlation)
         strong += [
             say(
                 "heads.pair",
-                camera=one.camera,
+                camera=head.camera,
                 a=names[j],
                 b=names[i],
                 r=fixed(float(matrix[i, j]), 2, say.mark),

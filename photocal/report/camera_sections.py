@@ -74,12 +74,12 @@ def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: C
 
 def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:
     """What was found of the readout, with its effect in the image and on the way flown."""
-    found = measured(1e3 * readout.value, 1e3 * readout.sigma, say.mark)
+    readout_ms = measured(1e3 * readout.value, 1e3 * readout.sigma, say.mark)
     text = say(
         "camera.shutter_rolling" if readout.estimated else "camera.shutter_global",
-        readout=found.value,
-        sigma=found.sigma,
-        unit=power_of_ten(found.exponent, "ms"),
+        readout=readout_ms.value,
+        sigma=readout_ms.sigma,
+        unit=power_of_ten(readout_ms.exponent, "ms"),
         effect=significant(readout.effect / camera.pitch[0], 2, say.mark),
         way=significant(100 * readout.way, 2, say.mark),
         p=significant(readout.p_value, 2, say.mark),
@@ -320,13 +320,13 @@ def _largest(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogu
 
 def _rms_table(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogue) -> Table:
     camera = run.result.cameras[camera_id]
-    own = run.result.images_of(camera_id).tolist()
+    images = run.result.images_of(camera_id).tolist()
     count, rms = run.result.residuals.rms()
     rms = rms / ((1.0, 1.0) if run.result.block.observation_unit == "px" else camera.pitch)
-    shown, caption = own, say("residuals.table")
-    if len(own) > ROWS:
-        shown = sorted(own, key=lambda i: -rms[i].max())[: ROWS // 3]
-        caption = say("residuals.table_worst", shown=len(shown), n=len(own))
+    shown, caption = images, say("residuals.table")
+    if len(images) > ROWS:
+        shown = sorted(images, key=lambda i: -rms[i].max())[: ROWS // 3]
+        caption = say("residuals.table_worst", shown=len(shown), n=len(images))
     micrometres = camera.unit == "mm"
     units = ("px", "µm") if micrometres else ("px",)
     heads = ["image<", "rays", *(f"{key} [{unit}]" for unit in units for key in ("rms_x", "rms_y"))]

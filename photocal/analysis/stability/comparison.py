@@ -241,22 +241,22 @@ def sentences(
     thresholds_px: thresholds, px.
     """
     loosest = max(thresholds_px)
-    said = []
+    texts = []
     for k, kind in enumerate(pairs[0].figures):
         figures = [pair.figures[k] for pair in pairs]
         alike = sum(figure.value_px <= loosest for figure in figures)
         beyond = [figure.different for figure in figures if figure.different is not None]
         noise = f"; {sum(beyond)} of {len(beyond)} differ beyond their noise" if beyond else ""
         worst = max(range(len(pairs)), key=lambda i: figures[i].value_px)
-        said.append(
+        texts.append(
             f"{kind.method} ({kind.definition}): {alike} of {len(pairs)} pairs within {loosest:g} px, "
             f"largest {figures[worst].value_px:.2f} px ({pairs[worst].first}-{pairs[worst].second}){noise}."
         )
-    said += [
+    texts += [
         f"Pair {one.printed.first}-{one.printed.second}: the printed {one.printed.method} "
         f"({one.printed.definition}) of {one.printed.value_px:g} px does not follow from its parameters, "
         f"which give {one.computed_px:.2f} px."
         for one in followed
         if not one.follows
     ]
-    return tuple(said)
+    return tuple(texts)

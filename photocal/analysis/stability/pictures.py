@@ -30,13 +30,13 @@ def displacements(camera: Camera, pixels: Floats) -> dict[str, Floats]:
     together (Brown 1971). It is what the model adds to the projection; the affinity is left out.
     """
     plane = pixel_to_plane(camera.size_px, camera.pitch, pixels) - camera.values[1:3]
-    found = {}
+    shown = {}
     for name, left_out in (("radial", _DECENTRING), ("decentring", _RADIAL), ("total", slice(0, 0))):
         values = camera.values.copy()
         values[left_out] = 0.0
         moved = polynomial_distortion(camera.with_values(values), plane) / np.array(camera.pitch)
-        found[name] = moved * np.array([1.0, -1.0])
-    return found
+        shown[name] = moved * np.array([1.0, -1.0])
+    return shown
 
 
 def draw_curves(calibrations: tuple[Camera, ...], path: Path) -> None:

@@ -72,15 +72,17 @@ def repeatability(occasions: Sequence[Occasion]) -> tuple[Repeatability, ...]:
 
     x_i = mean + b_i + e_i with known variances of e_i; that of b_i after Paule and Mandel (1982).
     """
-    if len(occasions) < 3 or len({one.camera.unit for one in occasions}) > 1:
+    if len(occasions) < 3 or len({occasion.camera.unit for occasion in occasions}) > 1:
         return ()
-    shared = [name for name in PARAMETERS if all(one.camera.sigma_of(name) > 0.0 for one in occasions)]
+    shared = [
+        name for name in PARAMETERS if all(occasion.camera.sigma_of(name) > 0.0 for occasion in occasions)
+    ]
     return tuple(_of_parameter(name, occasions) for name in shared)
 
 
 def _of_parameter(name: str, occasions: Sequence[Occasion]) -> Repeatability:
-    x = np.array([one.camera.value(name) for one in occasions])
-    variance = np.array([one.camera.sigma_of(name) for one in occasions]) ** 2
+    x = np.array([occasion.camera.value(name) for occasion in occasions])
+    variance = np.array([occasion.camera.sigma_of(name) for occasion in occasions]) ** 2
     n, ones = len(x), np.ones((len(x), 1))
     between = between_flights(x, variance, ones)
     (mean,), covariance = _fitted(x, variance + between, ones)
@@ -127,14 +129,14 @@ def _fitted(x: Floats, variance: Floats, design: Floats) -> tuple[Floats, Floats
 
 def _conditions(occasions: Sequence[Occasion]) -> list[tuple[str, Floats]]:
     """Temperatures and days, where all flights have them and they differ."""
-    found = []
-    warm = [one.temperature_c for one in occasions]
-    days = [one.day.toordinal() / 100.0 if one.day else None for one in occasions]
+    conditions = []
+    warm = [occasion.temperature_c for occasion in occasions]
+    days = [occasion.day.toordinal() / 100.0 if occasion.day else None for occasion in occasions]
     for against, values in (("temperature", warm), ("time", days)):
         known = np.array([value for value in values if value is not None], dtype=np.float64)
         if len(known) == len(occasions) and np.ptp(known) > 0.0:
-            found.append((against, known - known.mean()))
-    return found
+            conditions.append((against, known - known.mean()))
+    return conditions
 
 
 def _trend(against: str, at: Floats, x: Floats, variance: Floats) -> Trend | None:
@@ -198,12 +200,12 @@ class Moved:
 
 def compared_heads(calibrations: Mapping[str, Sequence[AdjustedHead]]) -> tuple[Moved, ...]:
     """Compare the heads that two calibrations have in common, each pair of them."""
-    found = []
+    moves = []
     for (first, of_first), (second, of_second) in itertools.combinations(calibrations.items(), 2):
         others = {(one.camera, one.of): one for one in of_second}
         pairs = ((one, others[one.camera, one.of]) for one in of_first if (one.camera, one.of) in others)
-        found += [moved for a, b in pairs if (moved := _moved(first, second, a, b)) is not None]
-    return tuple(found)
+        moves += [moved for a, b in pairs if (moved := _moved(first, second, a, b)) is not None]
+    return tuple(moves)
 
 
 def _moved(first: str, second: str, a: AdjustedHead, b: AdjustedHead) -> Moved | None:
@@ -211,7 +213,7 @@ def _moved(first: str, second: str, a: AdjustedHead, b: AdjustedHead) -> Moved |
     names = tuple(name for name in a.free if name in b.free)
     if not names:
         return None
-    turns = [Rotation.from_rotvec(one.rotation_deg, degrees=True) for one in (a, b)]
+    turns = [Rotation.from_rotvec(head.rotation_deg, degrees=True) for head in (a, b)]
     turn = (turns[1] * turns[0].inv()).as_rotvec(degrees=True)
     all_of = dict(zip(("turn_x", "turn_y", "turn_z"), turn.tolist(), strict=True))
     all_of |= {key: b.values[key].value - a.values[key].value for key in a.values if key not in all_of}
@@ -235,14 +237,14 @@ def _moved(first: str, second: str, a: AdjustedHead, b: AdjustedHead) -> Moved |
 def heads_text(found: Sequence[Moved]) -> str:
     """Write it for people, one line for each head and pair."""
     lines = ['cameras on their frame: turns (") and places (mm), second less first']
-    for one in found:
+    for head in found:
         parts = []
-        for name, value in one.differences.items():
+        for name, value in head.differences.items():
             factor = 3600.0 if name.startswith("turn") else 1000.0
-            parts.append(f"{name} {factor * value:+.3g} +- {factor * one.sigma[name]:.2g}")
-        verdict = "MOVED" if one.different else "as before"
+            parts.append(f"{name} {factor * value:+.3g} +- {factor * head.sigma[name]:.2g}")
+        verdict = "MOVED" if head.different else "as before"
         lines.append(
-            f"  {one.camera} beside {one.of}, {one.first} to {one.second}: {', '.join(parts)}; "
-            f"p {one.p_value:.2g}: {verdict}"
+            f"  {head.camera} beside {head.of}, {head.first} to {head.second}: {', '.join(parts)}; "
+            f"p {head.p_value:.2g}: {verdict}"
         )
     return "\n".join(lines)

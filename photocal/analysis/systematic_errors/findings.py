@@ -82,12 +82,12 @@ def of_images(search: Search) -> list[Finding]:
         scattered = component.p_value < LEVEL and component.ratio > overall
         if not (scattered or shifted):
             continue
-        found = _scatter("image", component, search)
+        finding = _scatter("image", component, search)
         if shift is None or not shifted:
-            listed.append(found)
+            listed.append(finding)
             continue
         small = shift.effect_px < SMALL_PX
-        figures = {**found.figures, "moved_px": shift.effect_px}
+        figures = {**finding.figures, "moved_px": shift.effect_px}
         clauses = ("own_geometry", "small") if small else ("own_geometry",)
         size = Size(_relative(component, search), "1", px=shift.effect_px)
         listed.append(Finding("image", _severity(small=small), name, figures, clauses, size))
@@ -98,18 +98,20 @@ def _severity(*, small: bool) -> Severity:
     return "note" if small else "doubtful"
 
 
-def _relative(one: VarianceComponent, search: Search) -> float:
+def _relative(component: VarianceComponent, search: Search) -> float:
     """Scatter of a group over that of all together."""
-    return one.ratio / (search.sigma.found / search.sigma.assumed)
+    return component.ratio / (search.sigma.found / search.sigma.assumed)
 
 
-def _scatter(code: str, one: VarianceComponent, search: Search) -> Finding:
-    relative = _relative(one, search)
-    effect = one.ratio * search.sigma.assumed / min(search.last.network.cameras[0].pitch)
+def _scatter(code: str, component: VarianceComponent, search: Search) -> Finding:
+    relative = _relative(component, search)
+    effect = component.ratio * search.sigma.assumed / min(search.last.network.cameras[0].pitch)
     small = effect < SMALL_PX or relative < SMALL_RATIO
-    figures: dict[str, Figure] = {"name": one.name, "relative": relative, "px": effect}
+    figures: dict[str, Figure] = {"name": component.name, "relative": relative, "px": effect}
     clauses = ("amount", "small") if small else ("amount",)
-    return Finding(code, _severity(small=small), one.name, figures, clauses, Size(relative, "1", px=effect))
+    return Finding(
+        code, _severity(small=small), component.name, figures, clauses, Size(relative, "1", px=effect)
+    )
 
 
 def of_maps(search: Search) -> list[Finding]:
@@ -211,19 +213,19 @@ def head_move(fitted: Fit) -> HeadMove | None:
 
 def of_heads(fitted: Fit) -> list[Finding]:
     """Name the head that moved."""
-    one = head_move(fitted)
-    if one is None or one.p_value >= LEVEL:
+    move = head_move(fitted)
+    if move is None or move.p_value >= LEVEL:
         return []
-    turn, shift = float(np.linalg.norm(one.move[:3])), float(np.linalg.norm(one.move[3:]))
+    turn, shift = float(np.linalg.norm(move.move[:3])), float(np.linalg.norm(move.move[3:]))
     figures = {
-        "camera": one.camera,
-        "image": one.before,
+        "camera": move.camera,
+        "image": move.before,
         "turn_arcsec": 3600.0 * float(np.degrees(turn)),
         "shift_mm": 1000.0 * shift,
-        "p": one.p_value,
+        "p": move.p_value,
     }
-    size = Size(float(np.degrees(turn)), "deg", float(np.degrees(np.linalg.norm(one.sigma[:3]))))
-    return [Finding("head-moved", "grave", one.camera, figures, size=size)]
+    size = Size(float(np.degrees(turn)), "deg", float(np.degrees(np.linalg.norm(move.sigma[:3]))))
+    return [Finding("head-moved", "grave", move.camera, figures, size=size)]
 
 
 def findings(search: Search) -> tuple[Finding, ...]:

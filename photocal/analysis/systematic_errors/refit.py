@@ -131,13 +131,13 @@ def without_images(network: Network, state: State, left_out: Flags) -> tuple[Net
     )
 
 
-def without_member(network: Network, one: Member) -> Network:
+def without_member(network: Network, member: Member) -> Network:
     """Take an observed position out of a network, or what is observed of a control point."""
-    if one.kind == "control":
+    if member.kind == "control":
         weight = network.points.weight.copy()
-        weight[one.index] = 0.0
+        weight[member.index] = 0.0
         return replace(network, points=replace(network.points, weight=weight))
-    kept = network.positions.image != one.index
+    kept = network.positions.image != member.index
     columns = {name: column[kept] for name, column in _columns(network.positions).items()}
     return replace(network, positions=replace(network.positions, **columns))
 
@@ -236,7 +236,7 @@ def left_out(
 ) -> tuple[LeftOut, ...]:
     """Find the minimum without each estimated parameter but c, one at a time."""
     own = fit.network.cameras[camera]
-    found = []
+    estimates = []
     for at in np.flatnonzero(own.estimated):
         if PARAMETERS[at] == "c":
             continue
@@ -250,7 +250,7 @@ def left_out(
         observed = bool(np.isfinite(own.prior_sigma[at]))
         redundancy = fit.solution.degrees_of_freedom + (0 if observed else 1)
         c = float(minimum.state.cameras[camera, 0])
-        found.append(
+        estimates.append(
             LeftOut(
                 PARAMETERS[at],
                 c,
@@ -260,4 +260,4 @@ def left_out(
                 checks.rmse(minimum.state.points),
             )
         )
-    return tuple(found)
+    return tuple(estimates)
