@@ -44,6 +44,7 @@ _ARCHIVE_FAILURES = (
     RuntimeError,
     EOFError,
     OSError,
+    UnicodeDecodeError,
 )
 
 

@@ -279,7 +279,7 @@ def _measurements(
     image, pitch, unknown = -1, (0.0, 0.0), 0
     # What the .cam files assume.
     texts = (p.read_text(encoding="utf-8", errors="replace") for p in sorted(path.parent.glob("*.cam")))
-    stated = re.findall(r"sensor width of\s*([\d.]+)\s*x\s*([\d.]+)\s*mm", "".join(texts))
+    stated = re.findall(r"sensor width of\s*(\d+(?:\.\d+)?)\s*x\s*(\d+(?:\.\d+)?)\s*mm", "".join(texts))
     sensors = [(float(width), float(height)) for width, height in stated]
     middle = (0.0, 0.0)
     for line in read_lines(path, comment=""):

@@ -164,13 +164,15 @@ def _of_model(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> R
 
 
 def _prefixed(camera: dict[str, Any], path: Path) -> tuple[str, bool, Sensor]:
-    first = bool(camera.get("ref_sensor"))
+    first, prefix = bool(camera.get("ref_sensor")), camera["image_prefix"]
+    if not isinstance(prefix, str):
+        raise TypeError("an image_prefix is no text")
     if first:
-        return camera["image_prefix"], first, (np.eye(3), np.zeros(3))
+        return prefix, first, (np.eye(3), np.zeros(3))
     if "cam_from_rig_rotation" not in camera:
-        return camera["image_prefix"], first, None
+        return prefix, first, None
     shift = camera.get("cam_from_rig_translation", [0.0] * 3)
-    return camera["image_prefix"], first, _sensor(camera["cam_from_rig_rotation"], shift, path)
+    return prefix, first, _sensor(camera["cam_from_rig_rotation"], shift, path)
 
 
 def _sensor(wxyz: Sequence[float], shift: Sequence[float], place: object) -> Sensor:
@@ -201,6 +203,9 @@ def slave_in_master(sensor: Element, path: Path) -> Floats:
     matrix = np.eye(4)
     if turn := sensor.findtext("rotation"):
         matrix[:3, :3] = np.array(numbers(turn, path, "rotation", 9)).reshape(3, 3)
+        misfit = np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max()
+        if not misfit < LARGEST_MISFIT or np.linalg.det(matrix[:3, :3]) < 0:
+            raise InputMalformedError("the rotation of a sensor of a rig is no rotation", where=path)
     if place := sensor.findtext("location"):
         matrix[:3, 3] = numbers(place, path, "location", 3)
     return matrix

@@ -22,6 +22,8 @@ from photocal.block.model import fingerprint as plain_fingerprint
 MAX_BYTES = 2 << 30
 # No camera has more pixels on a side; a larger number is a damaged or hostile file.
 MAX_SIDE_PX = 1_000_000
+# Bytes of a name: what the file systems in use allow.
+_LONGEST_NAME = 255
 _MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
@@ -46,12 +48,13 @@ def require_readable(path: Path) -> int:
     raises InputNotFoundError: when it is missing, empty or a folder.
     raises InputMalformedError: when it is too large to be what it should be.
     """
-    if path.is_dir():
-        raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
     try:
-        size = path.stat().st_size
+        is_folder, size = path.is_dir(), path.stat().st_size
     except (OSError, ValueError) as failure:
+        # Also a name from another file that is longer than names can be.
         raise InputNotFoundError("does not exist", where=path, remedy="check the path") from failure
+    if is_folder:
+        raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
     if size == 0:
         raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
     if size > MAX_BYTES:
@@ -160,7 +163,7 @@ def beside(folder: Path, name: str, place: object) -> Path:
     """
     parts = PurePosixPath(name.replace("\\", "/"))
     outside = parts.is_absolute() or bool(PureWindowsPath(name).drive) or ".." in parts.parts
-    if outside or "\0" in name or not parts.name:
+    if outside or "\0" in name or not 0 < len(parts.name.encode("utf-8", "replace")) <= _LONGEST_NAME:
         raise InputMalformedError(
             f"names the file {name!r}, which is not inside its folder",
             where=place,

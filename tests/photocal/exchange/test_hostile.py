@@ -324,6 +324,26 @@ def test_bad_archive(tmp_path: Path, members: dict[str, bytes], message: str) ->
         read_foreign_block(small_archive(tmp_path, members))
 
 
+def test_archive_whose_names_are_no_text(tmp_path: Path) -> None:
+    path = small_archive(tmp_path, {})
+    content = bytearray(path.read_bytes())
+    # The first local header: its flag of UTF-8, and the first letter of its name.
+    content[7] |= 0x08
+    content[30] = 0x92
+    path.write_bytes(content)
+    with pytest.raises(InputMalformedError, match="no readable archive"):
+        read_foreign_block(path)
+
+
+def test_names_longer_than_names_can_be(tmp_path: Path) -> None:
+    with pytest.raises(InputNotFoundError, match="does not exist"):
+        source.require_readable(tmp_path / ("a" * 5000))
+    path = small_project(tmp_path)
+    path.write_text(path.read_text().replace("marks.txt", "m" * 300))
+    with pytest.raises(InputMalformedError, match="not inside its folder"):
+        read_dbat(path)
+
+
 def test_archive_that_unpacks_to_gigabytes(tmp_path: Path) -> None:
     path = tmp_path / "bomb.psz"
     with (

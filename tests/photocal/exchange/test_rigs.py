@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -158,9 +159,19 @@ def test_rig_assignments_that_are_none_are_refused(tmp_path: Path) -> None:
         read_reconstruction(tmp_path / "reconstruction.json")
 
 
+def test_a_sensor_that_is_turned_by_no_rotation_is_refused(tmp_path: Path) -> None:
+    test_metashape(tmp_path)
+    path = tmp_path / "cameras.xml"
+    mirrored = re.sub(r"<rotation>", "<rotation>-", path.read_text(), count=1).replace("--", "")
+    path.write_text(mirrored)
+    with pytest.raises(InputMalformedError, match="no rotation"):
+        read_metashape(path)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
+        ("image_prefix", []),
         ("cam_from_rig_rotation", [0.0] * 4),
         ("cam_from_rig_rotation", [1.0]),
         ("cam_from_rig_translation", [1.0]),

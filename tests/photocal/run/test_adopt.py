@@ -183,10 +183,13 @@ def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -
     assert foreign.position_sigma[0].tolist() == [0.05, 0.05, 0.07]
     bingo = next(tmp_path.glob("*tp_bingo.txt"))
     bingo.write_text(bingo.read_text().replace("_23.04_17.28", "_RGB"))
-    with pytest.raises(InputMalformedError, match="no sensor width in mm"):
-        read_foreign_project(tmp_path)
     line = "#Focal Length mm assuming a sensor width of 23.04x17.28mm\n"
-    (tmp_path / "field 3_calibrated_internal_camera_parameters.cam").write_text(line)
+    stated = tmp_path / "field 3_calibrated_internal_camera_parameters.cam"
+    for text in ("", line.replace("23.04", "23.03.04")):
+        stated.write_text(text)
+        with pytest.raises(InputMalformedError, match="no sensor width in mm"):
+            read_foreign_project(tmp_path)
+    stated.write_text(line)
     assert len(read_foreign_project(tmp_path).block.observations.image) == len(
         foreign.block.observations.image
     )
