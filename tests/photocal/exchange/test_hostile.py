@@ -59,10 +59,10 @@ EXTERNAL = (
 def test_xml(tmp_path: Path, read: Callable[[Path], Any], text: str) -> None:
     path = tmp_path / "file.xml"
     path.write_text(text, encoding="utf-8")
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(PhotocalError) as complaint:
         read(path)
-    assert time.monotonic() - began < 5
+    assert time.process_time() - began < 5
     assert "root:" not in str(complaint.value)
     assert "\n" not in str(complaint.value)
 
