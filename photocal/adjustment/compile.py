@@ -11,10 +11,10 @@ import numpy as np
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
+from photocal.adjustment.near import Removals
 from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.snooping import snoop
-from photocal.adjustment.solver import gradient
 from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES, camera
 from photocal.geometry.distortion import distorted, undistorted
 
@@ -52,8 +52,8 @@ def compile_usual() -> None:
     # What an analysis does with the factor.
     at = factored(network, solution.state)
     ones = score(at, solution.residuals, np.ones((1, *solution.residuals.shape)))
-    followed_by(at, ones.steps[0], ones.moved[0])
-    gradient(at.problem, at.state, [])
+    followed_by(at, ones.steps, ones.moved)
+    Removals(at).stepped(np.array([True, False]), 1.0)
     # A free network with a scale bar passes through what the datum and kept points need.
     points = network.points.values
     length = np.linalg.norm(points[15:] - points[:1], axis=1)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import blas, lapack
 from threadpoolctl import ThreadpoolController
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Flags, Floats, Integers
 
 PANEL = 144
 
@@ -89,19 +89,26 @@ def _one_thread() -> AbstractContextManager[object]:
     return limited
 
 
-def factorise(structure: Envelope, values: Floats) -> int:
+def factorise(structure: Envelope, values: Floats, known: Floats | None = None, same: int = 0) -> int:
     """Replace a matrix by its Cholesky factor, in place.
+
+    known: factor of a matrix with the same elements in the first `same` columns.
 
     returns: -1, or the column at which the matrix is not positive definite.
     """
+    alike = [] if known is None else structure.panels(known)[: same // structure.panel]
     with _one_thread():
-        return _factorised(structure, structure.panels(values))
+        return _factorised(structure, structure.panels(values), alike)
 
 
-def _factorised(structure: Envelope, panels: list[Floats]) -> int:
+def _factorised(structure: Envelope, panels: list[Floats], known: list[Floats]) -> int:
     for j, panel in enumerate(panels):
         width = int(structure.width[j])
         if width == 0:
+            continue
+        if j < len(known):
+            panel[:] = known[j]
+            _update_later(structure, panels, j, panel[width:].T, len(known))
             continue
         start = structure.start(j) if j < len(structure.last) else structure.band
         # The transposed view of a C panel is what Fortran takes; its upper factor is our lower one.
@@ -117,12 +124,12 @@ def _factorised(structure: Envelope, panels: list[Floats]) -> int:
     return -1
 
 
-def _update_later(structure: Envelope, panels: list[Floats], j: int, below: Floats) -> None:
-    """Subtract the outer product of panel j's rows from the panels that they reach."""
+def _update_later(structure: Envelope, panels: list[Floats], j: int, below: Floats, begin: int = 0) -> None:
+    """Subtract the outer product of panel j's rows from the panels, some first ones left out, they reach."""
     first = structure.start(j) + int(structure.width[j])
     last = int(structure.last[j]) if j < len(structure.last) else first
     border = below[:, last - first :]
-    k = j + 1
+    k = max(j + 1, begin)
     while k < len(structure.last) and structure.start(k) < last:
         top, width = structure.start(k), int(structure.width[k])
         stop = min(top + width, last)
@@ -253,6 +260,29 @@ def _gathered(structure: Envelope, results: list[Floats], j: int) -> Floats:
         k += 1
     square[band:, band:] = results[-1]
     return square
+
+
+def product(structure: Envelope, factor: Floats) -> Floats:
+    """Matrix of a Cholesky factor."""
+    values = structure.zeros()
+    panels = structure.panels(values)
+    with _one_thread():
+        for j, (own, panel) in enumerate(zip(structure.panels(factor), panels, strict=True)):
+            width = int(structure.width[j])
+            diagonal = np.tril(own[:width])
+            panel[:width] -= diagonal @ diagonal.T
+            panel[width:] -= own[width:] @ diagonal.T
+            _update_later(structure, panels, j, own[width:].T)
+    return np.negative(values, out=values)
+
+
+def clear(structure: Envelope, values: Floats, columns: Flags) -> None:
+    """Set rows and columns of a matrix, given by its lower triangle, to zero."""
+    for j, panel in enumerate(structure.panels(values)):
+        here, _, width = _places(structure, j)
+        panel[:, columns[here]] = 0.0
+        panel[:width][columns[here]] = 0.0
+        panel[width:][columns[_rows(structure, j)]] = 0.0
 
 
 def multiply(structure: Envelope, values: Floats, x: Floats) -> Floats:

@@ -12,11 +12,14 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from drivers.arrays import Flags, Integers
+from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.envelope import Envelope, envelope
 from photocal.adjustment.kernels.data import POSE, WIDTHS
 from photocal.adjustment.network import Network, own_parameters
 from photocal.compiled import compiled
+
+# Directions in which the images of a block may stand one after the other.
+DIRECTIONS = 12
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     mark_together(ray_start, network.rays.image, together)
     rig = network.rig
     together[rig.first, rig.second] = together[rig.second, rig.first] = True
-    order = reverse_cuthill_mckee(csr_array(together), symmetric_mode=True)
-    position = np.empty(count, dtype=np.int64)
-    position[order] = np.arange(count)
+    position, last = order(csr_array(together), network.exposures.values[:, 3:])
     own = own_parameters(network)
     most = own.shape[1]
     width = next(width for width in WIDTHS if width >= POSE + most)
@@ -82,10 +83,6 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     kept_points = np.unique(np.concatenate([relations.first, relations.second]))
     point_columns = column + np.arange(3 * len(kept_points)).reshape(-1, 3)
     column += point_columns.size
-    # The last image, in the new order, that each one shares a point with.
-    sorted_together = together[order][:, order]
-    last = count - 1 - np.argmax(sorted_together[:, ::-1], axis=1) if count else np.zeros(0, dtype=np.int64)
-    last = np.maximum(last, np.arange(count))
     reach, border = width * (last + 1), column - width * count
     return Layout(
         image_columns,
@@ -99,6 +96,37 @@ def layout(network: Network, ray_start: Integers) -> Layout:
         column,
         width,
     )
+
+
+def order(together: csr_array, centre: Floats) -> tuple[Integers, Integers]:
+    """Place of each image, and of the last image up to each place that shares a point with one so far.
+
+    Of orders across the block in several directions, and that of Cuthill and McKee, the one whose factor
+    takes least work.
+
+    together (images, images): pairs that share a point.
+    centre (images, 3): about where they were taken.
+    """
+    count = len(centre)
+    if not count:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    one, other = together.nonzero()
+    middle = np.nan_to_num(centre)
+    middle = middle - middle.mean(axis=0)
+    plane = middle @ np.linalg.svd(middle.T @ middle)[0][:, :2]
+    turns = np.pi / DIRECTIONS * np.arange(DIRECTIONS)
+    tried = [reverse_cuthill_mckee(together, symmetric_mode=True).astype(np.int64)]
+    tried += [np.argsort(plane @ [np.cos(turn), np.sin(turn)], kind="stable") for turn in turns]
+    found = []
+    for images in tried:
+        position = np.empty(count, dtype=np.int64)
+        position[images] = np.arange(count)
+        last = np.arange(count)
+        np.maximum.at(last, position[one], position[other])
+        last = np.maximum.accumulate(last)
+        found.append((float(np.sum((last - np.arange(count) + 1.0) ** 2)), position, last))
+    _, position, last = min(found, key=lambda each: each[0])
+    return position, last
 
 
 @compiled

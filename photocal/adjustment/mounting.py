@@ -185,6 +185,7 @@ def common_equations(given: Floats, sigma: Floats, values: Floats, common_column
 
 def whitened(parts: list[tuple[Integers, Floats]], residual: Floats, covariance: Floats) -> Equations:
     """Equations of unit weight from blocks of columns and coefficients; unused columns drop out."""
+    parts = [(columns, block) for columns, block in parts if (columns >= 0).any()] or parts[:1]
     columns = np.hstack([columns for columns, _ in parts])
     coefficient = np.concatenate([block for _, block in parts], axis=2)
     if not len(residual):

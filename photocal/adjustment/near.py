@@ -7,29 +7,30 @@ Steps with that factor (chord steps) end where an adjustment anew ends; their le
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
 
 from drivers.arrays import Flags, Floats
-from drivers.errors import NotConvergedError
+from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.datum import full_solution
+from photocal.adjustment.envelope import clear, factorise, product, solve
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.kernels.data import Design
+from photocal.adjustment.kernels.removal import remove_images
 from photocal.adjustment.normal import (
     Normal,
-    Problem,
-    add_rays,
     diagonal_addresses,
     eliminated,
     other_equations,
-    pieces_of,
     values_of,
 )
-from photocal.adjustment.solver import Near, chords, moved_along, moved_by, reduced_step
+from photocal.adjustment.rank import weakest_pivot
+from photocal.adjustment.solver import SINGULAR_PIVOT, Near, chords, moved_along, moved_by
 from photocal.adjustment.state import State
+from photocal.geometry.lens import scratch
 
 
 def with_held(at: Factored, column: int, change: float, near: float) -> Near:
@@ -66,13 +67,23 @@ class Removals:
     again without their rays: an exact downdate, at the cost of a few points.
     """
 
-    def __init__(self, problem: Problem, state: State) -> None:
-        self._problem, self._state = problem, state
-        design = problem.design
-        self._kept = eliminated(problem, len(design.ray_image), len(state.points))
-        self._matrix, values = problem.layout.envelope.zeros(), values_of(problem, state)
-        self._gradient, _, singular = add_rays(problem, design, values, self._kept, self._matrix)
-        self._determined = not singular.any()
+    def __init__(self, at: Factored) -> None:
+        self._problem, self._state = at.problem, at.state
+        problem, normal, design = at.problem, at.normal, at.problem.design
+        self._kept, self._gradient, self._factor = normal.kept, normal.gradient.copy(), normal.matrix
+        self._values = values_of(problem, at.state)
+        # What the rays give: the whole system without all else.
+        self._matrix = product(problem.layout.envelope, normal.matrix)
+        self._matrix[diagonal_addresses(problem)[problem.stiffened]] /= 2.0
+        for rows in other_equations(problem, at.state).values():
+            less = rows._replace(weight=-rows.weight)
+            add_equations(*less, problem.structure, self._matrix, self._gradient)
+        # No ray touches these: nothing is to be left of them, not even rounding.
+        common = np.zeros(problem.layout.size, dtype=np.bool_)
+        common[problem.layout.common_columns[problem.layout.common_columns >= 0]] = True
+        clear(problem.layout.envelope, self._matrix, common)
+        self._gradient[common] = 0.0
+        self._room = np.empty_like(self._matrix)
         weighted = np.diagonal(design.prior_weight, axis1=1, axis2=2) > 0
         self._known = (weighted | (design.point_free == 0.0)).any(axis=1)
 
@@ -83,7 +94,8 @@ class Removals:
         """
         found, moved = self.stepped(out, near)
         if found is None and moved is not None:
-            found, _ = Removals(self._problem, moved).stepped(out, near)
+            with suppress(IllPosedError):
+                found, _ = Removals(factored(self._problem.network, moved)).stepped(out, near)
         return found
 
     def stepped(self, out: Flags, near: float) -> tuple[Near | None, State | None]:
@@ -93,9 +105,9 @@ class Removals:
         columns[problem.layout.image_columns[out]] = True
         own = problem.layout.own_columns[out]
         columns[own[own >= 0]] = True
-        if not self._determined or columns[problem.stiffened].any():
+        if columns[problem.stiffened].any():
             return None, None
-        with self._downdated(out) as (design, normal, singular):
+        with self._downdated(out) as (design, normal, singular, touched):
             if singular:
                 return None, None
             held = problem.held | columns
@@ -104,14 +116,21 @@ class Removals:
             def equations(state: State) -> list[Equations]:
                 return [_untouched(rows, columns) for rows in other_equations(problem, state).values()]
 
-            for rows in equations(state):
-                add_equations(*rows, problem.structure, normal.matrix, normal.gradient)
+            clear(problem.layout.envelope, normal.matrix, columns)
+            touched |= columns
+            for rows in other_equations(problem, state).values():
+                touched[rows.column[np.repeat(_touched(rows, columns), np.diff(rows.start))]] = True
+                add_equations(*_untouched(rows, columns), problem.structure, normal.matrix, normal.gradient)
             diagonal = diagonal_addresses(problem)
             normal.matrix[diagonal[held]] = 1.0
             normal.matrix[diagonal[problem.stiffened]] *= 2.0
-            step = reduced_step(changed, normal, 0.0)
-            if step is None:
+            before = normal.matrix[diagonal]
+            if factorise(problem.layout.envelope, normal.matrix, self._factor, int(np.argmax(touched))) >= 0:
                 return None, None
+            if weakest_pivot(normal.matrix[diagonal], before) < SINGULAR_PIVOT:
+                return None, None
+            step = solve(problem.layout.envelope, normal.matrix, -normal.gradient)
+            step[held] = 0.0
             moved, length = moved_by(changed, state, normal, step)
             try:
                 return chords(changed, normal, moved, near, equations, length), moved
@@ -119,56 +138,58 @@ class Removals:
                 return None, moved
 
     @contextmanager
-    def _downdated(self, out: Flags) -> Iterator[tuple[Design, Normal, bool]]:
-        """Rays and normal equations without images, and whether a point is then not determined."""
-        problem, state = self._problem, self._state
-        network, design = problem.network, problem.design
-        dropped = out[network.rays.image]
-        count = np.bincount(network.rays.point[~dropped], minlength=len(state.points))
-        affected = np.zeros(len(state.points), dtype=np.bool_)
-        affected[network.rays.point[dropped]] = True
+    def _downdated(self, out: Flags) -> Iterator[tuple[Design, Normal, bool, Flags]]:
+        """Rays and normal equations without images; whether a point is not determined; columns touched."""
+        problem, kept = self._problem, self._kept
+        point, design = problem.network.rays.point, problem.design
+        stays = ~out[design.ray_image]
+        count = np.bincount(point[stays], minlength=len(self._known))
+        affected = np.bincount(point, minlength=len(count)) > count
         lost = affected & (count < np.where(self._known, 1, 2))
-        weight = design.weight.copy()
-        weight[dropped | lost[network.rays.point]] = 0.0
-        mine, points = affected[network.rays.point], np.flatnonzero(affected)
-        ray_start = np.concatenate([[0], np.cumsum(np.diff(design.ray_start)[points])])
-        order, pieces, spans, reach = pieces_of(problem.layout, ray_start, design.ray_image[mine])
-        part = design._replace(
-            order=order,
-            pieces=pieces,
-            spans=spans,
-            reach=reach,
-            ray_start=ray_start,
-            ray_image=design.ray_image[mine],
-            plane=design.plane[mine],
-            weight=design.weight[mine],
-            point_column=design.point_column[points],
-            point_free=design.point_free[points],
-            prior_points=design.prior_points[points],
-            prior_weight=design.prior_weight[points],
+        stays &= ~lost[point]
+        points = np.flatnonzero(affected)
+        left, singular = eliminated(problem, 0, len(points)), np.zeros(len(points), dtype=np.bool_)
+        np.copyto(self._room, self._matrix)
+        gradient = self._gradient.copy()
+        lenses = max(problem.layout.width, problem.structure.lens)
+        remove_images(
+            design,
+            self._values,
+            problem.structure,
+            out,
+            stays,
+            points,
+            lost,
+            kept,
+            left,
+            self._room,
+            gradient,
+            singular,
+            scratch(problem.layout.width),
+            np.zeros((3, 3)),
+            np.zeros((3, lenses)),
+            np.zeros((3, lenses)),
         )
-        values = values_of(problem, state)._replace(points=np.ascontiguousarray(state.points[points]))
-        kept = eliminated(problem, len(part.ray_image), len(points))
-        matrix = self._matrix.copy()
-        less, _, _ = add_rays(problem, part, values, kept, matrix, -1.0)
-        part = part._replace(weight=weight[mine])
-        more, _, singular = add_rays(problem, part, values, kept, matrix)
-        gradient = self._gradient + less + more
-        normal = Normal(matrix, gradient, 0.0, np.zeros(0, dtype=np.int64), self._kept)
-        places = (mine, points, points, points)
-        before = [whole[place] for whole, place in zip(self._kept, places, strict=True)]
+        before = [whole[points] for whole in kept[1:]]
         try:
-            for whole, place, own in zip(self._kept, places, kept, strict=True):
-                whole[place] = own
-            yield design._replace(weight=weight), normal, bool((singular & ~lost[points]).any())
+            for whole, own in zip(kept[1:], left[1:], strict=True):
+                whole[points] = own
+            design = design._replace(weight=np.where(stays[:, None], design.weight, 0.0))
+            nothing = np.zeros(0, dtype=np.int64)
+            touched = np.zeros(problem.layout.size, dtype=np.bool_)
+            touched[design.image_column[design.ray_image[affected[point]]]] = True
+            yield design, Normal(self._room, gradient, 0.0, nothing, kept), bool(singular.any()), touched
         finally:
-            for whole, place, own in zip(self._kept, places, before, strict=True):
-                whole[place] = own
+            for whole, own in zip(kept[1:], before, strict=True):
+                whole[points] = own
+
+
+def _touched(rows: Equations, columns: Flags) -> Flags:
+    """Which observations have an unknown among some columns."""
+    row = np.repeat(np.arange(len(rows.weight)), np.diff(rows.start))
+    return np.asarray(np.bincount(row, columns[rows.column], len(rows.weight)) > 0)
 
 
 def _untouched(rows: Equations, columns: Flags) -> Equations:
     """Observations without those of unknowns that are left out."""
-    touched = np.zeros(len(rows.weight), dtype=np.bool_)
-    row = np.repeat(np.arange(len(rows.weight)), np.diff(rows.start))
-    np.logical_or.at(touched, row, columns[rows.column])
-    return rows._replace(weight=np.where(touched, 0.0, rows.weight))
+    return rows._replace(weight=np.where(_touched(rows, columns), 0.0, rows.weight))

@@ -194,10 +194,9 @@ def add_rays(
     values: Values,
     kept: Eliminated,
     matrix: Floats,
-    sign: float = 1.0,
     damping: float = 0.0,
 ) -> tuple[Floats, float, Flags]:
-    """Add the reduced normal equations of rays and weighted points alone to a matrix, or take them off.
+    """Add the reduced normal equations of rays and weighted points alone to a matrix.
 
     returns gradient (layout.size,), chi_squared.
     returns singular (points,): points that their rays do not determine.
@@ -210,11 +209,11 @@ def add_rays(
     gradients, totals = np.zeros((len(first), problem.layout.size)), np.zeros(len(first))
     singular = np.zeros(len(design.point_free), dtype=np.bool_)
     accumulate(design, values, strips, damping, start, room, gradients, totals, kept, singular)
-    join(design, strips, structure, start, room, sign, matrix)
+    join(design, strips, structure, start, room, matrix)
     own = matrix[structure.offset[-2] :]
     for end in start[1:].tolist():
-        own += sign * room[end - len(own) : end]
-    return sign * gradients.sum(axis=0), float(totals.sum()), singular
+        own += room[end - len(own) : end]
+    return gradients.sum(axis=0), float(totals.sum()), singular
 
 
 def normal_equations(

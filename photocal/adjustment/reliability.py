@@ -156,12 +156,6 @@ def _on_own_points(at: Factored) -> Floats:
     if datum is None:
         return effect
     # S-transformation to inner constraints: what all datum points moved on the average is taken back.
-    common = np.stack(
-        [
-            followed_by(at, datum.spread[:, k], datum.point_spread[:, :, k]) * design.weight
-            for k in range(datum.spread.shape[1])
-        ],
-        axis=-1,
-    )
+    common = followed_by(at, datum.spread.T, np.moveaxis(datum.point_spread, 2, 0)) * design.weight
     own = (datum.point_moves @ datum.inverse)[problem.network.rays.point]
-    return np.asarray(effect - np.einsum("nad,nrd->nra", own, common))
+    return np.asarray(effect - np.einsum("nad,dnr->nra", own, common))

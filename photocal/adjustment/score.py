@@ -58,19 +58,20 @@ def score(at: Factored, residuals: Floats, fields: Floats) -> Score:
 def pulled(at: Factored, fields: Floats) -> tuple[Floats, Floats]:
     """Right-hand sides A'P d of the normal equations for changes d of all image coordinates."""
     problem, values = at.problem, values_of(at.problem, at.state)
-    reduced = np.empty((len(fields), problem.layout.size))
+    own = np.zeros((len(problem.design.pieces) - 1, len(fields), problem.layout.size))
     points = np.zeros((len(fields), *at.state.points.shape))
-    for field, right, of_points in zip(fields, reduced, points, strict=True):
-        own = np.zeros((len(problem.design.pieces) - 1, problem.layout.size))
-        across(problem.design, values, problem.structure, np.ascontiguousarray(field), own, of_points)
-        right[:] = own.sum(axis=0)
-        right[problem.layout.point_columns] += of_points[problem.layout.kept_points]
+    across(problem.design, values, problem.structure, np.ascontiguousarray(fields), own, points)
+    reduced = own.sum(axis=0)
+    reduced[:, problem.layout.point_columns] += points[:, problem.layout.kept_points]
     return reduced, points
 
 
 def followed_by(at: Factored, step: Floats, moved: Floats) -> Floats:
-    """Change of all image coordinates with a step of the unknowns: reduced part and points; (rays, 2)."""
-    problem, change = at.problem, np.zeros_like(at.problem.design.weight)
-    steps = np.ascontiguousarray(step), np.ascontiguousarray(moved)
-    along(problem.design, values_of(problem, at.state), problem.structure, *steps, change)
+    """Change of all image coordinates with a step of the unknowns, reduced part and points; (rays, 2).
+
+    Or with several along the first axis.
+    """
+    problem, change = at.problem, np.zeros((*step.shape[:-1], *at.problem.design.weight.shape))
+    directions = np.ascontiguousarray(step), np.ascontiguousarray(moved)
+    along(problem.design, values_of(problem, at.state), problem.structure, *directions, change)
     return change

@@ -30,26 +30,33 @@ def along_piece(
             k = design.image_lens[i]
             ray_rows(design, values, r, i, j, room)
             column, border = design.image_column[i], structure.band + design.active_column[k]
-            for a in range(2):
-                total = 0.0
-                for b in range(columns(design)):
-                    total += room.by_image[a, b] * step[column + b]
-                for b in range(3):
-                    total += room.by_point[a, b] * point_step[j, b]
-                for s in range(design.active_count[k]):
-                    total += room.by_camera[a, design.active[k, s]] * step[border + s]
-                change[r, a] = total
+            for t in range(len(step)):
+                for a in range(2):
+                    total = 0.0
+                    for b in range(columns(design)):
+                        total += room.by_image[a, b] * step[t, column + b]
+                    for b in range(3):
+                        total += room.by_point[a, b] * point_step[t, j, b]
+                    for s in range(design.active_count[k]):
+                        total += room.by_camera[a, design.active[k, s]] * step[t, border + s]
+                    change[t, r, a] = total
+
+
+def _each(one: Floats) -> Floats:
+    """View of one matrix, or of several along the first axis, as several."""
+    return one.reshape(-1, *one.shape[-2:])
 
 
 def along(
     design: Design, values: Values, structure: Structure, step: Floats, point_step: Floats, change: Floats
 ) -> None:
-    """Change of every computed image coordinate along a direction of the unknowns.
+    """Change of every computed image coordinate along a direction of the unknowns, or along several.
 
-    step (n,): direction in the reduced system.
-    point_step (points, 3).
-    change (rays, 2): receives A d.
+    step (n,) or (t, n): directions in the reduced system.
+    point_step (points, 3) or (t, points, 3).
+    change (rays, 2) or (t, rays, 2): receives A d.
     """
+    step, point_step, change = step.reshape(-1, step.shape[-1]), _each(point_step), _each(change)
 
     def work(piece: int) -> None:
         along_piece(design, values, structure, piece, step, point_step, change, scratch(width(design)))
@@ -61,6 +68,7 @@ def along(
 def add_pull(
     design: Design,
     structure: Structure,
+    t: int,
     r: int,
     i: int,
     j: int,
@@ -70,18 +78,18 @@ def add_pull(
     reduced: Floats,
     points: Floats,
 ) -> None:
-    """Add what a change of ray r, whose derivatives are in the scratch room, gives to a right-hand side."""
+    """Add what a change of ray r, whose derivatives are in the scratch room, gives to right-hand side t."""
     by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
     k = design.image_lens[i]
     px, py = design.weight[r, 0] * dx, design.weight[r, 1] * dy
     column, border = design.image_column[i], structure.band + design.active_column[k]
     for b in range(columns(design)):
-        reduced[column + b] += by_image[0, b] * px + by_image[1, b] * py
+        reduced[t, column + b] += by_image[0, b] * px + by_image[1, b] * py
     for b in range(3):
-        points[j, b] += by_point[0, b] * px + by_point[1, b] * py
+        points[t, j, b] += by_point[0, b] * px + by_point[1, b] * py
     for s in range(design.active_count[k]):
         n = design.active[k, s]
-        reduced[border + s] += by_camera[0, n] * px + by_camera[1, n] * py
+        reduced[t, border + s] += by_camera[0, n] * px + by_camera[1, n] * py
 
 
 @compiled
@@ -98,17 +106,27 @@ def across_piece(
     """What one piece's rays give to the right-hand side, see `across`."""
     for j in range(design.spans[piece], design.spans[piece + 1]):
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
-            dx, dy = change[r, 0], change[r, 1]
-            if dx != 0.0 or dy != 0.0:
-                i = design.ray_image[r]
-                ray_rows(design, values, r, i, j, room)
-                add_pull(design, structure, r, i, j, dx, dy, room, reduced, points)
+            i, derived = design.ray_image[r], False
+            for t in range(len(change)):
+                dx, dy = change[t, r, 0], change[t, r, 1]
+                if dx == 0.0 and dy == 0.0:
+                    continue
+                if not derived:
+                    ray_rows(design, values, r, i, j, room)
+                    derived = True
+                add_pull(design, structure, t, r, i, j, dx, dy, room, reduced, points)
 
 
 def across(
     design: Design, values: Values, structure: Structure, change: Floats, reduced: Floats, points: Floats
 ) -> None:
-    """Right-hand side A'P d of the normal equations for a change d of all image coordinates."""
+    """Right-hand side A'P d of the normal equations for a change d of all image coordinates, or for several.
+
+    change (rays, 2) or (t, rays, 2).
+    reduced (pieces, n) or (pieces, t, n), points (points, 3) or (t, points, 3): receive what they add up to.
+    """
+    change, points = _each(change), _each(points)
+    reduced = reduced.reshape(len(reduced), -1, reduced.shape[-1])
 
     def work(piece: int) -> None:
         room = scratch(width(design))
@@ -137,7 +155,7 @@ def pulls_piece(
                 total += design.weight[r, 0] * vx * vx + design.weight[r, 1] * vy * vy
                 if not room.depth[0] > 0.0:
                     total = np.inf
-                add_pull(design, structure, r, i, j, vx, vy, room, reduced, points)
+                add_pull(design, structure, 0, r, i, j, vx, vy, room, reduced, points)
     return total
 
 
@@ -145,6 +163,7 @@ def pulls(
     design: Design, values: Values, structure: Structure, totals: Floats, reduced: Floats, points: Floats
 ) -> None:
     """Right-hand side A'P v of the normal equations and v'Pv, infinite for a point behind a camera."""
+    reduced, points = reduced[:, None], points[None]
 
     def work(piece: int) -> None:
         room = scratch(width(design))

@@ -87,7 +87,8 @@ def turn_basis(network: Network, state: State) -> Floats:
     """
     basis = np.broadcast_to(np.eye(3), state.rotation.shape).copy()
     some = _angles_held(network)
-    basis[some] = turn_per_angle(angles_from_matrix(state.rotation[some]))
+    if some.any():
+        basis[some] = turn_per_angle(angles_from_matrix(state.rotation[some]))
     return basis
 
 
@@ -101,7 +102,8 @@ def moved_exposures(network: Network, layout: Layout, state: State, step: Floats
     pose = step[layout.image_columns]
     rotation = turned(state.rotation, pose[:, :3])
     some = _angles_held(network)
-    rotation[some] = matrix_from_angles(angles_from_matrix(state.rotation[some]) + pose[some, :3])
+    if some.any():
+        rotation[some] = matrix_from_angles(angles_from_matrix(state.rotation[some]) + pose[some, :3])
     cameras = state.cameras.copy()
     for row, (active, columns) in zip(cameras, layout.camera_columns, strict=True):
         row[active] += step[columns]

@@ -151,7 +151,7 @@ def _judged(
 ) -> LensFit:
     found = fitted.network.cameras[camera]
     squares, count = 0.0, 0
-    removals = Removals(fitted.factored.problem, fitted.state)
+    removals = Removals(fitted.factored)
     for group in groups:
         out = np.isin(np.arange(len(fitted.network.image_names)), group)
         chi_squared, redundancy = _predicted(fitted, without(fitted, removals, out), out)

@@ -46,7 +46,7 @@ def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
     """
     names = fit.network.image_names
     left_out, cameras, not_possible = list[tuple[str, ...]](), list[Floats](), list[str]()
-    removals = Removals(fit.factored.problem, fit.state)
+    removals = Removals(fit.factored)
     for out in groups_of(fit):
         group = tuple(names[i] for i in np.flatnonzero(out))
         try:
@@ -131,9 +131,12 @@ def sandwich(fit: Fit) -> Floats:
         own_images = int(np.sum(fit.network.exposures.camera == camera))
         rest = own_images - len(parameters)
         few = np.sqrt(own_images / rest) if rest >= FEWEST else np.nan
-        for parameter, column in zip(parameters, columns, strict=True):
-            step, moved = camera_covariance_column(fit.factored, int(column))
-            change = followed_by(fit.factored, step, moved)
+        found = [camera_covariance_column(fit.factored, int(column)) for column in columns]
+        if not found:
+            continue
+        steps, moves = (np.array(part) for part in zip(*found, strict=True))
+        changes = followed_by(fit.factored, steps, moves)
+        for parameter, step, moved, change in zip(parameters, steps, moves, changes, strict=True):
             by_image = np.bincount(image, np.einsum("rk,rk->r", change, pull), images)
             parts: list[Floats] = [by_image.astype(np.float64)]
             parts.append(np.einsum("na,na->n", moved, off))

@@ -292,7 +292,6 @@ def join_strips(
     structure: Structure,
     start: Integers,
     pieces: Floats,
-    sign: float,
     begin: int,
     end: int,
     matrix: Floats,
@@ -312,7 +311,7 @@ def join_strips(
             for row in range(rows + border):
                 to = corner + row * step if row < rows else foot + (row - rows) * step
                 for b in range(wide):
-                    matrix[to + b] += sign * pieces[at + row * wide + b]
+                    matrix[to + b] += pieces[at + row * wide + b]
 
 
 def join(
@@ -321,7 +320,6 @@ def join(
     structure: Structure,
     start: Integers,
     pieces: Floats,
-    sign: float,
     matrix: Floats,
 ) -> None:
     """Add what the pieces have given, in their order, to the reduced matrix.
@@ -331,6 +329,6 @@ def join(
     shares = np.linspace(0, len(strips.last), len(design.pieces)).astype(np.int64)
 
     def work(share: int) -> None:
-        join_strips(design, strips, structure, start, pieces, sign, shares[share], shares[share + 1], matrix)
+        join_strips(design, strips, structure, start, pieces, shares[share], shares[share + 1], matrix)
 
     each_piece(len(shares) - 1, work)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.factored import factored
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import values_of
-from photocal.adjustment.score import Score, followed_by, score
+from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.state import State
 from photocal.analysis.robust import FEWEST, LEAST_CHECKED, groups_of, standard_error, state_without
 from photocal.analysis.systematic_errors.refit import Fit, left_without, without_images
@@ -77,41 +78,37 @@ def within_flight(fit: Fit, camera: int) -> tuple[Within, ...]:
         if given is not None and np.isfinite(given[order]).all() and np.ptp(given[order]) > 0.0:
             courses[name] = np.zeros(len(third))
             courses[name][order] = (given[order] - given[order].mean()) / np.ptp(given[order])
-    values = fit.solution.cameras[camera]
-    return tuple(
-        one
-        for name in ("c", "x0", "y0")
-        if (one := _within(fit, name, change_of(values, fit.computed, name), third, courses)) is not None
-    )
+    values, image = fit.solution.cameras[camera], fit.network.rays.image
+    shares = np.array([third == k for k in range(1, PARTS)] + list(courses.values()))[:, image, None]
+    names = ("c", "x0", "y0")
+    fields = [change_of(values, fit.computed, name) * shares for name in names]
+    found = score(fit.factored, fit.solution.residuals, np.concatenate(fields))
+    tested = []
+    for k, name in enumerate(names):
+        own = slice(k * len(shares), (k + 1) * len(shares))
+        if (found.share[own] > LEFT).all():
+            tested.append(_within(fit, name, found.slope[own], found.information[own, own], courses))
+    return tuple(tested)
 
 
-def _within(
-    fit: Fit, name: str, change: Floats, third: Integers, courses: dict[str, Floats]
-) -> Within | None:
+def _within(fit: Fit, name: str, slope: Floats, information: Floats, courses: Iterable[str]) -> Within:
+    """Test one parameter, from the normal equations of its thirds and its drifts."""
     from scipy import stats
 
-    image, residuals = fit.network.rays.image, fit.solution.residuals
-    masks: list[Flags] = [third[image] == k for k in range(1, PARTS)]
-    fields = [change * mask[:, None] for mask in masks]
-    fields += [change * of[image][:, None] for of in courses.values()]
-    found = score(fit.factored, residuals, np.array(fields))
-    if not (found.share > LEFT).all():
-        return None
     freedom = fit.solution.degrees_of_freedom
     count = PARTS - 1
-    covariance = np.linalg.inv(found.information[:count, :count])
-    amounts = -covariance @ found.slope[:count]
+    covariance = np.linalg.inv(information[:count, :count])
+    amounts = -covariance @ slope[:count]
 
     def statistic(fall: float, unknowns: int) -> float:
         left = max(fit.solution.chi_squared - fall, 1e-300)
         return fall / unknowns / (left / (freedom - unknowns))
 
-    together = statistic(float(-found.slope[:count] @ amounts), count)
+    together = statistic(float(-slope[:count] @ amounts), count)
     drifts = {}
     for k, key in enumerate(courses, start=count):
-        information, slope = float(found.information[k, k]), float(found.slope[k])
-        fall = statistic(slope**2 / information, 1)
-        drifts[key] = -slope / information, information**-0.5, fall
+        own, along = float(information[k, k]), float(slope[k])
+        drifts[key] = -along / own, own**-0.5, statistic(along**2 / own, 1)
     parts = np.vstack([[0.0, 0.0], np.column_stack([amounts, np.sqrt(np.diag(covariance))])])
     return Within(name, parts, drifts, together, float(stats.f.sf(together, count, freedom - count)))
 
@@ -275,20 +272,29 @@ class ExtraParameter:
     alike: tuple[str, ...] = ()
 
 
-def estimated_amount(fit: Fit, candidate: Candidate) -> ExtraParameter | None:
-    """Estimate the amount of a candidate as one more unknown of the adjustment, to first order."""
+def estimated_amounts(fit: Fit, tested: Sequence[Candidate]) -> list[ExtraParameter]:
+    """Estimate each candidate's amount as one more unknown, to first order; of those that are determined."""
+    if not tested:
+        return []
     # What is added to the measurements is taken off the residuals, computed minus measured.
-    one = score(fit.factored, fit.solution.residuals, -candidate.displacement[None])
-    slope, information = float(one.slope[0]), float(one.information[0, 0])
-    if not one.share[0] > LEFT:
-        return None
-    amount = -slope / information
-    outcome = judged(fit, candidate, amount, information**-0.5, slope**2 / information)
-    shown = _shown(fit, candidate, one)
-    corrected = fit.solution.residuals + amount * shown
-    images = int(np.sum(fit.network.exposures.camera == candidate.camera))
-    sigma = _spread(fit, one, shown, corrected) * (images / max(images - 1, 1)) ** 0.5
-    return replace(outcome, by_images=_probability(amount, sigma, images - 1))
+    fields = -np.array([one.displacement for one in tested])
+    found = score(fit.factored, fit.solution.residuals, fields)
+    fields -= followed_by(fit.factored, found.steps, found.moved)
+    outcomes = []
+    for k in np.flatnonzero(found.share > LEFT).tolist():
+        candidate, slope, information = tested[k], float(found.slope[k]), float(found.information[k, k])
+        amount = -slope / information
+        outcome = judged(fit, candidate, amount, information**-0.5, slope**2 / information)
+        corrected = fit.solution.residuals + amount * fields[k]
+        images = int(np.sum(fit.network.exposures.camera == candidate.camera))
+        sigma = _spread(fit, information, fields[k], corrected) * (images / max(images - 1, 1)) ** 0.5
+        outcomes.append(replace(outcome, by_images=_probability(amount, sigma, images - 1)))
+    return outcomes
+
+
+def estimated_amount(fit: Fit, candidate: Candidate) -> ExtraParameter | None:
+    """Estimate the amount of one candidate, as `estimated_amounts` does; None where it is not determined."""
+    return next(iter(estimated_amounts(fit, (candidate,))), None)
 
 
 def judged(fit: Fit, candidate: Candidate, amount: float, sigma: float, fall: float) -> ExtraParameter:
@@ -318,22 +324,21 @@ def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
         one = score(fit.factored, fit.solution.residuals, -candidate.displacement[None])
         checked = np.maximum(fit.solution.redundancy, LEAST_CHECKED)
         weighed = fit.solution.residuals / np.sqrt(checked)
-        sigma = _spread(fit, one, _shown(fit, candidate, one), weighed) * (images / freedom) ** 0.5
+        shown = -candidate.displacement - followed_by(fit.factored, one.steps, one.moved)[0]
+        sigma = _spread(fit, float(one.information[0, 0]), shown, weighed) * (images / freedom) ** 0.5
         return _probability(amount, sigma, freedom)
     amounts = _left_out(fit, candidate)
     return _probability(amount, float(standard_error(amounts)), len(amounts) - 1)
 
 
-def _shown(fit: Fit, candidate: Candidate, one: Score) -> Floats:
-    """Change of the residuals by a unit of a candidate, when all other unknowns follow."""
-    return -candidate.displacement - followed_by(fit.factored, one.steps[0], one.moved[0])
+def _spread(fit: Fit, information: float, shown: Floats, residuals: Floats) -> float:
+    """Standard deviation of an amount when the residuals of an image are one observation of it.
 
-
-def _spread(fit: Fit, one: Score, shown: Floats, residuals: Floats) -> float:
-    """Standard deviation of an amount when the residuals of an image are one observation of it."""
+    shown: change of the residuals by a unit of it, when all other unknowns follow.
+    """
     pull = fit.network.rays.sigma**-2.0 * residuals
     by_image = np.bincount(fit.network.rays.image, np.einsum("rk,rk->r", shown, pull))
-    return float(np.linalg.norm(by_image)) / float(one.information[0, 0])
+    return float(np.linalg.norm(by_image)) / information
 
 
 def _probability(amount: float, sigma: float, freedom: int) -> float:
@@ -344,7 +349,7 @@ def _probability(amount: float, sigma: float, freedom: int) -> float:
 
 def _left_out(fit: Fit, candidate: Candidate) -> Floats:
     """What is left of an amount when images are left out, (m,)."""
-    removals, amounts = Removals(fit.factored.problem, fit.state), []
+    removals, amounts = Removals(fit.factored), []
     for out in groups_of(fit):
         try:
             network, state = without_images(fit.network, state_without(fit, removals, out), out)

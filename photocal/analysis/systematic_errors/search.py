@@ -19,6 +19,7 @@ from photocal.analysis.systematic_errors.candidates import (
     agreed,
     candidates,
     estimated_amount,
+    estimated_amounts,
     judged,
     steps_of_c,
 )
@@ -183,14 +184,19 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
 
 def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> Iterator[ExtraParameter]:
     """Test every candidate that was not yet found; give the significant ones, the worst first."""
-    tested, known = [], {(one.kind, one.name, one.camera) for one in found}
-    for candidate in candidates(last.network, last.state, last.computed):
-        if (candidate.kind, candidate.name, candidate.camera) in known:
-            continue
-        outcome = estimated_amount(last, candidate)
-        # Rows are read one after the other, never backwards: that would be something else.
-        if outcome is not None and (candidate.kind != "rolling-shutter" or outcome.amount > 0.0):
-            tested.append(outcome)
+    known = {(one.kind, one.name, one.camera) for one in found}
+    fresh = [
+        one
+        for one in candidates(last.network, last.state, last.computed)
+        if (one.kind, one.name, one.camera) not in known
+    ]
+    # Rows are read one after the other, never backwards: that would be something else.
+    tested = [
+        one
+        for one in estimated_amounts(last, fresh)
+        if one.candidate.kind != "rolling-shutter" or one.amount > 0.0
+    ]
+    for _ in fresh:
         done()
     level = LEVEL / max(len(tested), 1)
     significant = [one for one in tested if max(one.p_value, one.by_images) < level]
@@ -211,8 +217,7 @@ def _step_or_drift(last: Fit, drift: ExtraParameter) -> ExtraParameter:
     if drift.candidate.kind != "c-drift":
         return drift
     steps = steps_of_c(last.network, last.state, last.computed, drift.candidate.camera)
-    tried = [one for step in steps if (one := estimated_amount(last, step)) is not None]
-    best = max(tried, key=lambda one: one.statistic, default=drift)
+    best = max(estimated_amounts(last, steps), key=lambda one: one.statistic, default=drift)
     return best if best.statistic > drift.statistic + STEP_ADVANTAGE else drift
 
 

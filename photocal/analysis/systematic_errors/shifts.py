@@ -16,7 +16,7 @@ from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit
-from photocal.geometry.rotation import turned
+from photocal.geometry.rotation import skew
 
 # Of a shift, what no other unknown takes up, squared: less is not determined.
 LEFT = 1e-4
@@ -329,18 +329,19 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     network, state = fit.network, fit.state
     rays = network.rays
     images, shown = len(network.image_names), np.bincount(rays.image, minlength=len(network.image_names))
-    columns = np.concatenate([pose_derivatives(fit, state), _own_geometry(fit.computed)], axis=2)
-    by_image = np.argsort(rays.image, kind="stable")
-    groups = np.split(by_image, np.cumsum(shown)[:-1])
+    order = np.argsort(rays.image, kind="stable")
+    ends = np.cumsum(shown)
+    columns = np.concatenate([pose_derivatives(fit, state), _own_geometry(fit.computed)], axis=2)[order]
+    weighted = (columns / rays.sigma[order][:, :, None]).reshape(-1, 9)
+    residual = (fit.solution.residuals / rays.sigma)[order].ravel()
     tested = np.flatnonzero(2 * shown >= FEWEST_OBSERVED)
     if not len(tested):
         return ()
     # Residuals are computed minus measured: what must be added to the measurements.
     normal, slope = np.empty((len(tested), 9, 9)), np.empty((len(tested), 9))
     for k, i in enumerate(tested.tolist()):
-        weight = 1.0 / rays.sigma[groups[i]].ravel()
-        own = columns[groups[i]].reshape(-1, 9) * weight[:, None]
-        normal[k], slope[k] = own.T @ own, own.T @ (fit.solution.residuals[groups[i]].ravel() * weight)
+        mine = slice(2 * (ends[i] - shown[i]), 2 * ends[i])
+        normal[k], slope[k] = weighted[mine].T @ weighted[mine], weighted[mine].T @ residual[mine]
     size = np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
     normal, slope = normal / size[:, :, None] / size[:, None, :], slope / size
     follows = np.linalg.solve(normal[:, :6, :6], normal[:, :6, 6:])
@@ -359,7 +360,8 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     for k in np.flatnonzero(number).tolist():
         i = int(tested[k])
         pitch = np.array(network.cameras[network.exposures.camera[i]].pitch)
-        effect = float(np.linalg.norm(columns[groups[i]] @ change[k] / pitch, axis=1).max())
+        moved = columns[ends[i] - shown[i] : ends[i]] @ change[k] / pitch
+        effect = float(np.linalg.norm(moved, axis=1).max())
         scale, shift = float(change[k, 6]), change[k, 7:] / pitch
         found.append(ImageShift(network.image_names[i], scale, shift, effect, float(p_value[k])))
     return tuple(found)
@@ -369,20 +371,10 @@ def pose_derivatives(fit: Fit, state: State) -> Floats:
     """Change of the ideal image coordinates with the exterior orientation of their image."""
     image = fit.network.rays.image
     c = state.cameras[fit.network.exposures.camera[image], :1]
-    points = state.points[fit.network.rays.point]
-
-    def ideal(rotation: Floats, centre: Floats) -> Floats:
-        q = np.einsum("nij,nj->ni", rotation[image], points - centre[image])
-        return np.asarray(-c * q[:, :2] / q[:, 2:])
-
-    reach = float(np.median(np.linalg.norm(points - state.centre[image], axis=1)))
-    columns = []
-    for axis in np.eye(3):
-        turn = np.broadcast_to(1e-6 * axis, state.centre.shape)
-        above, below = (ideal(turned(state.rotation, sign * turn), state.centre) for sign in (1.0, -1.0))
-        columns.append((above - below) / 2e-6)
-    for axis in np.eye(3):
-        move = 1e-6 * reach * axis
-        above, below = (ideal(state.rotation, state.centre + sign * move) for sign in (1.0, -1.0))
-        columns.append((above - below) / (2e-6 * reach))
-    return np.stack(columns, axis=-1)
+    apart = state.points[fit.network.rays.point] - state.centre[image]
+    q = np.einsum("nij,nj->ni", state.rotation[image], apart)
+    by_q = np.zeros((len(q), 2, 3))
+    by_q[:, 0, 0] = by_q[:, 1, 1] = -c[:, 0] / q[:, 2]
+    by_q[:, :, 2] = c * q[:, :2] / q[:, 2:] ** 2
+    # A small turn t moves q by t x q.
+    return np.concatenate([-by_q @ skew(q), -by_q @ state.rotation[image]], axis=2)

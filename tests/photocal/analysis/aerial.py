@@ -30,6 +30,8 @@ class Flight:
     gnss, control : bool
         Whether positions of the exposures and nine control points are observed; without both the network
         is free.
+    share : float
+        Of the rays, drawn at random, that are measured.
     """
 
     images: int
@@ -40,6 +42,7 @@ class Flight:
     control: bool = True
     estimate: tuple[str, ...] = ESTIMATED
     control_points: int = 9
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,14 @@ def fly(flight: Flight, seed: int, **changed: float) -> Flown:
     low, high = poses[:, 3:5].min(axis=0) - 40.0, poses[:, 3:5].max(axis=0) + 40.0
     rotation = matrix_from_angles(poses[:, :3])
     sample = _ground(rng, 400, low, high)
-    per_point = max(len(_seen(truth, rotation, poses[:, 3:], sample)[0]) / 400, 1.0)
+    per_point = max(flight.share * len(_seen(truth, rotation, poses[:, 3:], sample)[0]) / 400, 1.0)
     xyz = _ground(rng, max(int(flight.rays / per_point), 30), low, high)
     if flight.control:
         xyz[: flight.control_points] = _spread(flight.control_points, low + 50.0, high - 50.0, xyz)
     image, point, exact = _seen(truth, rotation, poses[:, 3:], xyz)
+    if flight.share < 1.0:
+        measured = rng.random(len(image)) < flight.share
+        image, point, exact = image[measured], point[measured], exact[measured]
     enough = np.bincount(point, minlength=len(xyz)) >= 2
     kept = enough[point]
     image, point, exact = image[kept], (np.cumsum(enough) - 1)[point[kept]], exact[kept]
@@ -173,11 +179,24 @@ def _seen(own: Camera, rotation: Floats, centres: Floats, xyz: Floats) -> tuple[
     """Image, point and place in the image of all rays, sorted by point."""
     reach = 1.4 * np.hypot(*SIZE) / 2 / own.values[0] * 1.4 * HEIGHT
     rows = []
+    # Points by squares as large as what an image sees: each image looks at three columns of them.
+    low = xyz[:, :2].min(axis=0)
+    column, row = ((xyz[:, :2] - low) // reach).astype(np.int64).T
+    high = int(row.max()) + 1
+    square = column * high + row
+    by_square = np.argsort(square, kind="stable")
+    square, sorted_xyz = square[by_square], xyz[by_square]
     for i, (turn, centre) in enumerate(zip(rotation, centres, strict=True)):
-        near = np.flatnonzero(np.linalg.norm(xyz[:, :2] - centre[:2], axis=1) < reach)
-        q = (xyz[near] - centre) @ turn.T
+        at, up = ((centre[:2] - low) // reach).astype(np.int64)
+        first, last = np.clip([up - 1, up + 2], 0, high)
+        ends = np.searchsorted(square, np.arange(at - 1, at + 2)[:, None] * high + [first, last])
+        near = np.concatenate([by_square[a:b] for a, b in ends])
+        q = np.concatenate([sorted_xyz[a:b] for a, b in ends])
+        close = np.linalg.norm(q[:, :2] - centre[:2], axis=1) < reach
+        near, q = near[close], (q[close] - centre) @ turn.T
         ideal = np.abs(own.values[0] * q[:, :2] / q[:, 2:])
-        inside = np.all(ideal < 0.62 * np.array(SIZE), axis=1)
+        inside = np.flatnonzero(np.all(ideal < 0.62 * np.array(SIZE), axis=1))
+        inside = inside[np.argsort(near[inside])]
         near, q = near[inside], q[inside]
         plane = projected(own, q)
         ok = np.all(np.abs(plane) < np.array(SIZE) / 2 - 10, axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from drivers.errors import NotConvergedError
 from photocal.adjustment.near import Removals
+from photocal.adjustment.network import Network, Relations
 from photocal.analysis.outcome import analyse_network
 from photocal.analysis.systematic_errors import refit
 from photocal.analysis.systematic_errors.refit import (
@@ -32,7 +34,7 @@ def flown() -> Fit:
 def test_images_taken_out_of_the_minimum_are_images_never_flown(flown: Fit) -> None:
     """Camera parameters to 1e-3 of their standard deviations, for single images and for groups."""
     sigma = np.sqrt(np.diag(flown.solution.camera_covariance[0]))
-    removals = Removals(flown.factored.problem, flown.state)
+    removals = Removals(flown.factored)
     for group in ([0], [31], [7, 8, 9, 10, 11]):
         out = np.isin(np.arange(50), group)
         nearby = removals.without(out, 1e-8)
@@ -42,6 +44,45 @@ def test_images_taken_out_of_the_minimum_are_images_never_flown(flown: Fit) -> N
         assert np.abs(moved).max() > 0.0
         assert (np.abs(nearby.state.cameras[0] - anew) <= 1e-3 * sigma).all()
         assert nearby.left < 1e-8
+
+
+def bare() -> Network:
+    """A free network with a scale bar."""
+    network = fly(Flight(30, 6_000, gnss=False, control=False), 3).network
+    # Whoever is left out, both ends are seen.
+    first, second = np.argsort(np.bincount(network.rays.point))[-2:]
+    apart = np.linalg.norm(network.points.values[[second]] - network.points.values[[first]], axis=1)
+    ends = np.array([first]), np.array([second])
+    bar = Relations(np.zeros(1, dtype=np.int64), *ends, apart, np.full(1, 0.01))
+    return replace(network, relations=bar)
+
+
+def varied() -> Network:
+    """Two cameras, one of which differs from image to image; an image without rays, but with a pose."""
+    network = fly(Flight(30, 6_000), 3).network
+    (own,) = network.cameras
+    own = replace(own, deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.5, 0.0))
+    kept = network.rays.image != 9
+    rays = replace(network.rays, **{name: column[kept] for name, column in vars(network.rays).items()})
+    camera = np.arange(30) % 2
+    other = replace(own, id="other", deviation_sigma=np.zeros(len(PARAMETERS)))
+    sigma = network.exposures.sigma.copy()
+    sigma[9] = 0.01
+    exposures = replace(network.exposures, camera=camera, sigma=sigma)
+    return replace(network, cameras=(own, other), exposures=exposures, rays=rays)
+
+
+@pytest.mark.parametrize("made", [bare, varied])
+@pytest.mark.parametrize("group", [[4], [9, 10, 11], [19, 20, 21, 22]])
+def test_images_are_taken_out_of_networks_of_any_kind(made: Callable[[], Network], group: list[int]) -> None:
+    network = made()
+    whole = fit(network)
+    out = np.isin(np.arange(30), group)
+    nearby = Removals(whole.factored).without(out, 1e-8)
+    assert nearby is not None
+    anew = lowest(*without_images(network, whole.state, out)).state.cameras
+    sigma = np.sqrt(np.diagonal(whole.solution.camera_covariance, axis1=1, axis2=2))
+    assert (np.abs(nearby.state.cameras - anew) <= 1e-3 * sigma).all()
 
 
 @pytest.mark.parametrize("name", ["K1", "K3", "P1"])

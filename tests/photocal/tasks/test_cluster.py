@@ -6,6 +6,7 @@ import importlib
 import os
 import signal
 import socket
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,18 +67,37 @@ def test_two_workers_find_the_tracks_of_one_process(
     assert list(tmp_path.rglob("*.npz"))
 
 
-def test_a_worker_that_is_killed_changes_nothing(
+def test_of_three_workers_one_killed_and_one_slow_change_nothing(
     pictures: tuple[Path, ...], two_workers: Any, alone: Tracks, tmp_path: Path
 ) -> None:
-    killed: list[int] = []
+    """The slow one stands still for nine tenths of the time."""
+    distributed: Any = pytest.importorskip("distributed")
+    two_workers.scale(3)
+    with distributed.Client(two_workers.scheduler_address, set_as_default=False) as client:
+        client.wait_for_workers(3, timeout=60)
+    dead, slow, _ = (worker.pid for worker in two_workers.workers.values())
+    over, started = threading.Event(), list[threading.Thread]()
+
+    def slowed() -> None:
+        while not over.wait(0.1):
+            os.kill(slow, signal.SIGSTOP)
+            over.wait(0.9)
+            os.kill(slow, signal.SIGCONT)
 
     def done(_: float) -> None:
-        if not killed:
-            killed.append(next(iter(two_workers.workers.values())).pid)
-            os.kill(killed[0], signal.SIGKILL)
+        if not started:
+            os.kill(dead, signal.SIGKILL)
+            started.append(threading.Thread(target=slowed))
+            started[0].start()
 
-    assert_same(tracks(pictures, tmp_path, Cluster(two_workers.scheduler_address), done), alone)
-    assert killed
+    try:
+        found = tracks(pictures, tmp_path, Cluster(two_workers.scheduler_address), done)
+    finally:
+        over.set()
+        for thread in started:
+            thread.join()
+    assert_same(found, alone)
+    assert started
 
 
 def test_failures_of_a_task_arrive_as_they_are(two_workers: Any) -> None:
