@@ -43,6 +43,7 @@ LEVEL = 0.2
 # A position that misses by so many sigmas is wrong; positions that miss by so many all together are worse
 # than was assumed.
 WRONG_POSITION, WORSE_POSITIONS = 6.0, 2.0
+OF_POSITIONS = ("position-off", "positions-worse")
 # Median of what positions of the stated sigmas miss by, over these.
 USUAL_RATIO = 0.89
 # Images of a model that is joined to another by positions alone, and how well these turn it (rad).

@@ -44,7 +44,7 @@ from photocal.measurement.measure_ties import (
 )
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, figures, orient_ties
-from photocal.measurement.placing import position_sigmas
+from photocal.measurement.placing import OF_POSITIONS, position_sigmas
 from photocal.measurement.plain_targets import targets_of_project
 from photocal.measurement.position_files import Given, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
@@ -146,6 +146,7 @@ def measure_project(
         released, block, chosen = with_chosen_lenses(released, block, tracks)
         more += chosen
     suspects = suspected_marks(released, control)
+    measured, of_positions = _restored(oriented.adjusted, released, block)
     record = {
         **tie_record(sighted, oriented),
         "kind": "project",
@@ -164,7 +165,8 @@ def measure_project(
         **told(
             [
                 *targets.findings,
-                *(finding for finding in oriented.findings if not _expected_of_c(finding, project.cameras)),
+                *(finding for finding in oriented.findings if not _outdated(finding, project.cameras)),
+                *of_positions,
                 *more,
                 *findings_of_marks(
                     unknown, targets.strangers, suspects, (*oriented.left_out, *released.left_out)
@@ -172,7 +174,7 @@ def measure_project(
             ]
         ),
     }
-    return Measured(_restored(oriented.adjusted, released, block), record)
+    return Measured(measured, record)
 
 
 def _with_cameras(
@@ -404,17 +406,21 @@ def _not_borne(
     return {}
 
 
-def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
-    """The measured block with cameras, surveyed coordinates and observed values as they were given."""
+def _restored(held: Adjusted, released: Adjusted, block: Block) -> tuple[Block, list[Finding]]:
+    """The measured block with cameras, surveyed coordinates and observed values as they were given.
+
+    Also what the rays say of its positions, beside the released cameras: a principal point that is held
+    wrongly moves images by more than good positions are wrong.
+    """
     names = released.block.images.names
     bare = without_images(block, ~np.isin(block.images.names, names))
     remaining = np.isin(held.block.images.names, names)
-    borne = np.full_like(bare.images.sigma, np.inf)
+    borne, findings = np.full_like(bare.images.sigma, np.inf), list[Finding]()
     if released.start.datum == "free":
         bare = without_single_rays(bare)
     else:
         shifted = len(marked_control(block)) >= FEWEST_CONTROL
-        borne = position_sigmas(bare.images, released.values, shifted=shifted)[0]
+        borne, _, findings = position_sigmas(bare.images, released.values, shifted=shifted)
     bare = replace(bare, datum=released.start.datum, images=replace(bare.images, sigma=borne))
     poses = np.where(np.isfinite(borne), bare.images.values, held.values[remaining])
     oriented = without_images(held.start, ~remaining)
@@ -422,11 +428,13 @@ def _restored(held: Adjusted, released: Adjusted, block: Block) -> Block:
     values = place(oriented, released.tracks, 0.0)
     sigma = released.block.observations.sigma[len(bare.observations.image) :, 0]
     bare = replace(bare, images=replace(bare.images, values=poses))
-    return with_ties(bare, released.tracks, values, sigma)
+    return with_ties(bare, released.tracks, values, sigma), findings
 
 
-def _expected_of_c(finding: Finding, cameras: Sequence[Camera]) -> bool:
-    """Whether it tells of a principal distance no more than that it is estimated, as the project asks."""
+def _outdated(finding: Finding, cameras: Sequence[Camera]) -> bool:
+    """Whether the released cameras tell it better, or it says only that c is estimated, as is asked for."""
+    if finding.code in OF_POSITIONS:
+        return True
     if finding.code != "c-refuted-by-rays":
         return False
     own = next(camera for camera in cameras if camera.id == finding.subject)
