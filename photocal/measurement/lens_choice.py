@@ -63,7 +63,8 @@ def with_chosen_lenses(
             better = adjust_ties(replace(adjusted.start, cameras=tuple(cameras)), adjusted.values, tracks)
         except (IllPosedError, NotConvergedError):
             continue
-        if not lenses or _scatter(better) <= NOT_WORSE * _scatter(adjusted):
+        smaller = _scatter(better) <= NOT_WORSE * _scatter(adjusted)
+        if not lenses or (smaller and all(_still_pays(better, adjusted, name) for name in lenses)):
             break
     else:
         return adjusted, block, []
@@ -113,9 +114,7 @@ def _preferred(adjusted: Adjusted, place: int) -> tuple[Camera, dict[str, Figure
             if not fits:
                 return None
             continue
-        needed = GAIN * (lens.estimated.sum() - own.estimated.sum())
-        needed += GAIN * (lens.model != own.model)
-        fits.append((chi_squared + needed, chi_squared, lens))
+        fits.append((chi_squared + _needed(lens, own), chi_squared, lens))
     _, chi_squared, lens = min(fits, key=lambda fit: fit[0])
     if lens.model == own.model and (lens.estimated == own.estimated).all():
         return None
@@ -128,6 +127,36 @@ def _preferred(adjusted: Adjusted, place: int) -> tuple[Camera, dict[str, Figure
         "found": given,
         "fall": given - chi_squared,
     }
+
+
+def _needed(lens: Camera, given: Camera) -> float:
+    """By how much a lens must lower v'Pv."""
+    unknowns = int(lens.estimated.sum() - given.estimated.sum())
+    return GAIN * (unknowns + (lens.model != given.model))
+
+
+def _still_pays(better: Adjusted, before: Adjusted, name: str) -> bool:
+    """Whether a lens lowers v'Pv beside a readout, too: without it the rays prefer any lens that bends."""
+    names = [camera.id for camera in better.start.cameras]
+    place = names.index(name)
+    lens = better.start.cameras[place]
+    if not lens.rolling:
+        return True
+    given = next(camera for camera in before.start.cameras if camera.id == name)
+    readout = among("readout")
+    given = replace(
+        lens,
+        model=given.model,
+        estimated=np.where(readout, lens.estimated, given.estimated),
+        values=np.where(readout, lens.values, given.values),
+    )
+    others = list(better.start.cameras)
+    try:
+        with_lens = _least(better, others, place)[0]
+        others[place] = given
+        return _least(better, others, place)[0] - with_lens > _needed(lens, given)
+    except (IllPosedError, NotConvergedError):
+        return False
 
 
 def _least(adjusted: Adjusted, cameras: Sequence[Camera], place: int) -> tuple[float, Camera]:

@@ -25,8 +25,13 @@ def lens(model: Model, k: tuple[float, ...], estimate: tuple[str, ...] = ()) -> 
     return camera("c", model, "px", SIZE, (1.0, 1.0), {"c": C, **values}, estimate=estimate)
 
 
-def flown(true: Camera, seed: int, unknown: bool = False) -> tuple[Adjusted, Block, Tracks]:
-    """Two heights of strips over hills, positions to 3 cm, half a pixel of noise; adjusted without K4."""
+def flown(
+    true: Camera, seed: int, unknown: bool = False, readout: float = 0.0
+) -> tuple[Adjusted, Block, Tracks]:
+    """Two heights of strips over hills, positions to 3 cm, half a pixel of noise; adjusted without K4.
+
+    With a readout (s) at 8 m/s there and back in gusts of 2 deg/s.
+    """
     rng = np.random.default_rng(seed)
     places = np.array(
         [[x, y, 60.0 + 15 * (k % 2)] for k, y in enumerate((-12.0, 0, 12)) for x in range(-30, 31, 15)]
@@ -36,6 +41,12 @@ def flown(true: Camera, seed: int, unknown: bool = False) -> tuple[Adjusted, Blo
         [rng.normal(0, 0.03, (count, 2)), np.where(np.arange(count) < 8, 0.0, np.pi / 2)]
     )
     views = OrientedImages(("i",) * count, (true,), np.zeros(count, np.int64), np.hstack([angles, places]))
+    speed = np.where(np.arange(count) % 2, -8.0, 8.0)[:, None] * [1.0, 0, 0]
+    if readout:
+        gusts = np.hstack([rng.normal(0, 0.3, (count, 3)), rng.normal(0, np.radians(2.0), (count, 3))])
+        movement = readout * (np.hstack([speed, np.zeros((count, 3))]) + gusts)
+        rolls = replace(true.changed(readout=readout), shutter="rolling", readout_direction="top-to-bottom")
+        views = replace(views, cameras=(rolls,), movement=movement)
     track, image = np.repeat(np.arange(900), count), np.tile(np.arange(count), 900)
     pixels = views.project(image, ground[track]) + rng.normal(0, 0.5, (len(track), 2))
     inside = ((pixels > 0) & (pixels < np.array(SIZE) - 1)).all(axis=1)
@@ -46,6 +57,8 @@ def flown(true: Camera, seed: int, unknown: bool = False) -> tuple[Adjusted, Blo
     sigma[:, 3:] = 0.03
     values = np.hstack([angles, places + rng.normal(0, 0.03, places.shape)])
     images = Images(tuple(f"{k}.jpg" for k in range(count)), np.zeros(count, np.int64), values, sigma)
+    if readout:
+        images.motion[:, :3], images.motion_sigma[:, :3] = speed, 0.3
     block = Block("b", "local", "", "control", (own,), images)
     return adjust_ties(block, values, tracks), block, tracks
 
@@ -91,6 +104,16 @@ def test_a_wrong_lens_is_no_readout() -> None:
     assert chosen.cameras[0].model == "brown-observed"
     assert not better.start.cameras[0].rolling
     assert better.start.cameras[0].shutter == "unknown"
+
+
+@pytest.mark.parametrize(("seed", "readout"), [(3, 0.06), (4, 0.025), (5, 0.025)])
+def test_a_readout_is_no_other_lens(seed: int, readout: float) -> None:
+    """Where the shutter rolls and its readout is left out, the rays prefer any lens that bends."""
+    adjusted, block, tracks = flown(lens("brown-ideal", (-0.10, 0.05, -0.02)), seed, True, readout)
+    better, chosen, findings = with_chosen_lenses(before_the_choice(adjusted), block, tracks)
+    assert findings == []
+    assert (chosen.cameras[0].model, chosen.cameras[0].free) == ("brown-ideal", ESTIMATE)
+    assert better.start.cameras[0].rolling
 
 
 def test_coefficients_that_are_known_or_held_leave_no_choice() -> None:
