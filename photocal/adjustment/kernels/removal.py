@@ -162,21 +162,13 @@ def remove_images(
 ) -> None:
     """Take the rays of images from the reduced normal equations, but for their own rows and columns.
 
-    Parameters
-    ----------
-    out : ndarray of bool, shape (images,)
-    stays : ndarray of bool, shape (rays,)
-        Rays that are left: neither of these images nor of lost points.
-    points : ndarray of int, shape (n,)
-        Points that these images see.
-    lost : ndarray of bool, shape (points,)
-        Points that nothing determines any more.
-    left : Eliminated
-        Receives, but for `mixed`, what elimination of these points leaves, (n, ...).
-    singular : ndarray of bool, shape (n,)
-        Receives the points that what is left does not determine.
-    block (3, 3), before, after (3, width or lens) : ndarray
-        Room.
+    out (images,): these images.
+    stays (rays,): rays that are left, neither of these images nor of lost points.
+    points (n,): points that these images see.
+    lost (points,): points that nothing determines any more.
+    left: receives, but for `mixed`, what elimination of these points leaves, (n, ...).
+    singular (n,): receives the points that what is left does not determine.
+    block (3, 3), before, after (3, width or lens): room.
     """
     for nth in range(len(points)):
         j = points[nth]
