@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES
 from photocal.measurement.marks import ControlMarks, read_any_marks, read_control_marks
+from photocal.measurement.position_files import read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
 ASSUMED_M = (0.02, 0.03)
@@ -32,6 +33,7 @@ HEADS = {
 }
 CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point")
 _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
+_TABLES = (".csv", ".txt")
 _RINEX = (".obs", ".nav", ".rnx")
 _DEPTH = 3
 
@@ -56,7 +58,8 @@ class Found:
 class Survey:
     """What a folder has, in the order of its names.
 
-    pictures: of each folder with pictures that can be read.
+    pictures: of each folder with pictures that can be read, at the positions that a table beside them gives.
+    positions: such tables.
     unread: pictures and tables that cannot be used, with the reason.
     """
 
@@ -67,6 +70,7 @@ class Survey:
     logs: list[Path] = field(default_factory=list)
     raw_logs: list[Path] = field(default_factory=list)
     events: list[Path] = field(default_factory=list)
+    positions: list[Path] = field(default_factory=list)
     rinex: list[Path] = field(default_factory=list)
     unread: list[str] = field(default_factory=list)
 
@@ -77,15 +81,8 @@ def survey(folder: Path) -> Survey:
         raise InputNotFoundError("is no folder", where=folder, remedy="name the folder of the flight")
     seen = Survey(folder)
     files = sorted(_files(folder, _DEPTH))
-    pictures: dict[Path, list[ImageFacts]] = {}
-    for path in files:
-        if path.suffix.lower() in SUFFIXES:
-            try:
-                pictures.setdefault(path.parent, []).append(read_facts(path))
-            except PhotocalError as refusal:
-                seen.unread.append(str(refusal))
-    seen.pictures = {where: tuple(facts) for where, facts in pictures.items()}
-    sizes = {image.name: image.size_px for facts in pictures.values() for image in facts}
+    seen.pictures = _pictures(files, seen.unread)
+    sizes = {image.name: image.size_px for facts in seen.pictures.values() for image in facts}
     for path in files:
         kind = path.suffix.lower()
         if kind in _LOGS:
@@ -96,11 +93,38 @@ def survey(folder: Path) -> Survey:
             seen.events.append(path)
         elif kind in _RINEX or (len(kind) == 4 and kind[1:3].isdigit() and kind[3] in "ong"):
             seen.rinex.append(path)
-        elif kind in (".xml", ".json", ".csv", ".txt", ".psz"):
+        elif kind in _TABLES and (placed := _placed(path, seen.pictures)) is not None:
+            seen.positions.append(path)
+            seen.pictures = placed
+        elif kind in (*_TABLES, ".xml", ".json", ".psz"):
             found = _control(path, sizes, seen.unread)
             if found is not None:
                 (seen.marks if found.points is None else seen.control).append(found)
     return seen
+
+
+def _pictures(files: Sequence[Path], unread: list[str]) -> dict[Path, tuple[ImageFacts, ...]]:
+    """What the pictures of each folder say of themselves."""
+    pictures: dict[Path, list[ImageFacts]] = {}
+    for path in files:
+        if path.suffix.lower() in SUFFIXES:
+            try:
+                pictures.setdefault(path.parent, []).append(read_facts(path))
+            except PhotocalError as refusal:
+                unread.append(str(refusal))
+    return {where: tuple(facts) for where, facts in pictures.items()}
+
+
+def _placed(
+    path: Path, pictures: dict[Path, tuple[ImageFacts, ...]]
+) -> dict[Path, tuple[ImageFacts, ...]] | None:
+    """Pictures at the positions of a table that names them; None for another table."""
+    names = [image.name for facts in pictures.values() for image in facts]
+    try:
+        given = read_positions(path, names)
+    except PhotocalError:
+        return None
+    return {where: tuple(map(given, facts)) for where, facts in pictures.items()}
 
 
 def _files(folder: Path, depth: int) -> Iterator[Path]:

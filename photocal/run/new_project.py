@@ -236,8 +236,12 @@ class _Text:
         yield f"folder = {_quoted(self._beside(self.pictures))}"
         if self.frame is not None:
             yield f"pictures = {_quoted(PICTURES)}  # camera and exposure of each"
-        if len(self.seen.events) == 1 and not self.seen.logs and stated < count:
-            yield f"positions = {_quoted(self._beside(self.seen.events[0]))}  # with their sigmas"
+        tables = self.seen.positions or (self.seen.events if stated < count else [])
+        if len(tables) == 1 and not self.seen.logs:
+            yield f"positions = {_quoted(self._beside(tables[0]))}  # with their sigmas"
+        elif self.seen.positions:
+            names = ", ".join(map(self._beside, self.seen.positions))
+            self.missing.append(f"pictures have positions in {names}: name one as positions in [images]")
         yield 'lens = "unknown"  # the rays choose brown-ideal or -observed, with or without K4; or "given"'
         if self.seen.logs or not self.placed or self.crs == "local":
             return

@@ -132,6 +132,26 @@ def test_sigmas_of_dji_rtk(tmp_path: Path) -> None:
     assert read_facts(tmp_path / "a.jpg").position_sigma_m == (0.012, 0.011, 0.025)
 
 
+@pytest.mark.parametrize("exif", [0.0, None])
+def test_positions_of_a_table_beside_the_pictures(tmp_path: Path, exif: float | None) -> None:
+    """ODM's geo.txt, in place of what the pictures say or where they say nothing."""
+    rows = ["EPSG:32722"]
+    for k in range(3):
+        picture(tmp_path / f"a{k}.jpg", None if exif is None else 20.0 * k)
+        rows.append(f"a{k}.jpg 677864.0 {7184231 + 20 * k} 1000 0 0 0 0.02 0.03")
+    (tmp_path / "geo.txt").write_text("\n".join(rows) + "\n")
+    made = new_project(tmp_path)
+    project = read_project(made.path)
+    assert project.crs == "EPSG:32722"
+    assert project.images.positions == tmp_path / "geo.txt"
+    assert any("3 with a position, 3 with its sigma" in line for line in made.found)
+    (tmp_path / "more.txt").write_text("\n".join(rows) + "\n")
+    (tmp_path / "project.toml").unlink()
+    made = new_project(tmp_path)
+    assert read_project(made.path).images.positions is None
+    assert any("geo.txt, more.txt: name one" in line for line in made.missing)
+
+
 def test_the_readout_that_a_maker_states(tmp_path: Path) -> None:
     tags = 'Camera:RigName="Sequoia" Camera:LineReadoutTime="47500" Camera:IMULinearVelocity="-2.5,11,-0.95"'
     for k in range(3):
