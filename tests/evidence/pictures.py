@@ -162,7 +162,7 @@ def main(chosen: list[int]) -> None:
         "",
         *(f"{number}. {name}" for number, (name, _) in enumerate(FLIGHTS, start=1)),
         "",
-        "Flights 8 and 9: the vehicle vibrates by 0.01 degrees at 20 to 60 Hz, which moves the lines of a",
+        "Flight 8: the vehicle vibrates by 0.01 degrees at 20 to 60 Hz, which moves the lines of a",
         "picture against each other by 0.2 px within 30 ms.",
         "",
         "| flight | c | x0 | y0 | distortion | mounting | together | antenna, mm | check points | warnings |",
