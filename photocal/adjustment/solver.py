@@ -190,10 +190,17 @@ def _moved_to_rest(
     """State after a step, with the whole block at rest, see `at_rest`, where the rays do not resist that."""
     moved, decrement = moved_by(problem, state, normal, step)
     rested = at_rest(problem, moved, min(WORTH * decrement, MUCH)) if decrement > near else None
-    if rested is not None:
-        before, after = (gradient(problem, one, _others(problem, one))[0] for one in (moved, rested))
-        moved = rested if after < before else moved
+    if rested is not None and _height(problem, rested) < _height(problem, moved):
+        moved = rested
     return moved, decrement
+
+
+def _height(problem: Problem, state: State) -> float:
+    """Give v'Pv; infinite where a point lies behind a camera, which damping brings before it."""
+    try:
+        return gradient(problem, state, _others(problem, state))[0]
+    except NotConvergedError:
+        return np.inf
 
 
 def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Floats) -> State | None:
@@ -224,10 +231,7 @@ def _around_the_bend(problem: Problem, normal: Normal, state: State, step: Float
         around = moved_along(problem, state, part * step + bent * bend, part * points + bent * bend_points)
         # Far from where it was looked at, the bend may be another: straight on, too.
         for moved in (around, moved_by(problem, state, normal, part * step)[0]):
-            try:
-                chi_squared = gradient(problem, moved, _others(problem, moved))[0]
-            except NotConvergedError:  # behind a camera
-                continue
+            chi_squared = _height(problem, moved)
             if chi_squared < lowest:
                 best, lowest = moved, chi_squared
         if best is not None and lowest == before:
