@@ -1,7 +1,5 @@
 """TOML files checked key by key: a wrong key or value is named with its file."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command `acquire`: a list of its commands."""
 
-from __future__ import annotations
-
 import os
 
 from acquire.commands import flight_log, recording, simulate

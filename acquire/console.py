@@ -1,7 +1,5 @@
 """What both commands share at the terminal: errors in one line, exit codes, progress, JSON."""
 
-from __future__ import annotations
-
 import atexit
 import gc
 import json

@@ -1,7 +1,5 @@
 """What operating systems do differently: locks, private and user's folders, signals, pseudo terminals."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Kinds of arrays, for annotations, and arrays and dataclasses as JSON values."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace

@@ -1,7 +1,5 @@
 """The four checksums of the field protocols, each in the form that is fast on whole buffers."""
 
-from __future__ import annotations
-
 from binascii import crc_hqx
 from functools import cache
 

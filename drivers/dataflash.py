@@ -3,8 +3,6 @@
 Source: ArduPilot, libraries/AP_Logger/LogStructure.h and README.md (format characters).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

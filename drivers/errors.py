@@ -1,9 +1,8 @@
 """The one exception tree: each class of failure has its exit code and teaches in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Self
 
 LONGEST = 1200
 
@@ -73,7 +72,7 @@ class IllPosedError(PhotocalError):
     exit_code = 6
     points: tuple[str, ...] = ()
 
-    def of_points(self, names: tuple[str, ...]) -> IllPosedError:
+    def of_points(self, names: tuple[str, ...]) -> Self:
         """Name the points that are the cause."""
         self.points = names
         return self

@@ -1,7 +1,5 @@
 """Frames: the pieces that a device's byte stream consists of, one by one and many at once."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

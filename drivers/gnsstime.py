@@ -1,7 +1,5 @@
 """GNSS time and UTC for the stamps of the flight log: weeks, days and leap seconds."""
 
-from __future__ import annotations
-
 import datetime as dt
 import re
 from dataclasses import dataclass

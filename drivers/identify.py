@@ -1,7 +1,5 @@
 """Frames that were already cut out of their stream: what they carry."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers import mrk, nmea, ulog

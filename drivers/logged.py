@@ -1,7 +1,5 @@
 """Records of an autopilot's own log: what both kinds of self-describing logs have in common."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -43,7 +41,7 @@ class Records:
                     return self.columns[name].astype(float)
         return np.full(len(self.index), np.nan)
 
-    def rows(self, kept: Flags) -> Records:
+    def rows(self, kept: Flags) -> "Records":
         """Return some of the records."""
         return Records(self.index[kept], {name: column[kept] for name, column in self.columns.items()})
 

@@ -4,8 +4,6 @@ Columns (DJI, Matrice 4 Series User Manual 2025, p. 92): number, seconds of week
 and down from the antenna to the sensor in mm, latitude, longitude, ellipsoidal height, their sigmas, flag.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """NMEA 0183: framing and the sentences GGA, RMC and ZDA."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

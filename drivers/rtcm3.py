@@ -3,8 +3,6 @@
 Source: RTCM standard 10403; field positions of 1005/1006 after its table for message type 1005.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

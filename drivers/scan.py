@@ -16,8 +16,6 @@ The functions are plain; `compile_search` compiles them. In all of them a length
 begins at a place, and a negative one that so many bytes from there on are needed to tell.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Telemetry logs (`.tlog`): MAVLink frames, each after the time at which the ground station received it."""
 
-from __future__ import annotations
-
 from binascii import crc_hqx
 
 import numpy as np

@@ -3,8 +3,6 @@
 Source: PX4 User Guide, "ULog File Format".
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

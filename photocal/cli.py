@@ -1,7 +1,5 @@
 """The command `photocal`: a list of its commands, each in a module of its own."""
 
-from __future__ import annotations
-
 from acquire.console import application
 from acquire.console import run as run_application
 from photocal.commands import (

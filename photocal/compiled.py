@@ -1,7 +1,5 @@
 """How kernels are compiled: once, for this machine, kept on disk until their source changes."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """GeoPackage files (OGC 12-128r15): the tables that each one has, layers of features, plain tables."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 import sqlite3

@@ -1,7 +1,5 @@
 """Project files, and their tables checked key by key."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar

@@ -1,7 +1,5 @@
 """Decoded messages on their way to the log, and rows of JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The JSON message types of the flight log, and the channels that messages of one source become."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

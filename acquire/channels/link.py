@@ -1,7 +1,5 @@
 """The way of one link into the flight log: frames raw first, then what is decoded from them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol

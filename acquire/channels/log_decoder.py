@@ -1,7 +1,5 @@
 """Decoders of autopilots' own logs (ULog, DataFlash) and of event lists, records by their names."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ AP_AHRS.cpp (`AHRS_TRIM_*`, rad); PX4 (`SENS_GPS0_OFF*` since 1.18, `EKF2_GPS_PO
 `SENS_BOARD_*_OFF`, deg). Both apply trims and board turns to the attitude that they tell.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Channels decoded from a GNSS receiver: position, quality, time marks, clock and base station."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -123,7 +121,7 @@ class _Rank:
     def __init__(self) -> None:
         self._best: int | None = None
 
-    def used(self, by_source: Mapping[str, _Fixes], frames: int) -> Iterator[tuple[str, _Fixes]]:
+    def used(self, by_source: "Mapping[str, _Fixes]", frames: int) -> "Iterator[tuple[str, _Fixes]]":
         """Yield what counts of each source; the sources are given best first."""
         ranks = list(by_source.items())
         for rank, (source, fixes) in enumerate(ranks):
@@ -155,7 +153,7 @@ class _Fixes:
         self.valid: Flags = columns.get("valid", np.ones(count, bool))
         self.fix: NDArray[np.str_] = np.asarray(columns.get("fix", ["3d"] * count), "U16")
 
-    def rows(self, used: Flags) -> _Fixes:
+    def rows(self, used: Flags) -> "_Fixes":
         """Return some of the positions."""
         columns = {name: values[used] for name, values in vars(self).items() if name != "index"}
         return _Fixes(self.index[used], **columns)

@@ -1,7 +1,5 @@
 """The time of a GNSS receiver, read from its own messages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Channels decoded from MAVLink: position, attitude, GNSS, exposures, clock and health."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What each MAVLink message becomes in the flight log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """`acquire simulate`: flights that never took place."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Import of recordings: bytes to frames to the flight log, link after link."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A recording of another program: what it is, told by its content, and its bytes."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import zlib

@@ -1,7 +1,5 @@
 """A flight log as arrays: one for each field of each topic."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

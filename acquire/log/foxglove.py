@@ -1,7 +1,5 @@
 """Positions and attitudes in Foxglove's published schemas (protobuf)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -29,7 +27,7 @@ class Field:
     """
 
     number: int
-    value: str | bytes | int | list[Field]
+    value: "str | bytes | int | list[Field]"
     name: str = ""
 
 

@@ -1,7 +1,5 @@
 """Reading flight logs in the order of the file, also such that end early."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -4,8 +4,6 @@ The package makes one message at a time. Ours are only the records of messages a
 once: a recording has tens of thousands of them a second.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

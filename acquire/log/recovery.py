@@ -1,7 +1,5 @@
 """Repair of flight logs that end early or are damaged inside."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path

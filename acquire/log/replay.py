@@ -1,7 +1,5 @@
 """Replay of the raw frames of a link, in their order and at their pace."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path

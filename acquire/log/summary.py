@@ -1,7 +1,5 @@
 """What a flight log holds: links, rates, gaps, damage, fixes, sources and clocks."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Writing flight logs: blocks of messages at once, so that the speed does not hang on single messages."""
 
-from __future__ import annotations
-
 import zlib
 from collections import defaultdict
 from collections.abc import Mapping
@@ -47,7 +45,7 @@ class LogWriter:
         self._put(records.MAGIC)
         self._put(encoded(mcap.Header("", library)))
 
-    def continued(self, stream: BinaryIO) -> LogWriter:
+    def continued(self, stream: BinaryIO) -> "LogWriter":
         """Return the writer of a next file, which takes over what is not in this one yet.
 
         The channels keep their numbers and are defined again, so each file stands for itself.

@@ -1,7 +1,5 @@
 """Trigger count against feedback count: which pictures were asked for and never reported."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 # So long after a trigger its feedback may come: shutters need tenths of a second. What a slow radio brings

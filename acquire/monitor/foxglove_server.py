@@ -1,7 +1,5 @@
 """The channels of a recording for Foxglove or Lichtblick, live, over their WebSocket protocol."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import secrets

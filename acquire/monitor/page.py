@@ -1,7 +1,5 @@
 """The live view as a local web page: the state as server-sent events, its files and nothing else."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

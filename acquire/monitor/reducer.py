@@ -1,7 +1,5 @@
 """The state after messages of the log."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The state of a recording, as far as it is known from its log and from the computer."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Following the log of a recording while it grows, from one file to the next."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime as dt
 import re

@@ -1,7 +1,5 @@
 """The live view in a terminal."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 from collections.abc import Sequence

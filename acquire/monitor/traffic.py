@@ -1,7 +1,5 @@
 """What passes over a link: frames, damage, pauses, corrections; and what fixes of a receiver are worth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a person is shown of a state: figures with their units, and a word and a level for each."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a person must hear of while a flight is recorded."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The position that a caster of virtual reference stations wants to know, as GGA sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The files of a recording: one after the other, and on to the next place when a disk is full."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime as dt
 import errno

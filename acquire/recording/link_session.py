@@ -1,7 +1,5 @@
 """One link while it is recorded: its frames to the log, its corrections to others, its device spoken to."""
 
-from __future__ import annotations
-
 import contextlib
 
 import numpy as np
@@ -32,7 +30,7 @@ def link_sessions(
     sources: dict[str, Source],
     positions: dict[str, CasterPosition],
     dialect: Dialect,
-) -> dict[str, LinkSession]:
+) -> "dict[str, LinkSession]":
     """Return the sessions of all links, with the ways of corrections and positions between them."""
     sessions = {
         link.name: LinkSession(link, writer, sources[link.name], dialect) for link in configuration.link

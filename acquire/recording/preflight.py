@@ -1,7 +1,5 @@
 """Before the flight: do all links speak, is the fix good, are rates, disk and clock as they should be."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading

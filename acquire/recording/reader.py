@@ -1,7 +1,5 @@
 """The reading of one link: bytes with their times of receipt, again and again after the port was lost."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

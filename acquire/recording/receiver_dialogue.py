@@ -1,7 +1,5 @@
 """The conversation with a u-blox receiver: version, settings, acknowledgement, and whether they hold."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from drivers.errors import DeviceError

@@ -1,7 +1,5 @@
 """The recording itself: one thread per link reads, one writes; the file is safe at least once a second."""
 
-from __future__ import annotations
-
 import mimetypes
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The conversation with an autopilot: rates are asked for and verified, parameters read, clocks compared."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 They read and write with pymavlink and pyubx2, so that what we send is judged by other programs than our own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from typing import Any
 

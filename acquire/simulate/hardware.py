@@ -1,7 +1,5 @@
 """The devices of a simulated flight on ports of this computer, and what is needed to record them."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

@@ -1,7 +1,5 @@
 """A simulated flight played to real ports by devices that listen and answer as hardware does."""
 
-from __future__ import annotations
-
 import csv
 import datetime as dt
 import threading

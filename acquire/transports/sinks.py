@@ -1,7 +1,5 @@
 """Where a stream can be sent: UDP datagrams, a TCP reader that connects, a pseudo terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

@@ -1,7 +1,5 @@
 """Where a stream comes from: serial ports, TCP, UDP, files. Each opens anew after it was lost."""
 
-from __future__ import annotations
-
 import os
 import select
 import socket

@@ -1,7 +1,5 @@
 """MAVLink payloads to arrays, all messages of one kind at once, and single messages to frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The tables of MAVLink messages: names, checksum seeds and layouts, from pymavlink's dialect."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """u-blox UBX: framing, decoding by numpy views and encoding."""
 
-from __future__ import annotations
-
 from drivers.checksums import fletcher8
 
 

@@ -4,8 +4,6 @@ Source: u-blox interface descriptions of the F9 HPG 1.32 (CFG-VALSET, CFG-VALGET
 23.01 (CFG-MSG, CFG-RATE); MON-VER of both.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Layouts after u-blox's interface descriptions (M8 protocol 15 to 23.01, F9 HPG 1
 units of the wire; only what needs scaling before it has a meaning is scaled here, and says so in its name.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """The whole judgement of a product at its check points: statistics, tests and classes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

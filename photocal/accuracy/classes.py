@@ -1,7 +1,5 @@
 """Precision class, accuracy class and class as the value reached, and the largest scale that each admits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

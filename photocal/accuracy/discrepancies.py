@@ -1,7 +1,5 @@
 """Discrepancies at check points and the table that they are read from."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +41,7 @@ class Discrepancies:
     positions_m: Floats | None = None
     vegetated: Flags | None = None
 
-    def of_ground(self, ground: Literal["open", "vegetated"]) -> Discrepancies:
+    def of_ground(self, ground: Literal["open", "vegetated"]) -> "Discrepancies":
         """Give the points in open, or in vegetated ground."""
         grown = np.zeros(len(self.points), dtype=np.bool_) if self.vegetated is None else self.vegetated
         own = grown if ground == "vegetated" else ~grown

@@ -5,8 +5,6 @@ adjustment (against the positions of the exposures) and after it (against the co
 the same points).
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """An assessment as a JSON value (schema `photocal.check/2`) and as text for the terminal."""
 
-from __future__ import annotations
-
 import io
 import math
 import textwrap

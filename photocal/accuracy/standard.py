@@ -1,7 +1,5 @@
 """Accuracy standards: classes, limits and sources, how they are read, what a product is judged for."""
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Moments of discrepancies, and tests on them: bias, precision, normality, outliers, trends."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

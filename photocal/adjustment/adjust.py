@@ -1,7 +1,5 @@
 """Least squares adjustment of a network, from start values to statistics."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

@@ -3,8 +3,6 @@
 Three processes share the work.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

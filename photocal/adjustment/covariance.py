@@ -1,7 +1,5 @@
 """Covariance of everything and redundancy numbers, from the selected inverse of the reduced system."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ is then moved onto the start values, and the covariance transformed, so that the
 (inner constraints, Blaha 1971; S-transformation, Baarda 1973).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

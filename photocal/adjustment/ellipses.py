@@ -1,7 +1,5 @@
 """Error ellipses and ellipsoids at a stated probability, and the mean precision of many points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ row that its columns, or any before them, reach; below stand the rows of the bor
 done panel by panel with dense kernels of the linear algebra library. A small matrix is one panel.
 """
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache

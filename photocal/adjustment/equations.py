@@ -1,7 +1,5 @@
 """Linearised observations in compressed rows, and how they enter the normal equations."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

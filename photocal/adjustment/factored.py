@@ -1,7 +1,5 @@
 """The normal equations of an adjusted network, factorised: what single columns of the covariance need."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

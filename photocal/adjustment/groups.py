@@ -1,7 +1,5 @@
 """Each group of observations against its stated standard deviations, and single members: before any cause."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Joint covariance of chosen unknowns: the cross-blocks that are not kept for all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

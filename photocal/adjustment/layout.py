@@ -4,8 +4,6 @@ Object points are eliminated. What remains is ordered so that images which see t
 close together (a band), followed by the unknowns that touch every image (the border).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ strip.
 The attitude R (object to body axes) obeys  M = exp([r]x) B R  with r the residual in camera axes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The normal equations of the known minimum are factorised once, or changed only w
 Steps with that factor (chord steps) end where an adjustment anew ends; their lengths tell how far that is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace

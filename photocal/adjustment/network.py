@@ -1,7 +1,5 @@
 """The network: what is adjusted and what was observed, as arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

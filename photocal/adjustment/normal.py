@@ -1,7 +1,5 @@
 """Normal equations of a network, reduced to images and cameras."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

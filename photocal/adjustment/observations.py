@@ -1,7 +1,5 @@
 """Observations beside the rays: equations of a few unknowns of the reduced system each."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

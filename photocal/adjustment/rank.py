@@ -1,7 +1,5 @@
 """What a network leaves undetermined, in words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The readout of a rolling shutter: whether there is one, and the sigmas of what belongs to it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import cast

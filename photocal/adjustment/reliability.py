@@ -5,8 +5,6 @@ finds with a stated power (Baarda 1968); external reliability the effect of such
 (Foerstner 1979).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,9 +9,8 @@ frame:  log(R_b R_a' exp(-[w]x d) S_a S_b')  and  S_a' R_a (X_b - X_a - v d) - (
 w the turn per second of what the camera of a sees. None of them has to be the first head.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -61,7 +60,7 @@ class Rig:
         seen[head[np.concatenate([self.first, self.second])]] = True
         return np.asarray((self.sigma != 0) & seen[:, None])
 
-    def of_images(self, place: Integers, kept: Flags) -> Rig:
+    def of_images(self, place: Integers, kept: Flags) -> Self:
         """Rig of some images, at the places that these have now."""
         both = kept[self.first] & kept[self.second]
         return replace(self, first=place[self.first[both]], second=place[self.second[both]])

@@ -4,8 +4,6 @@ The unknown changes the computed image coordinates by a field. At the minimum wi
 along that field, less what all other unknowns take up, tells its estimate and the fall of v'Pv (Rao 1948).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Kernels that tell how unknowns follow a change of one ray's measurement."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

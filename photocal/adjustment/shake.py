@@ -1,7 +1,5 @@
 """Vibration within the readout of a rolling shutter: whether images shake, and by how much."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

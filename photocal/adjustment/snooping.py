@@ -6,8 +6,6 @@ adjusted, and every ray tested by its standardised residual: the worst of each p
 that fit again are taken back, until nothing changes (Baarda 1968; Pope 1976).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What an adjustment found: values, covariances, residuals and how far each can be believed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The iteration: Gauss-Newton steps, damped after Levenberg and Marquardt where they would fail."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The current values of all unknowns, and how a step changes them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

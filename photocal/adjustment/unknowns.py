@@ -1,7 +1,5 @@
 """What the unknowns of the reduced system are called, and in which unit a person reads them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Every group's variance is scaled by its v'Pv over its redundancy and the network
 nothing changes (Foerstner 1979; at the end the estimate is that of Helmert 1924).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 

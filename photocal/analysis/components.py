@@ -1,7 +1,5 @@
 """Principal components of the additional parameters: how many of them the network determines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Strong correlations, also with exterior orientations: what causes each, and what cannot be one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

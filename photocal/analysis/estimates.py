@@ -1,7 +1,5 @@
 """Estimated parameters with their covariance, and whether they, or groups of them, differ from zero."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -42,7 +40,7 @@ class Estimates:
             )
         return [place[name] for name in wanted]
 
-    def select(self, parameters: Iterable[str]) -> Estimates:
+    def select(self, parameters: Iterable[str]) -> "Estimates":
         """Give some of the parameters; the others stay estimated (marginal covariance)."""
         at = self.indices(parameters)
         return Estimates(tuple(self.names[i] for i in at), self.values[at], self.covariance[np.ix_(at, at)])

@@ -1,7 +1,5 @@
 """Lens models compared: each fitted to the same rays, and judged by images that did not take part."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

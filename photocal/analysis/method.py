@@ -1,7 +1,5 @@
 """Whether a network has the shape that a method of calibration asks for, and what to fly next time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The analysis of a network: everything that can be said of a calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Can these figures of a calibration be what they claim to be? Checks before anything is printed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal

@@ -1,7 +1,5 @@
 """Parameters as a publication or another program prints them: tested, and their components analysed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

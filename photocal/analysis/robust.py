@@ -1,7 +1,5 @@
 """Second opinions on the precision of cameras: images left out, drawn anew, and what the residuals say."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """`[[camera]]`: what a block or a project says of a camera, checked key by key."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from importlib import resources

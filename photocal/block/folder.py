@@ -1,7 +1,5 @@
 """Reading a block folder: block.toml, images, points and observations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,11 +1,9 @@
 """A block: cameras, images, points and their observations, as the surveyor gave them."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -84,7 +82,7 @@ class Images:
         if len(self.exposure) != len(self.names):
             object.__setattr__(self, "exposure", ("",) * len(self.names))
 
-    def some(self, rows: Integers) -> Images:
+    def some(self, rows: Integers) -> "Images":
         """Give those images only."""
         columns: dict[str, Any] = {
             name: tuple(column[k] for k in rows) if isinstance(column, tuple) else column[rows]
@@ -93,7 +91,7 @@ class Images:
         return Images(**columns)
 
     @staticmethod
-    def observed(images: OrientedImages) -> Images:
+    def observed(images: OrientedImages) -> "Images":
         """Take oriented images as observed with their sigmas; free where these are not known."""
         sigma = np.where(np.isfinite(images.sigma), images.sigma, np.inf)
         return Images(images.names, images.camera, images.values, sigma)
@@ -127,13 +125,13 @@ class ObjectPoints:
         """Which points play a role, shape (n,)."""
         return np.asarray(self.role == ROLES.index(role))
 
-    def only(self, chosen: Flags | Integers) -> ObjectPoints:
+    def only(self, chosen: Flags | Integers) -> "ObjectPoints":
         """Give some of the points."""
         names = tuple(self.names[k] for k in np.arange(len(self.names))[chosen])
         cross = None if self.cross is None else self.cross[chosen]
         return ObjectPoints(names, self.values[chosen], self.sigma[chosen], self.role[chosen], cross)
 
-    def with_ties(self, names: tuple[str, ...], values: Floats) -> ObjectPoints:
+    def with_ties(self, names: tuple[str, ...], values: Floats) -> "ObjectPoints":
         """Add tie points behind these; values (n, 3): m, NaN where they are not known."""
         ties = ObjectPoints(names, values)
         return ObjectPoints(
@@ -162,12 +160,12 @@ class Observations:
     values: Floats
     sigma: Floats
 
-    def only(self, chosen: Flags | Integers) -> Observations:
+    def only(self, chosen: Flags | Integers) -> Self:
         """Give some of the observations."""
         columns = ("image", "point", "values", "sigma")
         return replace(self, **{name: getattr(self, name)[chosen] for name in columns})
 
-    def plus(self, image: Integers, point: Integers, values: Floats, sigma: Floats) -> Observations:
+    def plus(self, image: Integers, point: Integers, values: Floats, sigma: Floats) -> Self:
         """Add observations behind these."""
         return replace(
             self,

@@ -1,7 +1,5 @@
 """How images move while a rolling shutter reads them: as given, by the flight, by neighbours, by a prior."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Antenna positions, attitudes and mounting of a block folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

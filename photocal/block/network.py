@@ -1,7 +1,5 @@
 """From a block to the network that is adjusted: units, axes, origin, start values, and what is missing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

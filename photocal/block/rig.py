@@ -1,7 +1,5 @@
 """Cameras fixed to each other, as `[[head]]` of a block names them, and as the network has them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

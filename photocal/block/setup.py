@@ -1,7 +1,5 @@
 """`block.toml`: what the tables of a block folder mean, checked key by key."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat

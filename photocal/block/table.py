@@ -1,7 +1,5 @@
 """Tables of a block folder: read whole, checked cell by cell, every complaint with its line."""
 
-from __future__ import annotations
-
 import codecs
 import re
 from collections.abc import Iterable

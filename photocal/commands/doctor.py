@@ -1,7 +1,5 @@
 """`photocal doctor`, `fetch-grids`: whether this machine is ready, and grids before the trip."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime as dt
 import os

@@ -1,7 +1,5 @@
 """`photocal ortho`, `volume`: orthophotos and mosaics of oriented images, and the volume of a round tank."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast

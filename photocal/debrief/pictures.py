@@ -1,7 +1,5 @@
 """What each picture shows, whether it is sharp and well exposed, and a first orientation by its features."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The debrief: what a flight covers, and what can be said of it while its crew is still in the field."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

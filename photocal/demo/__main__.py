@@ -1,7 +1,5 @@
 """`python -m photocal.demo`: what `make demo` and `make demo-dcs460` run."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Annotated, Any

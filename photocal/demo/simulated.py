@@ -1,7 +1,5 @@
 """`make demo`: a simulated flight recorded over real ports, processed, and compared with its truth."""
 
-from __future__ import annotations
-
 import csv
 import datetime as dt
 import json

@@ -7,8 +7,6 @@ model FULL_OPENCV, whose k4, k5, k6 are zero but for a `rational` lens, or OPENC
 documentation, "Output format" and "Camera models".
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ than ours); interior orientation in mm, signs and lens models as in `dbat_camera
 project's unit, taken as m. A control coordinate without sigma is held. Exterior orientations are left open.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path, PurePosixPath

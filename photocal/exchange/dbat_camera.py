@@ -12,8 +12,6 @@ Source: Boerlin, Murtiyoso, Grussenmeyer, Menna and Nocerino 2019, "Flexible pho
 using modular bundle adjustment", PE&RS 85(5).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ origin that the caller gives; heights are ellipsoidal. Both formats are written 
 reading back into an adjustment.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence

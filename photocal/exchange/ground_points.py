@@ -10,8 +10,6 @@ pitch of -90 is 0 here. Neither states the kind of the heights: that stays with 
 OpenDroneMap documentation, "Ground control points" and "Image geolocation files"; ODM's `compute_opk`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -9,8 +9,6 @@ other in the .ior file, five lines each. Standard deviations in the .obc and
 parameters of the camera were estimated is not in the files: all but A3, C1 and C2 are.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

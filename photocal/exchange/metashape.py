@@ -9,8 +9,6 @@ files give fx, fy and cx, cy from the upper-left corner. Source: Metashape user 
 models".
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement

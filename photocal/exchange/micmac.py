@@ -8,8 +8,6 @@ right, y down, z forward) to object axes, by rows. Source: MicMac documentation,
 residuals in its own <Verif> tables.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 

@@ -6,8 +6,6 @@ camera axes x right, y down, z forward; with k4, k5, k6 and s1 to s4 it is `rati
 zero. Four coefficients beside `distortion_model` equidistant or fisheye are of a fisheye (`equidistant`).
 """
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

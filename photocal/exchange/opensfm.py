@@ -9,8 +9,6 @@ has the rotation vector and translation from object to camera axes. Object space
 `reference_lla`. Source: OpenSfM documentation, "Geometric models" and "Reconstruction format".
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

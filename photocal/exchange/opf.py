@@ -10,8 +10,6 @@ coordinates; tie points of a glTF point cloud are not read. Source: OPF specific
 "Control points".
 """
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ to object axes, by rows. One line an image: `name X Y Z omega phi kappa`, or `na
 r33`. In a map projection X and Y are map coordinates and the angles refer to the map's axes at the image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Putting a block together from what a foreign file holds: names to indices, and nothing twice."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

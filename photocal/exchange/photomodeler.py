@@ -8,8 +8,6 @@ control points in the export are a posteriori: those of the survey come from a t
 mark with sigma 0 (a SmartPoint) has the default of 1 px.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -6,8 +6,6 @@ Standard deviations come from the project's settings: `accuracy_projections` for
 for tie points (px), `accuracy_markers` for markers without their own (m). Nothing is unpacked to disk.
 """
 
-from __future__ import annotations
-
 import struct
 import zipfile
 import zlib

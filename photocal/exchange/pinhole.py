@@ -8,8 +8,6 @@ pixel is (0, 0), as in OpenCV and in this project; each format adds its own half
 Kaehler 2008, Learning OpenCV, ch. 11; Brown 1971.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ middle of the image, y up. Coordinates are those of the output system, in which 
 were Cartesian; so does the block. Source: layouts of real projects, of one full-frame camera and of rigs.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

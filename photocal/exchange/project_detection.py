@@ -1,7 +1,5 @@
 """Which program a folder is from, and the whole project that it holds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What programs pass around: cameras, oriented images, points and measurements; read from a run folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ for all coordinates, two (XY and Z), or three; further columns are ignored. Coor
 coordinate system, accuracies in m. A line before it, `#CoordinateSystem: ...`, names that system.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import re

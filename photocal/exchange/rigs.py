@@ -9,8 +9,6 @@ Pix4D's `params` have no rig. Sources: COLMAP documentation, "Rig Support" and "
 documentation, "Rig"; Metashape Python reference, "Sensor".
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reading other programs' text safely: encodings, line ends, numbers, sizes, and paths that stay inside."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

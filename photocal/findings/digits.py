@@ -1,7 +1,5 @@
 """Numbers as a report prints them: two digits of the standard deviation, no digit more."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

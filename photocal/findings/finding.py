@@ -1,7 +1,5 @@
 """One thing that a check found: what, how grave, about what, with its figures; catalogues have the words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

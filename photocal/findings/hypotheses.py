@@ -4,8 +4,6 @@ Search, names, words, root causes and the page of documentation come from here. 
 its texts: `term.CODE`, `finding.CODE`, perhaps `remedy.CODE`, in both catalogues.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The texts of a language; findings in its words, and as JSON values with those words."""
 
-from __future__ import annotations
-
 import datetime as dt
 import json
 import math

@@ -1,10 +1,8 @@
 """The camera: interior orientation parameters, their roles, and from pixels to the image plane."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -224,7 +222,7 @@ class Camera:
         """Value of one parameter by its name."""
         return float(self.values[PARAMETERS.index(name)])
 
-    def adjusted(self, values: ArrayLike, sigma: ArrayLike, correlation: ArrayLike) -> Camera:
+    def adjusted(self, values: ArrayLike, sigma: ArrayLike, correlation: ArrayLike) -> Self:
         """Return the same camera with adjusted values and what is known of them."""
         return replace(
             self.with_values(values),
@@ -233,11 +231,11 @@ class Camera:
             correlation=np.asarray(correlation, dtype=float),
         )
 
-    def with_values(self, values: ArrayLike) -> Camera:
+    def with_values(self, values: ArrayLike) -> Self:
         """Return the same camera with other parameter values, shape (20,)."""
         return replace(self, values=np.array(values, dtype=float))
 
-    def changed(self, **values: float) -> Camera:
+    def changed(self, **values: float) -> Self:
         """Return the same camera with some values changed by name."""
         return self.with_values([values.get(n, v) for n, v in zip(PARAMETERS, self.values, strict=True)])
 

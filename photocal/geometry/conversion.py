@@ -1,7 +1,5 @@
 """From one camera model to another: exactly where they agree, else by a fit whose residual is stated."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Distortion of whole sets of points: correction and projection."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

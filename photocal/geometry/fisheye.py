@@ -1,7 +1,5 @@
 """Fisheye lenses: the distance from the principal point as a polynomial of the angle off the axis."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

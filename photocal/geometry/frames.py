@@ -4,8 +4,6 @@ Map projections bend straight rays; a block in a coordinate reference system is 
 to topocentric coordinates at its middle, adjusted there, and taken back.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol

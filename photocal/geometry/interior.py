@@ -4,8 +4,6 @@ Fiducial marks or frame corners are known in the image system and read in the ma
 transformation between the two is adjusted over them; its residuals tell how well the marks were read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

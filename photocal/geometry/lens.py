@@ -6,8 +6,6 @@ here. Another model is a function that projects points of camera axes, with its 
 own, a line in `bent` and its entry in `camera.MODELS`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

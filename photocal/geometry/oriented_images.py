@@ -1,10 +1,9 @@
 """Images whose orientation is known: the one class for them, whoever oriented them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,7 +80,7 @@ class OrientedImages:
         """Standard deviations of `values` (rad, m), shape (n, 6); NaN where nothing is said."""
         return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
 
-    def only(self, numbers: Sequence[int] | Integers) -> OrientedImages:
+    def only(self, numbers: Sequence[int] | Integers) -> Self:
         """Give some of the images, in the order of their numbers."""
         chosen = np.asarray(numbers, dtype=np.int64)
         return replace(
@@ -93,7 +92,7 @@ class OrientedImages:
             movement=None if self.movement is None else self.movement[chosen],
         )
 
-    def named(self, names: Sequence[str]) -> OrientedImages:
+    def named(self, names: Sequence[str]) -> "OrientedImages":
         """Give images by their names, NaN and without a camera for those that are not there."""
         number = {name: k for k, name in enumerate(self.names)}
         rows = np.array([number.get(name, -1) for name in names], dtype=np.int64)
@@ -103,7 +102,7 @@ class OrientedImages:
         camera = np.where(lost, -1, np.r_[self.camera, -1][rows])
         return OrientedImages(tuple(names), self.cameras, camera, padded[rows], movement=moved)
 
-    def in_local(self, frame: Frame) -> OrientedImages:
+    def in_local(self, frame: Frame) -> Self:
         """Give the images in local coordinates, without covariance."""
         movement = None if self.movement is None else self.movement.copy()
         if movement is not None:

@@ -1,7 +1,5 @@
 """The rational lens: OpenCV's radial distortion as a quotient of polynomials, with a thin prism."""
 
-from __future__ import annotations
-
 from drivers.arrays import Floats
 from photocal.compiled import inlined
 from photocal.geometry.camera import PARAMETERS

@@ -1,7 +1,5 @@
 """Relative orientation of a pair of images from their common points alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Resection and intersection: the pose of one image from known points, points from known poses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Body axes are forward, right, down; the object frame is X east, Y north, Z up.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

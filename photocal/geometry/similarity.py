@@ -1,7 +1,5 @@
 """Similarity transformation between two systems of places in space."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

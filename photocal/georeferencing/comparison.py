@@ -1,7 +1,5 @@
 """The whole check of a block: three methods side by side, systematic errors, what cannot be separated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

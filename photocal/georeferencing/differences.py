@@ -1,7 +1,5 @@
 """Differences at ground points with the standard deviations that the method predicts for them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

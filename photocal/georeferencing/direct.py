@@ -1,7 +1,5 @@
 """Direct georeferencing from GNSS and inertial unit alone, also line by line, and with a calibration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,7 +47,7 @@ class Calibration:
     mounting: Floats
     covariance: Floats
 
-    def on_flight(self, mounting: Mounting) -> Calibration:
+    def on_flight(self, mounting: Mounting) -> "Calibration":
         """Give the calibration for another flight, whose positions have errors of their own."""
         values, covariance = self.mounting.copy(), self.covariance.copy()
         values[OF_FLIGHT] = mounting.values[OF_FLIGHT]

@@ -1,7 +1,5 @@
 """Experiments: one block with several interior orientations and control patterns, or ever more control."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """What a check of a block found: mistakes and errors under their names, then what follows of them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import permutations, product

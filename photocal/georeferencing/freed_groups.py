@@ -1,7 +1,5 @@
 """Faults of the table in a block: how they are freed, what they become, what a flight cannot separate."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

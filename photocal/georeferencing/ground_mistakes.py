@@ -1,7 +1,5 @@
 """Mistakes of ground points: seen in their tables, or contradicting the others, with the likely slip."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise

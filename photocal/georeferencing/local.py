@@ -1,7 +1,5 @@
 """A block in its own local Cartesian frame, its exteriors as antenna positions and body attitudes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One block georeferenced three ways: direct, as observed or as simulated, integrated, indirect."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """A block's check as JSON (schema `photocal.block-check/2`), as text, and as files."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Space intersection with uncertain exterior orientation: each point alone, by generalised least squares."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

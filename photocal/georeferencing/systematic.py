@@ -6,8 +6,6 @@ the others are tested beside it; after each step what the others make needless i
 imitates a cause gives way to the cause; what explains the same is said with it: the flight cannot tell.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

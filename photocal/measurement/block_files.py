@@ -1,7 +1,5 @@
 """Writing a block folder: what the adjustment reads, in plain tables."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Sequence

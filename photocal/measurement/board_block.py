@@ -1,7 +1,5 @@
 """From images of a calibration board to a block that calibrates their camera."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

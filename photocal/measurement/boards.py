@@ -1,7 +1,5 @@
 """Calibration boards: chessboard and ChArUco, found in an image and measured to a fraction of a pixel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """The measured centre of a target: a place to a fraction of a pixel with its own covariance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -167,7 +165,7 @@ class Look:
         """Even ground around it that may be used, px."""
         return max(_BESIDE_PX, _BESIDE * 1.8 * self.semi_axes[1])
 
-    def smaller(self, factor: float) -> Look:
+    def smaller(self, factor: float) -> "Look":
         """Give the look in an image that is reduced by a factor."""
         return Look(self.kind, self.affine / factor, self.part, self.bend * factor)
 

@@ -1,7 +1,5 @@
 """Features of an image: places that other images show too, with descriptors to recognise them by."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import zipfile
@@ -106,7 +104,7 @@ class Features:
     scale: Floats32
     descriptors: Bytes
 
-    def some(self, index: Integers | Flags) -> Features:
+    def some(self, index: Integers | Flags) -> "Features":
         """Give those features only."""
         return Features(self.pixels[index], self.scale[index], self.descriptors[index])
 

@@ -1,7 +1,5 @@
 """A laboratory's field of coded targets without coordinates: four corners each, and tape distances."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

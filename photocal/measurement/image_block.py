@@ -1,7 +1,5 @@
 """Images and their tie points as a block, alone or with marked control points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

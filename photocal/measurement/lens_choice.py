@@ -1,7 +1,5 @@
 """Which of Brown's two lenses a camera has, and with how many radial terms, where its pictures alone tell."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

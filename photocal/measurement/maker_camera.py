@@ -6,8 +6,6 @@ length in mm goes with the pitch of the FocalPlane tags; of a fisheye the scale 
 Sources: DJI Matrice 4 manual; Pix4D, "XMP tags of cameras".
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Coded markers, ArUco and AprilTag: identity, centre and corners."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

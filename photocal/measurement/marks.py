@@ -1,7 +1,5 @@
 """Marks of points, by hand or found as targets, and control with its marks, as we and others write them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Features and matches of a set of images: cached, on several processes, bounded in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Matches between the features of two images: ratio test, cross check, epipolar geometry."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +9,8 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Bytes, Flags, Floats, Integers
 from photocal.measurement.features import Features
+
+Floats32 = NDArray[np.float32]
 
 # The search reaches so many times farther than the known matches lie off their common homography, and this
 # part of the image at least: between them the ground may rise higher.
@@ -72,8 +72,6 @@ def _moved(homography: Floats, pixels: Floats32) -> Floats:
     ahead = moved[:, 2:] > 0
     return np.where(ahead, moved[:, :2] / np.where(ahead, moved[:, 2:], 1.0), np.nan)
 
-
-Floats32 = NDArray[np.float32]
 
 # So many features at a time: their likenesses fit into the processor's cache.
 _BLOCK = 512

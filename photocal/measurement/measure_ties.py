@@ -1,11 +1,9 @@
 """From a folder of images to a block of tie points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -49,7 +47,7 @@ class Sighted:
     rule: str
     left_out: tuple[dict[str, str], ...]
 
-    def without(self, reasons: Sequence[str]) -> Sighted:
+    def without(self, reasons: Sequence[str]) -> Self:
         """Leave out the images that have a reason; others have an empty one."""
         keep = np.array([not reason for reason in reasons])
         number = np.where(keep, np.cumsum(keep) - 1, -1)

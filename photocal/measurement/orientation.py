@@ -1,7 +1,5 @@
 """Where images are oriented and how well that is known, from whatever stage has come farthest."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

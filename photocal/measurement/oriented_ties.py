@@ -1,7 +1,5 @@
 """From tracks to an oriented block: oriented by features, measured again by matching, adjusted."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

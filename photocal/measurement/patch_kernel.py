@@ -1,7 +1,5 @@
 """Least squares matching of many small patches with one image, compiled."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Each takes its parameters and columns and rows, and gives grey values; place in 
 straight edge blurred by a Gaussian of standard deviation s is erf(d / (s sqrt 2)), d the distance from it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import erf
 

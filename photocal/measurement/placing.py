@@ -4,8 +4,6 @@ The shape of a block comes from its rays; what images say of their positions, wh
 metres, only places it. So a wrong position bends nothing and can be told from the others.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Uncoded targets of control points: found where the exposures predict them, named by where they lie."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace

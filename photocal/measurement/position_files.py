@@ -1,7 +1,5 @@
 """Positions of pictures that stand in a table beside them: an event list, geo.txt, a reference table."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """From a project to its block: tie points, targets and marks in all images."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -101,7 +99,7 @@ def measure_project(
     control = control_points(project)
     by_hand = _marks_by_hand(project, marks_files)
     # What was observed of them stands elsewhere: in the block they are start values.
-    starts = None
+    starts: Images | None = None
     if exposures is not None:
         starts = Images.observed(replace(exposures.images, covariance=None))
     unmarked = not by_hand and not project.control.coded_targets

@@ -1,7 +1,5 @@
 """How a camera turned while it was read, by the gyroscope whose record its pictures carry."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import html

@@ -5,8 +5,6 @@ tie point in one of its images are carried over to all images that should show i
 squares on the full images: the rays become precise, and rays that the features missed are found.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cameras on one frame, recognised by the names of their pictures: which belong to one exposure."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Centres of circles and rings in perspective."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The block that tie points are added to: cameras and images, from what the images say of themselves."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace

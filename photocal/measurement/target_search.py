@@ -1,7 +1,5 @@
 """Uncoded targets of a known look, searched in a part of an image."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What targets look like on paper: filled outlines in mm about their middle, x right, y down."""
 
-from __future__ import annotations
-
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass

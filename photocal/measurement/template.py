@@ -5,8 +5,6 @@ parameters, the centre among them, come with their covariance from the noise tha
 Wrobel 2016, section 13.5 (LS matching with a model in place of the second image).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -44,7 +42,7 @@ class Window:
     y: Floats
     grey: Floats
 
-    def where(self, mask: Flags) -> Window:
+    def where(self, mask: Flags) -> "Window":
         """Keep only some pixels; mask of shape (n,)."""
         return Window(self.middle, self.x[mask], self.y[mask], self.grey[mask])
 

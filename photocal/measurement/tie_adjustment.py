@@ -1,9 +1,7 @@
 """Adjusting a block of tie points robustly: gross errors taken out, sigmas estimated from the residuals."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -63,13 +61,13 @@ class _Ties:
     sigma: Floats
     left_out: tuple[dict[str, str], ...] = ()
 
-    def some(self, rays: Flags) -> _Ties:
+    def some(self, rays: Flags) -> Self:
         """Keep some of the rays, and of those the points with two of them."""
         left = np.bincount(self.tracks.track[rays], minlength=self.tracks.count)
         used = rays & (left >= 2)[self.tracks.track]
         return replace(self, tracks=self.tracks.some(rays), sigma=self.sigma[used])
 
-    def held(self) -> tuple[_Ties, Block]:
+    def held(self) -> tuple[Self, Block]:
         """Points that their rays determine, images that enough of them hold, and both as a block.
 
         Observed positions and angles stay as they were observed.
@@ -88,7 +86,7 @@ class _Ties:
                 return ties, block
             ties = ties.without_few(count)
 
-    def without_few(self, count: Integers) -> _Ties:
+    def without_few(self, count: Integers) -> Self:
         """Take out the images that too few rays hold."""
         few, names = count < FEWEST_RAYS, self.start.images.names
         gone = [

@@ -1,7 +1,5 @@
 """Tie points added to a block, and placed by its oriented images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

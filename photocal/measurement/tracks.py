@@ -1,7 +1,5 @@
 """Tracks: the same place in many images, joined from matches of pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -42,7 +40,7 @@ class Tracks:
         """Number of rays of each track, shape (count,)."""
         return np.bincount(self.track, minlength=self.count)
 
-    def some(self, rays: Flags, fewest: int = 2) -> Tracks:
+    def some(self, rays: Flags, fewest: int = 2) -> "Tracks":
         """Keep some of the rays, and of those the tracks with enough of them; tracks are numbered anew."""
         left = np.bincount(self.track[rays], minlength=self.count)
         keep = rays & (left >= fewest)[self.track]

@@ -1,7 +1,5 @@
 """Rotations of a body at instants: between recorded ones, with rate and covariance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +50,7 @@ class Attitudes:
             [np.arctan2(r[:, 1, 2], r[:, 2, 2]), pitch, np.arctan2(r[:, 0, 1], r[:, 0, 0])], axis=1
         )
 
-    def turned(self, matrix: Floats) -> Attitudes:
+    def turned(self, matrix: Floats) -> "Attitudes":
         """Return the rotations of other axes that are fixed to the body: matrix times rotation."""
         return Attitudes(matrix @ self.rotation, self.rate @ matrix.T, matrix @ self.covariance @ matrix.T)
 

@@ -1,7 +1,5 @@
 """Least squares of GNSS baselines: coordinates of control points, with blunders found and named."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

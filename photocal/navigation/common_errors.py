@@ -1,9 +1,7 @@
 """Errors that all exposures of a flight share: base, lasting multipath, air between base and rover."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -74,7 +72,7 @@ class CommonErrors:
         }
 
     @classmethod
-    def from_json(cls, figures: dict[str, Any]) -> CommonErrors:
+    def from_json(cls, figures: dict[str, Any]) -> Self:
         """Read what `as_json` gave."""
         vectors = ("base_sigma_m", "lasting_sigma_m", "shift_by_zenith_delay")
         given: dict[str, Any] = {

@@ -1,7 +1,5 @@
 """The clocks of a flight against each other: autopilot, recording computer, GNSS receiver."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from typing import Any

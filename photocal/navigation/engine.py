@@ -4,8 +4,6 @@ The engine is RTKLIB 2.4.3 (Takasu and Yasuda 2009) by its programs `convbin` an
 packages them. Its fork demo5 fixes more epochs and, on a rover among trees, 2 % of them wrongly.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from dataclasses import dataclass

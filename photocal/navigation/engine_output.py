@@ -1,9 +1,8 @@
 """What the engine writes: positions, and of each satellite where it stood and what its phase left over."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +57,7 @@ class EngineSolution(Geodetic):
         near = np.minimum(left, right) <= tolerance_ns
         return np.where(near, row, -1)
 
-    def with_quality(self, quality: Integers, covariance_m2: Floats) -> EngineSolution:
+    def with_quality(self, quality: Integers, covariance_m2: Floats) -> Self:
         """Return the same positions with another judgement."""
         return replace(self, quality=quality, covariance_m2=covariance_m2)
 

@@ -1,11 +1,9 @@
 """Moments at which a camera exposed, by whoever noted them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +60,7 @@ class Events:
     def __len__(self) -> int:
         return len(self.time)
 
-    def delayed(self, delay_s: float, sigma_s: float = 0.0) -> Events:
+    def delayed(self, delay_s: float, sigma_s: float = 0.0) -> Self:
         """Return the exposures themselves, `delay_s` after what was noted (trigger, cable, shutter)."""
         # `sigma_s` is the standard deviation of the delay from exposure to exposure.
         shift = round(delay_s * 1e9)

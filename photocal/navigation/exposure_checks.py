@@ -1,7 +1,5 @@
 """Checks of the exposures of a flight: what can be seen at this stage, and what cannot."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Exposures as files: `exposures.csv`, the block's `images.csv`, `geo.txt`, GeoPackage, picture."""
 
-from __future__ import annotations
-
 import datetime as dt
 from pathlib import Path
 from typing import Any

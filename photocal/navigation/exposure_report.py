@@ -1,7 +1,5 @@
 """What a person judges exposures by: figures and sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The whole way from flight logs and images to exposures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any

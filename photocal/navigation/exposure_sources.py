@@ -1,7 +1,5 @@
 """Where events, positions and attitudes of exposures come from, the best source first."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

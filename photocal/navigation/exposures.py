@@ -1,7 +1,5 @@
 """From events to exposures: where the camera was, how it was turned, and how sure that is."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fixed must mean fixed: doubtful fixes become float, and float sigmas become honest."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One flight in one or several logs that follow each other (rotated or resumed recordings), read once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 

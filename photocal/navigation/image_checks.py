@@ -1,7 +1,5 @@
 """Checks of exposures by images: their own tie points, or a block that was adjusted before."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Images of a flight with the times of their own clock: from EXIF and XMP, file names or a table."""
 
-from __future__ import annotations
-
 import csv
 import datetime as dt
 import math

@@ -1,7 +1,5 @@
 """Which image belongs to which event: alignment on the differences of time, never on the order alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

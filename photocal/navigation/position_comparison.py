@@ -1,10 +1,8 @@
 """Positions of exposures against those of another source: which systematic error explains the differences."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy import stats
@@ -178,7 +176,7 @@ class _Model:
         squares = float(residual @ residual + np.sum((weight * found) ** 2))
         return max(squares, 1e-18), x, residual.reshape(self.difference.shape), cofactor
 
-    def moved(self, by_m: Floats) -> _Model:
+    def moved(self, by_m: Floats) -> Self:
         """Return the model of other differences."""
         return replace(self, difference=self.difference - by_m)
 

@@ -1,7 +1,5 @@
 """Post-processed kinematic positioning: from base and rover to a judged trajectory."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,9 +1,8 @@
 """Where base, rover, ephemerides and the base's position come from: a flight log, RINEX files or both."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -54,7 +53,7 @@ class Sources:
     base_sigma_m: Floats | None = None
     weather: Weather | None = None
 
-    def with_base(self, sigma: str | None, weather: str | None) -> Sources:
+    def with_base(self, sigma: str | None, weather: str | None) -> Self:
         """Return the sources with what a person states of the base.
 
         sigma: ``E,N,U``: standard deviations of its position, m.

@@ -1,7 +1,5 @@
 """What a person judges a PPK run by: figures, sentences and a plot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Files that others wrote: RINEX headers, CSRS-PPP's summary, SINEX positions, names of antennas."""
 
-from __future__ import annotations
-
 import datetime as dt
 import difflib
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What a GNSS receiver left in a flight log: observations and ephemerides, in intact frames only."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any

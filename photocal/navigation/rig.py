@@ -1,7 +1,5 @@
 """Camera, antenna and inertial unit beside each other: lever arm, boresight, camera axes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """A control survey: static baselines and precise points computed, adjusted as a network."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

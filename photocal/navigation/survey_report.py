@@ -1,7 +1,5 @@
 """Results of a control survey: points with full covariances, figures, sentences."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Inside the package every time is GPS time in integer nanoseconds. A conversion i
 arithmetic of two different scales is an error of type, for the type checker and at run time.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 from dataclasses import dataclass
 from typing import Any, Self
@@ -72,7 +70,7 @@ class GpsTime(Instants):
     """GPS time, nanoseconds since 1980-01-06 without leap seconds."""
 
     @classmethod
-    def from_week(cls, week: ArrayLike, seconds: ArrayLike) -> GpsTime:
+    def from_week(cls, week: ArrayLike, seconds: ArrayLike) -> Self:
         """Return GPS time of week numbers (not modulo 1024) and seconds of the week."""
         weeks, tow = np.asarray(week), np.asarray(seconds, np.float64)
         bad = (weeks <= 0) | ~((tow >= 0) & (tow <= WEEK_S))
@@ -83,7 +81,7 @@ class GpsTime(Instants):
             )
         return cls(gnsstime.week_to_ns(weeks, tow))
 
-    def to_utc(self) -> UtcTime:
+    def to_utc(self) -> "UtcTime":
         """Convert to UTC."""
         utc = UtcTime(gnsstime.gps_to_utc_ns(self.ns))
         _refuse_expired(utc)

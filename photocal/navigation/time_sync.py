@@ -1,7 +1,5 @@
 """The autopilot's clock and that of the recording computer by TIMESYNC exchanges."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

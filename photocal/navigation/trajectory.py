@@ -1,7 +1,5 @@
 """Positions of an antenna, and between two epochs, with what the interpolation adds to their uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the engine's troposphere leaves over a difference in height: the moist, the warm and the thin air."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

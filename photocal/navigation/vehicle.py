@@ -1,7 +1,5 @@
 """What the autopilot itself recorded: its positions and attitudes, by its own clock."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

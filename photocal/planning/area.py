@@ -1,7 +1,5 @@
 """The area to be flown, and the local plane that it is laid into."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

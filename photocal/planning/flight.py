@@ -1,7 +1,5 @@
 """The whole plan of a flight: camera, heights, overlaps, strips, what they give, and places for control."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The flown block: what each image shows of the ground, overlaps, rays for each place, gaps, tilt, smear."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Files and words about a flown block: tables, a map for QGIS, a picture, and what to tell a person."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

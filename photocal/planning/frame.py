@@ -1,7 +1,5 @@
 """The frame of a camera as planning needs it: flight geometry over level ground, and expected precision."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

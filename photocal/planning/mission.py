@@ -4,8 +4,6 @@ Heights of the items are relative to the take-off place (home), so the differenc
 take-off heights is part of them and both must be known.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ observations are free of errors; its covariance is that of the flight as planned
 model, of the terrain and of the weather are not in it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A planned flight as text and as JSON."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Kernels of the orthophoto: from ground points to image points, and grey values there."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Oriented images of a block folder, and their cameras as the kernels of the orthophoto take them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """From a block, its images and a terrain model in files to an orthophoto in a file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -225,7 +223,7 @@ def write_orthophoto(
 
 def displacement_field(
     right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: Frame, grid: Grid, arrows: int = 25
-) -> Displacement:
+) -> "Displacement":
     """Displacement over a lattice of at most `arrows` points a side within a grid."""
     step = max(grid.columns, grid.rows) * grid.cell / arrows
     x = np.arange(grid.west + step / 2, grid.west + grid.columns * grid.cell, step)

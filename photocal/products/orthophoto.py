@@ -1,7 +1,5 @@
 """Orthophotos: each cell has its grey value from the image with the best nadir; what images cover."""
 
-from __future__ import annotations
-
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

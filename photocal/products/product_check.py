@@ -1,7 +1,5 @@
 """Check points against an orthomosaic and a terrain model: what the products say at surveyed places."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

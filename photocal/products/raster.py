@@ -1,7 +1,5 @@
 """Rasters in files: terrain in pieces, images whole, GeoTIFF out. The only module that calls GDAL."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Sections of a tank: circles of points measured on rings, what they enclose, and the answer in words."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Circles and cylinders through measured points, with the covariance of the points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Terrain: heights on a grid on the ground, with their kind, also from scattered points or contours."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,9 @@ from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.block.table import read_table
 from photocal.geometry.frames import Frame
+
+# a, b, c, d, e, f: X = a column + b row + c, Y = d column + e row + f, from the corner of the first cell.
+Transform = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Grid:
         return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
 
 
-def ground_points(x: Floats, y: Floats, terrain: Terrain, frame: Frame) -> Floats:
+def ground_points(x: Floats, y: Floats, terrain: "Terrain", frame: Frame) -> Floats:
     """Ground points of a window in local coordinates."""
     xs, ys = np.broadcast_to(x, (len(y), len(x))), np.broadcast_to(y[:, None], (len(y), len(x)))
     z = terrain.at(xs, ys)
@@ -70,8 +71,6 @@ Heights = NDArray[np.floating]
 
 # West, south, east, north.
 Bounds = tuple[float, float, float, float]
-# a, b, c, d, e, f: X = a column + b row + c, Y = d column + e row + f, from the corner of the first cell.
-Transform = tuple[float, float, float, float, float, float]
 
 HEIGHT_KINDS = ("ellipsoidal", "orthometric", "local")
 

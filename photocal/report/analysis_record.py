@@ -1,7 +1,5 @@
 """The analysis of a run, made and written for programs as `analysis.json`, by `photocal analyse`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from pathlib import Path

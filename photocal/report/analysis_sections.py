@@ -1,7 +1,5 @@
 """Sections of a certificate about the analysis: hidden errors, significance, correlations, method."""
 
-from __future__ import annotations
-
 import math
 
 from photocal.analysis.outcome import Analysis, CameraAnalysis, Opinions

@@ -1,7 +1,5 @@
 """The analysis of a run for a person at the terminal."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Sections of a certificate about the adjustment as a whole: method, orientations, checks, test, inputs."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """Sections of a certificate about one camera: its parameters, what it does to the image, residuals."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from photocal.adjustment.readout import Readout

@@ -1,7 +1,5 @@
 """The certificate of a calibration: from the results of an adjustment to a printable document."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 

@@ -1,7 +1,5 @@
 """What a certificate says that no adjustment knows: given by a person, in a TOML file, all of it optional."""
 
-from __future__ import annotations
-
 import datetime as dt
 from collections.abc import Mapping
 from pathlib import Path

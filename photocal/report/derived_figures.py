@@ -1,7 +1,5 @@
 """Figures of a calibration flight that run and particulars give together, or that another program printed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

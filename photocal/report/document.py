@@ -1,7 +1,5 @@
 """What a report consists of, and its pages: HTML, and PDF set by typst."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime as dt
 import json

@@ -1,7 +1,5 @@
 """Issuing a certificate: its record for programs, HTML page and PDF, with the inputs of them all."""
 
-from __future__ import annotations
-
 import datetime as dt
 import hashlib
 import json

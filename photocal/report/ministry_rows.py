@@ -1,7 +1,5 @@
 """What fills each row of the ministry's technical report: computed, given, or not determined."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Sections of a certificate that the ministry's report, a laboratory's accreditation and a client ask for."""
 
-from __future__ import annotations
-
 import math
 
 from photocal.findings.digits import as_given, decimals_of, fixed, measured, significant

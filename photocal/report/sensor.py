@@ -1,7 +1,5 @@
 """Image residuals in the image plane of their camera, whatever unit and axes they were observed in."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A run with the analysis that was stored beside it: what a certificate is made of."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

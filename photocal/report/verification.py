@@ -1,7 +1,5 @@
 """Whether every figure of a certificate is what its inputs give: comparison of two certificates."""
 
-from __future__ import annotations
-
 import datetime as dt
 import re
 import tempfile

@@ -1,7 +1,5 @@
 """The result of an adjustment, made of the block, its network and the solution."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import time

@@ -1,7 +1,5 @@
 """Tables of a run folder that are made when they are asked for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The files that a run was made from: found again by their hashes, and carried by a certificate."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,12 +1,10 @@
 """The result of an adjustment: cameras, oriented images, points, residuals and what they are worth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -205,11 +203,11 @@ class Residuals:
         return len(self.image)
 
     @cached_property
-    def accepted(self) -> Residuals:
+    def accepted(self) -> Self:
         """Those that took part."""
         return self.only(np.flatnonzero(np.isfinite(self.residual).all(axis=1)))
 
-    def only(self, chosen: Integers) -> Residuals:
+    def only(self, chosen: Integers) -> Self:
         """Give some of the observations."""
         columns = ("image", "point", "measured", "residual", "redundancy", "standardised")
         return replace(self, **{name: getattr(self, name)[chosen] for name in columns})

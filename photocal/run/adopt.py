@@ -1,7 +1,5 @@
 """`photocal adopt`: the project of another program adjusted anew, and side by side what both say."""
 
-from __future__ import annotations
-
 import datetime as dt
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Stage `block`: what was measured in the images and what GNSS and inertial unit observed, in one folder."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

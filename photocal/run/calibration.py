@@ -1,7 +1,5 @@
 """Stages `calibration`, `analysis`, `certificate`: the integrated adjustment, what it hides, its document."""
 
-from __future__ import annotations
-
 import datetime as dt
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The stages of a project in their order; several projects, on several processes or on a cluster."""
 
-from __future__ import annotations
-
 import datetime as dt
 import sys
 from collections.abc import Callable, Sequence

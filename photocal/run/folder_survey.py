@@ -1,7 +1,5 @@
 """What lies in the folder of a flight: pictures, control, marks, logs, and projects of other programs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

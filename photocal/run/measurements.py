@@ -1,7 +1,5 @@
 """Stage `measurements`: tie points, targets and marks in the images, or observations that were given."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Collection

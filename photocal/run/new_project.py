@@ -1,7 +1,5 @@
 """`photocal new`: a commented project file of what a folder has, and what is missing."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

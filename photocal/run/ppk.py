@@ -1,7 +1,5 @@
 """Stage `ppk`: the trajectory of the rover's antenna."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

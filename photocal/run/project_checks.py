@@ -5,8 +5,6 @@ them says least. So coordinates are compared here with each other, and where the
 are tried one by one: the one that makes them agree is named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One stage of a run: made whole in its folder, and not again while nothing it depends on changes."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib

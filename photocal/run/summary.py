@@ -1,7 +1,5 @@
 """What a run has found: doubts of its stages in one list, and all of it on one screen and as JSON."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence

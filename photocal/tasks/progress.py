@@ -1,7 +1,5 @@
 """How far longer work is: a title and an amount give a context in which the work done is told."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 

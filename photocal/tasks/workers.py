@@ -1,7 +1,5 @@
 """Pieces of work on several processes or machines, in the order they were given, few in memory at a time."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import tempfile
@@ -24,7 +22,7 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def run_tasks(
-    function: Callable[[Task], Result], tasks: Iterable[Task], workers: Workers
+    function: Callable[[Task], Result], tasks: Iterable[Task], workers: "Workers"
 ) -> Iterator[Result]:
     """Do a piece of work for each task.
 

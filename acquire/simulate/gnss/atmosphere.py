@@ -1,8 +1,7 @@
 """Delays of the atmosphere: an ionospheric layer with waves, and a standard troposphere."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -48,7 +47,7 @@ class Atmosphere:
     longitude: float = 0.0
 
     @classmethod
-    def by_chance(cls, settings: SkySettings, rng: np.random.Generator, longitude: float = 0.0) -> Atmosphere:
+    def by_chance(cls, settings: SkySettings, rng: np.random.Generator, longitude: float = 0.0) -> Self:
         """Draw the waves and the wet delay around a longitude (rad)."""
         length = rng.uniform(150e3, 400e3, 3)
         course = rng.uniform(0, 2 * np.pi, 3)

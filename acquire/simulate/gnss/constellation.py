@@ -1,7 +1,5 @@
 """A sky of GPS and Galileo satellites by chance, with parameters of the size that real messages have."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ that these integers stand for, so that a receiver of the message works with the 
 Sources: IS-GPS-200N, tables 20-I and 20-III; Galileo OS SIS ICD 2.1, tables 63 to 67 (I/NAV).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,9 +1,8 @@
 """What lies between a satellite and an antenna: range, its rate, direction."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -26,7 +25,7 @@ class Antenna:
     velocity: Path
 
     @classmethod
-    def still(cls, ecef_m: Floats) -> Antenna:
+    def still(cls, ecef_m: Floats) -> Self:
         """Return an antenna that does not move, at float64 (3,)."""
         place = np.array(ecef_m, np.float64)
         return cls(lambda t: np.tile(place, (len(t), 1)), lambda t: np.zeros((len(t), 3)))

@@ -1,7 +1,5 @@
 """RTCM 3 of a base station: observations (MSM7), its place, receiver and what it announces."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ Sources: IS-GPS-200N, figures 20-1 (subframes), 20-2 (TLM and HOW), sections 20.
 (parity); Galileo OS SIS ICD 2.1, sections 4.3.2 (pages), 4.3.4 (sequence), 4.3.5 (words) and 5.1.9.4 (CRC).
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

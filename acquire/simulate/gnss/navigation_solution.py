@@ -3,8 +3,6 @@
 Source: u-blox F9 HPG 1.32 interface description, NAV-PVT and NAV-SVIN.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import struct
 from collections.abc import Iterator

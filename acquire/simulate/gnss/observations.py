@@ -1,7 +1,5 @@
 """What a receiver measures: code, phase, Doppler and signal strength of every signal in view."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

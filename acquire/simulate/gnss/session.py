@@ -1,7 +1,5 @@
 """A session: rover and base under one sky, and the streams that they send."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

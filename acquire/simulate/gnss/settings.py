@@ -1,7 +1,5 @@
 """What can be set: the sky, the receivers and what goes wrong."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 # Exact by definition (SI) and by IS-GPS-200N table 20-IV, Galileo OS SIS ICD 2.1 table 66.

@@ -1,7 +1,5 @@
 """What receivers put on the wire: frames with the moments at which they are sent."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Source: u-blox F9 HPG 1.32 interface description, TIM-TM2.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 Every observation of the folder carries just the noise that it states.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -109,7 +107,7 @@ def telemetry_gap(world: World) -> tuple[float, float]:
     return middle - half, middle + half
 
 
-def write_targets(world: World, notes: FieldBook, path: Path, names: Sequence[str]) -> None:
+def write_targets(world: World, notes: "FieldBook", path: Path, names: Sequence[str]) -> None:
     """Write a table of points: targets as they were surveyed, all others as tie points."""
     sigma = ",".join(f"{s:g}" for s in world.configuration.targets.sigma_m)
     surveyed = zip(world.targets.names, notes.control, world.targets.roles, strict=True)

@@ -1,7 +1,5 @@
 """The true camera: projection in OpenCV's terms, its inverse, and the same in the terms of a certificate."""
 
-from __future__ import annotations
-
 from typing import Annotated, Self
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The configuration of a simulated flight (TOML)."""
 
-from __future__ import annotations
-
 import datetime as dt
 from enum import StrEnum
 from pathlib import Path

@@ -1,7 +1,5 @@
 """When and from where the pictures are taken: events, exposures, the rig between body, camera and antenna."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Image observations without pictures: targets and tie points with noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures as files: JPEG with what the camera writes into EXIF, and XMP of the gimbal where there is one."""
 
-from __future__ import annotations
-
 import datetime as dt
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

@@ -5,8 +5,6 @@ so smooth that this moves nothing by a thousandth of a pixel. (Straight lines be
 patches of the ground by some hundredths, all alike where the lens is: a calibration feels that.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -46,7 +44,7 @@ class Ground:
     colour: Bytes
     half_m: float
 
-    def softened(self, seen_m: float) -> Ground:
+    def softened(self, seen_m: float) -> "Ground":
         """Give the ground without detail finer than a pixel of `seen_m` on the ground can show."""
         import cv2
 

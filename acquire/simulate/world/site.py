@@ -1,7 +1,5 @@
 """The two folders of a simulated flight: what a surveyor brings home, and the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The streams of the three devices of a flight: autopilot, rover, base."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the autopilot sends: its filter's view of the flight, by its own clock, as MAVLink messages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Fractal relief: a random surface, smooth to its second derivative."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """The truth of a simulated flight, written aside: nothing that is processed refers to it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole of a simulated flight before any device looks at it."""
 
-from __future__ import annotations
-
 import datetime as dt
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What the kernels read and keep: network, values, structure, and what elimination leaves."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from drivers.arrays import Floats, Integers

@@ -1,7 +1,5 @@
 """Normal equations of the rays, the points eliminated as they pass."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One ray, one point, one element: what every pass is made of."""
 
-from __future__ import annotations
-
 from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Structure, Values, columns, plain
 from photocal.compiled import inlined

@@ -1,7 +1,5 @@
 """Reduced normal equations without some images: what their points give is taken back and given anew."""
 
-from __future__ import annotations
-
 from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.elimination import own_block

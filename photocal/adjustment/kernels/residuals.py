@@ -1,7 +1,5 @@
 """Residuals of all rays."""
 
-from __future__ import annotations
-
 from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Values, width
 from photocal.adjustment.kernels.ray import ray_rows

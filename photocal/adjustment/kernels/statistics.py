@@ -1,7 +1,5 @@
 """Covariance of the points and redundancy numbers of the rays."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

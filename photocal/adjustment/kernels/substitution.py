@@ -1,7 +1,5 @@
 """From the reduced system back to the points, and from the points to the reduced system."""
 
-from __future__ import annotations
-
 from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, columns
 from photocal.compiled import compiled, each_piece

@@ -1,8 +1,7 @@
 """What start values are made from: the rays as directions, and who saw what."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -53,12 +52,12 @@ class Bearings:
         seen = csr_array((ones, (self.rays.image, self.rays.point)), shape=(self.images, self.points))
         return csr_array(seen @ seen.T)
 
-    def some(self, rays: Flags) -> Bearings:
+    def some(self, rays: Flags) -> Self:
         """Keep some of the rays."""
         own = Rays(*(column[rays] for column in vars(self.rays).values()))
         return replace(self, rays=own, slopes=self.slopes[rays])
 
-    def by(self, cameras: tuple[Camera, ...]) -> Bearings:
+    def by(self, cameras: tuple[Camera, ...]) -> Self:
         """Undistort the rays anew by better cameras."""
         return replace(self, cameras=cameras, slopes=_slopes(cameras, self.camera_of, self.rays))
 

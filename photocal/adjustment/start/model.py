@@ -1,7 +1,5 @@
 """A model: images oriented to each other, their cameras, and the points where their rays meet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

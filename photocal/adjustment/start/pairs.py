@@ -1,7 +1,5 @@
 """The first pair of a model: two images that see much of the same from different places."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

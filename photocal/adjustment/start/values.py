@@ -1,7 +1,5 @@
 """Start values of a block without exterior orientation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The file of cameras to compare: `[[camera]]` entries as in block.toml, with sigmas and correlations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

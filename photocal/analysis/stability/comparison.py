@@ -1,7 +1,5 @@
 """Every pair of calibrations by every method, with the uncertainty of each figure and what it means."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Calibrations as bundles of rays, and the four ways of comparing two of them, each as a misfit on a grid."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """How a camera, or cameras on a frame, repeat from flight to flight: variance, trends, a future use."""
 
-from __future__ import annotations
-
 import datetime as dt
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Findings about cameras: extra parameters, assumed sigma, bias of c, significance, stability."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivers.arrays import Floats

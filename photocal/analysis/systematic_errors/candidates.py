@@ -1,7 +1,5 @@
 """What may be wrong with measured image coordinates: a field for each suspicion, its test, and drifts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What a search found: worst first, each with its figure and its effect."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

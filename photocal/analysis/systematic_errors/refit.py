@@ -1,7 +1,5 @@
 """Adjusting a network again with something changed or a parameter left out, starting where it already was."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar

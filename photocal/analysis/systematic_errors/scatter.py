@@ -1,7 +1,5 @@
 """Where residuals scatter more than elsewhere, or point the same way: images, axes, places on the sensor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

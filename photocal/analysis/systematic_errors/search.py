@@ -1,7 +1,5 @@
 """The search: the most significant error is corrected, then the next is looked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What observed positions, those of a strip, or the rays of one image have in common: shifts and scales."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Cameras are held, images keep what is known of their exterior orientation as obs
 substitute for the adjustment of the block, where tie points and free cameras take part.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What is marked: the pictures of one folder, the points, and what is known of the images' orientation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the page for marking asks and does."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor

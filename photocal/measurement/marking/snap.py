@@ -1,7 +1,5 @@
 """From a click to the centre of the target beneath it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

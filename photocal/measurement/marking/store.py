@@ -1,7 +1,5 @@
 """Marks on disk: every change is saved before it is answered, and can be taken back."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Iterable
