@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
-import re
 from functools import cached_property
 from pathlib import Path
 from types import FunctionType
@@ -53,8 +53,12 @@ _DESCRIBED = (property, cached_property, FunctionType)
 
 
 def _signature(thing: object) -> str:
-    text = str(inspect.signature(thing))  # type: ignore[arg-type]
-    return re.sub(r"'", "", text)
+    """As it is written: evaluated annotations do not show the names of what they are."""
+    definition = ast.parse(inspect.getsource(thing)).body[0]  # type: ignore[arg-type]
+    assert isinstance(definition, ast.FunctionDef)
+    assert definition.returns is not None
+    arguments = ast.unparse(definition.args).replace("=", " = ")
+    return f"({arguments}) -> {ast.unparse(definition.returns)}"
 
 
 def main() -> None:
