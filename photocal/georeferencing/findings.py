@@ -104,13 +104,21 @@ def named(errors: tuple[SystematicError, ...]) -> list[Finding]:
         if error.found.gain < limit:
             continue
         finding = _named(error)
-        fall = error.found.gain - _UNKNOWN * (error.found.unknowns - 1)
-        finding = replace(finding, figures={**finding.figures, "fall": fall})
+        finding = replace(finding, figures={**finding.figures, "fall": _fall(error.found)})
         if minor and error is gravest:
             figures = {**finding.figures, "minor": minor}
             finding = replace(finding, figures=figures, clauses=(*finding.clauses, "left-over"))
         listed.append(finding)
     return listed
+
+
+def _fall(found: Hypothesis) -> float:
+    """Fall of v'Pv, less what unknowns gain: of a shift, a height alone is one and two are chance."""
+    known = fault(found.name)
+    of_block = known is not None and known.each == "block"
+    needed = sum(one.significant for one in found.estimates) if of_block else found.unknowns
+    needed = max(needed, 1)
+    return found.gain - _UNKNOWN * (needed - 1) - (found.unknowns - needed)
 
 
 def _named(error: SystematicError) -> Finding:

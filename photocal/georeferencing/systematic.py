@@ -102,8 +102,13 @@ def _fit(solution: Shared, estimates: dict[str, tuple[Estimate, ...]], moved: di
     return Fit(solution.chi_squared, solution.degrees_of_freedom, c, sigma, estimates, moved)
 
 
-def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hypothesis:
-    """Test a fault."""
+def compare(
+    name: str, before: Fit, after: Fit, unknowns: int, tests: int, stated: Fit | None = None
+) -> Hypothesis:
+    """Test a fault.
+
+    stated: the block as it was stated, where other standard deviations agree with the residuals.
+    """
     gain = max(before.chi_squared - after.chi_squared, 0.0)
     # As many weak observations as unknowns came in: the degrees of freedom are those of the data.
     freedom = max(before.degrees_of_freedom - unknowns, 1)
@@ -111,22 +116,27 @@ def compare(name: str, before: Fit, after: Fit, unknowns: int, tests: int) -> Hy
     # Rays that are better than stated make positions and what was measured of the mounting no better.
     f = gain / unknowns / max(factor, 1.0)
     critical = float(stats.f(unknowns, freedom).ppf(1.0 - SIGNIFICANCE / tests))
-    on_c = _moved_surely(before, after)
+    on_c = _moved_surely(before, after, stated or before)
     estimates, moved = after.estimates[name], after.moved[name]
     return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, estimates, moved, on_c)
 
 
-def _moved_surely(before: Fit, after: Fit) -> float:
+def _moved_surely(before: Fit, after: Fit, stated: Fit) -> float:
     """The largest change of a principal distance that is sure, in its standard deviations before.
 
-    What was freed costs precision, and may move c by as much (Hausman 1978).
+    What was freed costs precision, and may move c by as much (Hausman 1978). Where smaller sigmas of
+    positions agree with the residuals, c is judged as it was stated: errors of GNSS that stay alike for
+    minutes scatter less than they are large, and drag c along.
     """
     # A second camera has a second c: what it does is judged by itself.
     count = len(before.c)
     change = np.abs(after.c[:count] - before.c)
     spread = np.sqrt(np.maximum(after.sigma_c[:count] ** 2 - before.sigma_c**2, 0.0))
     told = (before.sigma_c > 0.0) & (change > stats.norm.isf(SIGNIFICANCE / 2.0) * spread)
-    return float(np.max(np.divide(change, before.sigma_c, out=0.0 * change, where=told)))
+    wider = stated.sigma_c > before.sigma_c
+    moved = np.where(wider, np.abs(after.c[:count] - stated.c), change)
+    sigma = np.maximum(stated.sigma_c, before.sigma_c)
+    return float(np.max(np.divide(moved, sigma, out=0.0 * change, where=told)))
 
 
 def most_probable(
@@ -214,11 +224,12 @@ def systematic_errors(
     block: Block, done: Callable[[], None] = lambda: None, table: tuple[Fault, ...] = FAULTS
 ) -> SystematicErrors:
     """Look for systematic errors of the georeference, the faults of a table."""
-    sigmas, stated = list[GroupTest](), stated_of_positions(block)
+    sigmas, stated, of_c = list[GroupTest](), stated_of_positions(block), list[Fit]()
     while True:
         first = adjust(assemble(block).network)
         done()
-        search = _Search(block, first, np.maximum(stated, stated_of_positions(block)), done, table)
+        search = _Search(block, first, np.maximum(stated, stated_of_positions(block)), done, table, *of_c[:1])
+        of_c.append(search.first)
         alone = search.beside(())
         # An error competes by what it gains, less the logarithm of the observations for each unknown.
         unknown = math.log(first.observations)
@@ -265,9 +276,11 @@ class _Search:
         stated: Floats,
         done: Callable[[], None],
         table: tuple[Fault, ...],
+        as_stated: Fit | None = None,
     ) -> None:
         self._block, self._first, self._stated, self._done = block, first, stated, done
-        self._fits = {frozenset[str](): _fit(_shared(first), {}, {})}
+        self.first = _fit(_shared(first), {}, {})
+        self._fits, self._as_stated = {frozenset[str](): self.first}, as_stated
         self._change = best_change(block, first, table)
         # A second camera is made of the first one, so it stands before what is freed in both.
         self._faults = {cause.code: cause for cause in faults_of(block, self._change, table)}
@@ -324,7 +337,7 @@ class _Search:
                 self.refused[name] = refusal.what
             return None
         unknowns = unknowns_of(self._block, self._faults[name], after.estimates[name])
-        return compare(name, before, after, unknowns, len(self._faults))
+        return compare(name, before, after, unknowns, len(self._faults), self._as_stated)
 
     def _fit(self, groups: frozenset[str]) -> Fit:
         if groups not in self._fits:

@@ -24,6 +24,8 @@ CONTRADICTED = 4.0
 _JUDGED_FROM_PERCENT = 200.0 / 3.0
 # What else looks like what the search for systematic errors blames: told instead of it.
 _EXCUSES = ("rolling-shutter", "c-drift", "ppk-not-fixed")
+# Falls of v'Pv that are this close do not tell two causes apart (Akaike 1974).
+_AS_GOOD = 10.0
 _ORDER = ("refused", "grave", "doubtful", "consequence", "note")
 _NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
 
@@ -91,6 +93,7 @@ def causes_first(
     no more than the observations need; here the other stages come in: what positions without fixed
     ambiguities contradict, or images whose rows are not of one moment, is no proof against base, antenna,
     lever arm or zoom. Unless the search explains more than what would excuse it: then that is what follows.
+    Where both explain as much, the one is told with the other: the flight cannot tell.
     """
     findings = tuple(given)
     codes = {finding.code for finding in findings}
@@ -103,13 +106,15 @@ def causes_first(
             for finding in findings
             if finding.stage == "georeferencing" and finding.code in excuse.imitates
         ]
-        behind = [
-            finding for finding in findings if finding.code == excuse.code and _explains_less(finding, alike)
-        ]
+        excuses = [finding for finding in findings if finding.code == excuse.code]
+        behind = [one for one in excuses if any(_beyond(other, one) > _AS_GOOD for other in alike)]
         if behind:
             findings = tuple(replace(f, severity="consequence") if f in behind else f for f in findings)
         else:
-            findings = tuple(_not_judged(f, excuse.code) if f in alike else f for f in findings)
+            findings = tuple(
+                _not_judged(f, excuse.code) if f in alike else _with_rivals(f, alike) if f in excuses else f
+                for f in findings
+            )
     codes = {finding.code for finding in findings}
     symptoms = {code for one in table if one.code in codes for code in one.symptoms}
     findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
@@ -117,11 +122,18 @@ def causes_first(
     return tuple(sorted(findings, key=lambda one: order.index(kind(one))))
 
 
-def _explains_less(excuse: Finding, others: Sequence[Finding]) -> bool:
-    """Whether it lowers v'Pv of the same observations by less than what it would excuse."""
-    fall = excuse.figures.get("fall")
-    gains = [gain for other in others if isinstance(gain := other.figures.get("fall"), float)]
-    return isinstance(fall, float) and max(gains, default=0.0) > fall
+def _beyond(one: Finding, excuse: Finding) -> float:
+    """By how much more it lowers v'Pv of the same observations than what would excuse it; NaN if unknown."""
+    ours, others = one.figures.get("fall"), excuse.figures.get("fall")
+    return ours - others if isinstance(ours, float) and isinstance(others, float) else math.nan
+
+
+def _with_rivals(excuse: Finding, others: Sequence[Finding]) -> Finding:
+    """The same, with what explains the observations as well as it does."""
+    rivals = tuple(dict.fromkeys(one.code for one in others if abs(_beyond(one, excuse)) <= _AS_GOOD))
+    if not rivals:
+        return excuse
+    return replace(excuse, figures={**excuse.figures, "same": rivals}, clauses=(*excuse.clauses, "same"))
 
 
 def _not_judged(finding: Finding, cause: str) -> Finding:

@@ -75,6 +75,8 @@ class Processed:
         What a person saw: the summary, or what stood before the refusal.
     warnings, consequences : tuple of str
         Their codes, each once.
+    rivals : tuple of str
+        Codes from which the warnings say that the flight cannot tell them.
     certificate : str or None
         All that the certificate says in its two forms; None when there is none.
     """
@@ -82,6 +84,7 @@ class Processed:
     shown: str
     warnings: tuple[str, ...]
     consequences: tuple[str, ...]
+    rivals: tuple[str, ...]
     certificate: tuple[str, str] | None
 
 
@@ -109,12 +112,13 @@ def _processed(fault: Fault | None, seed: int, sizes: dict[str, Any]) -> Process
             if (project.parent / "work" / "certificate").exists():
                 raise AssertionError("a certificate of a run that failed") from refusal
             told = [(line[1], line[2]) for line in lines if len(line) == 4]
-            return Processed(said.getvalue(), *_codes(told), None)
+            return Processed(said.getvalue(), *_codes(told), (), None)
         told = [(one["kind"], one["code"]) for one in figures["warnings"]]
         folder = project.parent / "work" / "certificate"
         record = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
         page = html.unescape((folder / "certificate.html").read_text(encoding="utf-8"))
-        return Processed(summary_text(figures), *_codes(told), forms(record, page))
+        rivals = _rivals([one for one in figures["warnings"] if one["kind"] == "warning"])
+        return Processed(summary_text(figures), *_codes(told), rivals, forms(record, page))
 
 
 def forms(record: dict[str, Any], page: str) -> tuple[str, str]:
@@ -131,6 +135,14 @@ def _codes(told: list[tuple[str, str]]) -> tuple[tuple[str, ...], tuple[str, ...
         for wanted in ("warning", "consequence")
     )
     return warnings, consequences
+
+
+def _rivals(warnings: list[dict[str, Any]]) -> tuple[str, ...]:
+    """What is told to explain the observations as well; a step of c is a change of the camera."""
+    told = [code for one in warnings for code in one["figures"].get("same", ())]
+    steps = [name for one in warnings for name in one["figures"].get("alike", ()) if "c-step" in name]
+    changed = steps or any("or-change" in one["clauses"] for one in warnings)
+    return tuple(dict.fromkeys([*told, *["camera-change"] * bool(changed)]))
 
 
 def others(flights: list[Processed], name: str) -> tuple[str, str]:
@@ -166,7 +178,7 @@ def size_row(fault: Fault, size: str, flight: Processed) -> str:
         ", ".join(code for code in codes if code != name) or "-"
         for codes in (flight.warnings, flight.consequences)
     )
-    named = "yes" if name in flight.warnings else "no"
+    named = "yes" if name in flight.warnings else "as a rival" if name in flight.rivals else "no"
     cells = [fault.value, size, f"`{name}`", named, causes, consequences]
     return "| " + " | ".join(cells) + " |"
 
@@ -190,7 +202,8 @@ def page(rows: list[str], sized: list[str]) -> list[str]:
         "## From what size on",
         "",
         f"The same faults, larger and smaller, seed {SIZE_SEED}. Control points have sigmas of 8 mm in",
-        "plane and 12 mm in height, the lever arm 10 mm, the time offset 5 ms.",
+        "plane and 12 mm in height, the lever arm 10 mm, the time offset 5 ms. As a rival: the flight cannot",
+        "tell it from the cause that is told, and that is said with it.",
         "",
         "| fault | size | name | named | other causes | consequences |",
         "|---|---|---|---|---|---|",
@@ -201,7 +214,8 @@ def page(rows: list[str], sized: list[str]) -> list[str]:
 def _read(told: dict[str, Any]) -> Processed:
     """What was processed, as it stood in a tally."""
     certificate = told["certificate"] and tuple(told["certificate"])
-    return Processed(told["shown"], tuple(told["warnings"]), tuple(told["consequences"]), certificate)
+    warnings, consequences, rivals = (tuple(told[key]) for key in ("warnings", "consequences", "rivals"))
+    return Processed(told["shown"], warnings, consequences, rivals, certificate)
 
 
 def main() -> None:

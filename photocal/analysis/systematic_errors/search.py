@@ -62,7 +62,8 @@ _STEPS, _NEAR = 5, 0.005
 # Candidates count as alike when their displacements are this parallel and their F this close.
 ALIKE = 0.9
 # A step has its place beside its size, the best of several: it must explain so much more than a drift, in F.
-STEP_ADVANTAGE = 6.0
+# Where neither explains so much more than the other (Akaike 1974), the flight does not tell them apart.
+STEP_ADVANTAGE, _AS_GOOD = 6.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]
     significant = [one for one in tested if max(one.p_value, one.by_images) < level]
     for one in sorted(significant, key=lambda one: -one.statistic):
         worst = _step_or_drift(last, one)
-        alike = tuple(
+        alike = worst.alike + tuple(
             other.candidate.name
             for other in significant
             if other is not worst
@@ -211,12 +212,15 @@ def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]
 
 
 def _step_or_drift(last: Fit, drift: ExtraParameter) -> ExtraParameter:
-    """A step of c in place of a drift of it, where it explains so much more."""
+    """A step of c in place of a drift of it, where it explains so much more; else beside it, if as much."""
     if drift.candidate.kind != "c-drift":
         return drift
     steps = steps_of_c(last.network, last.state, last.computed, drift.candidate.camera)
     best = max(estimated_amounts(last, steps), key=lambda one: one.statistic, default=drift)
-    return best if best.statistic > drift.statistic + STEP_ADVANTAGE else drift
+    if best.statistic > drift.statistic + STEP_ADVANTAGE:
+        return best
+    as_good = best is not drift and best.statistic > drift.statistic - _AS_GOOD
+    return replace(drift, alike=(best.candidate.name,)) if as_good else drift
 
 
 def _parallel(last: Fit, one: ExtraParameter, other: ExtraParameter) -> bool:

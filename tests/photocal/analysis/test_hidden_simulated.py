@@ -239,6 +239,8 @@ def test_a_principal_distance_that_changes_within_the_flight_is_named(shape: str
     fitted = fit(network)
     first = findings(search(fitted))[0]
     assert first.code == code
+    # 0.3 % are told apart; a fortieth of it are not.
+    assert not first.figures["alike"]
     assert abs(sized(first).figure - 0.003 * aerial.LENS["c"]) < 4 * (sized(first).sigma or 0.0)
     c = within_flight(fitted, 0)[0]
     assert c.p_value < 1e-4

@@ -15,9 +15,16 @@ from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import Fault
 from photocal.findings.texts import catalogue, finding_text
 from photocal.georeferencing.findings import named, separation_findings
-from photocal.georeferencing.freed_groups import separation
+from photocal.georeferencing.freed_groups import Estimate, separation
 from photocal.georeferencing.local import with_attitude_angles
-from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
+from photocal.georeferencing.systematic import (
+    Fit,
+    Hypothesis,
+    SystematicError,
+    SystematicErrors,
+    compare,
+    systematic_errors,
+)
 from photocal.run.summary import causes_first
 from tests.photocal.findings.english import english
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
@@ -132,6 +139,36 @@ def test_strips_that_jump_are_an_error_beyond_what_is_stated_of_each_position(
     (strips,) = [one for one in found.tested if one.name == "strip-shifts"]
     assert strips.significant
     assert [error.found.name for error in found.errors] == named
+
+
+def test_c_is_judged_as_it_was_stated_where_smaller_sigmas_of_positions_agree() -> None:
+    """A rendered flight: heights 11 mm stated, 6.8 mm wrong, 2.5 mm of it within strips; c 8.8235."""
+
+    def adjusted(chi_squared: float, freedom: int, c: float, sigma: float) -> Fit:
+        return Fit(chi_squared, freedom, np.array([c]), np.array([sigma]), {"strips": ()}, {"strips": 1.07})
+
+    before, after = adjusted(98068.0, 98268, 8.827258, 0.000637), adjusted(97969.0, 98268, 8.822734, 0.000975)
+    alone = compare("strips", before, after, 21, 7)
+    assert alone.on_c == pytest.approx(7.1, abs=0.05)
+    beside = compare("strips", before, after, 21, 7, stated=adjusted(97953.0, 98268, 8.824190, 0.000929))
+    assert beside.on_c == pytest.approx(1.57, abs=0.01)
+    # Larger sigmas than stated make it no surer.
+    narrow = compare("strips", before, after, 21, 7, stated=adjusted(98268.0, 98268, 8.824190, 0.000300))
+    assert narrow.on_c == alone.on_c
+
+
+def test_a_height_alone_pays_for_one_unknown() -> None:
+    """An antenna 0.1 m low explains 32.7 as a shift, 0.4 of it in plane; a drift of c, one unknown, 18."""
+    shift = (("x", -0.0029, 0.006), ("y", -0.0003, 0.003), ("z", -0.099, 0.0167))
+    estimates = tuple(
+        Estimate(f"shift_{axis}", "m", value, value, sigma, value / sigma, axis == "z")
+        for axis, value, sigma in shift
+    )
+    found = Hypothesis("datum-shift", 32.7, 1.0, 3, 10.9, 6.7, True, estimates, 8.7, 5.3)
+    (finding,) = named((SystematicError(found, ()),))
+    assert finding.code == "antenna-height"
+    # What is no more than chance in plane gains one for each unknown.
+    assert finding.figures["fall"] == pytest.approx(30.7)
 
 
 def test_vertical_lever_arm_is_said_to_be_like_a_height_datum(flown: Flown) -> None:

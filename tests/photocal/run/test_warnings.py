@@ -116,3 +116,18 @@ def test_what_explains_more_is_not_excused(tmp_path: Path) -> None:
 
     assert blamed(135.0) == {"antenna-height": "warning", "c-drift": "consequence"}
     assert blamed(60.0) == {"c-drift": "warning", "not-judged": "consequence"}
+
+
+@pytest.mark.parametrize(("fall", "rival"), [(18.4, True), (27.0, True), (5.0, False)])
+def test_what_explains_as_much_is_told_beside_a_drift_of_c(tmp_path: Path, fall: float, rival: bool) -> None:
+    """A zoom of 0.05 % looks like a lever arm and like a drift of c: 18.4 and 17.8 of v'Pv."""
+    lever = told("lever-arm", severity="grave")
+    lever["findings"][0]["figures"] = {"fall": fall, "numbers": ("lever_arm_z +0.078",)}
+    drift = told("c-drift", severity="grave")
+    drift["findings"][0]["figures"] = {"fall": 17.8, "camera": "a", "figure": 0.006, "sigma": 0.001}
+    drift["findings"][0]["figures"] |= {"unit": "mm", "share": 0.0007}
+    first, second = gathered(tmp_path, georeferencing=lever, analysis=drift)
+    assert (first.code, second.code) == ("c-drift", "not-judged")
+    assert first.clauses == (("same",) if rival else ())
+    said = finding_text(first, catalogue("en"))
+    assert ("cannot tell it from an error of the lever arm" in said) is rival
