@@ -122,7 +122,7 @@ def main() -> None:
         f"a clean block, too. In {len(of_c)} of these flights c was said to move with a common error of",
         f"their heights. Adjusted anew with all positions {100 * LOWER_M:.0f} cm lower it moved by",
         f"{of_c[:, 1].min():.2f} to {of_c[:, 1].max():.2f} of its standard deviations; what was said differs",
-        f"from that by at most {np.abs(of_c[:, 0] / of_c[:, 1] - 1.0).max():.1%}.",
+        f"from that by at most {np.abs(of_c[:, 0] / of_c[:, 1] - 1.0).max():.2%}.",
     ]
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
     OUTPUT.write_text("\n".join(lines) + "\n", encoding="utf-8")

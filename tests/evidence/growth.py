@@ -80,7 +80,8 @@ ANALYSES = """# Growth of adjustment and analysis with the block
 
 Made by `python -m tests.evidence.growth`. Seconds are of the processors, all of them together, but for those
 by the clock. The adjustment begins at start values that are off, and ends with the covariance of everything;
-the analysis begins at its result.
+the analysis begins at its result. `c-on-positions` is a note and no error: c of these flights follows a
+common error of the heights of their positions, as `false_alarms.md` shows of others by moving them.
 """
 ADJUSTMENTS = """
 Large blocks: the minimum, also by the clock, then the covariance of cameras, poses and every point with the

@@ -18,6 +18,8 @@ BADLY_WRONG_SIGMA = 1.2
 ALPHA = 0.10
 # No model takes these up: what they do to c or to the points of a block withholds acceptance.
 GRAVE = ("c-drift", "rolling-shutter")
+# What is freed costs precision, and may move c by as much (Hausman 1978): c is biased beyond that at 0.1 %.
+SURELY = 3.29
 # An error that moves object points by less than this share of their standard deviations is small.
 SMALL_MOVE = 1.0
 
@@ -217,9 +219,11 @@ def of_bias(search: Search) -> list[Finding]:
         before, after = search.first.solution.cameras[k, 0], search.last.solution.cameras[k, 0]
         sigma = float(np.sqrt(search.first.solution.camera_covariance[k, 0, 0]))
         bias = float(before - after)
+        cost = search.last.solution.camera_covariance[k, 0, 0] - sigma**2
         # A bias below the spread over the images is lost in it (mean square error).
         spread = float(np.nan_to_num(search.jackknife_last.standard_error[k, 0]))
-        if not sigma > 0.0 or abs(bias) < max(SMALL_SIGMAS * sigma, spread):
+        unsure = max(SMALL_SIGMAS * sigma, spread, SURELY * np.sqrt(max(cost, 0.0)))
+        if not sigma > 0.0 or abs(bias) < unsure:
             continue
         ground = ground_effect(search.first, k, bias)
         moved = _in_sigmas(search.first, search.last.state.points - search.first.state.points)

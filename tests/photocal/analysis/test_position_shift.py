@@ -76,6 +76,14 @@ def test_heights_without_control_are_said_to_hang_on_the_positions() -> None:
     assert [one.code for one in of_datum(search(first))] == ["heights-on-positions"]
 
 
+def test_a_shift_by_chance_does_not_call_c_biased() -> None:
+    """Of 300 clean flights the worst: 71 mm, 3.2 standard deviations; it moves c by 5.3 of its own."""
+    block = Flight(182, 23_254, sigma_px=0.845)
+    first = fit(fly(block, 1250).network)
+    listed = findings(search(first))
+    assert [one.code for one in listed] == ["datum-shift"]
+
+
 def test_a_strip_whose_positions_lie_beside_the_others_is_named_with_its_shift() -> None:
     network = fly(FLIGHT, 6).network
     positions = network.positions
