@@ -22,7 +22,8 @@ from photocal.geometry.distortion import undistorted
 NEAR = 1.0
 # Sum of squared sines between the rays of an image that tell where it was.
 LEAST_ACROSS = 0.01
-# Angles and points that belong together leave so much less of v'Pv: others are no better than positions.
+# Angles and points that belong together leave so much less of a usual residual's square: others are no better
+# than positions.
 MUCH_LESS = 0.1
 
 
@@ -95,15 +96,18 @@ def _where_rays_come_from(problem: Problem, start: State) -> State | None:
     centre = start.centre.copy()
     centre[known] = np.linalg.solve(matrix[known], pull[known][:, :, None])[:, :, 0]
     moved = replace(start, centre=centre)
-    return moved if _misfit(problem, moved) < MUCH_LESS * _misfit(problem, start) else None
+    # Of a few heads or images that are far off, the sum of squares tells nothing but of them.
+    (total, usual), (total_before, usual_before) = _misfit(problem, moved), _misfit(problem, start)
+    return moved if total < total_before and usual < MUCH_LESS * usual_before else None
 
 
-def _misfit(problem: Problem, state: State) -> float:
-    """Give v'Pv of the rays; infinite where a point lies behind a camera."""
+def _misfit(problem: Problem, state: State) -> tuple[float, float]:
+    """Give v'Pv of the rays and its median for a coordinate; infinite where a point lies behind a camera."""
     residuals, depth = np.empty(problem.network.rays.plane.shape), np.empty(len(problem.network.rays.image))
     evaluate(problem.design, values_of(problem, state), residuals, depth)
     ahead = bool((depth > 0.0).all())
-    return float(np.sum((residuals / problem.network.rays.sigma) ** 2)) if ahead else np.inf
+    squares = (residuals / problem.network.rays.sigma) ** 2
+    return (float(np.sum(squares)), float(np.median(squares))) if ahead else (np.inf, np.inf)
 
 
 def _near(network: Network, report: Callable[[Iteration], None] | None) -> State | None:

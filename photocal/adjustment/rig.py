@@ -4,9 +4,10 @@ Head k of a rig has, at the exposure of its first head with rotation R and proje
 R_k = S_k R  and  X_k = X + R' t_k + v d_k, with S_k = exp([r_k]x) N_k, N_k the nominal rotation from the axes
 of the first head to its own, r_k a small turn about its own axes, t_k its projection centre in the axes of
 the first head, and d_k the time by which it exposes later, while the rig flies with v and turns. Two images
-a and b of one exposure relate these to their poses, with standard deviations that are the stiffness of the
-frame:  log(R_b R_a' exp(-[w]x d) S_a S_b')  and  S_a' R_a (X_b - X_a - v d) - (t_b - t_a), d = d_b - d_a,
-w the turn per second of what the camera of a sees. None of them has to be the first head.
+a and b of one exposure relate these to their poses:  log(R_b R_a' exp(-[w]x d) S_a S_b')  and
+S_a' R_a (X_b - X_a - v d) - (t_b - t_a), d = d_b - d_a, w the turn per second of what the camera of a sees.
+None of them has to be the first head. The standard deviations are the stiffness of the frame, together with
+what gusts move it by until the later one exposes.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +36,8 @@ class Rig:
     camera (heads,): camera of each head.
     base (heads,): the head that it refers to.
     first, second (pairs,): images of one exposure.
-    stiffness (heads, 2): how far a head of the rig moves (m) and turns (rad) against the others.
+    stiffness (pairs, 2): how far the second image's head moves (m) and turns (rad) against the first one's,
+        beside what is said of the flight.
     """
 
     rotation: Floats
@@ -63,7 +65,12 @@ class Rig:
     def of_images(self, place: Integers, kept: Flags) -> Self:
         """Rig of some images, at the places that these have now."""
         both = kept[self.first] & kept[self.second]
-        return replace(self, first=place[self.first[both]], second=place[self.second[both]])
+        return replace(
+            self,
+            first=place[self.first[both]],
+            second=place[self.second[both]],
+            stiffness=self.stiffness[both],
+        )
 
 
 _NONE = np.zeros(0, dtype=np.int64)
@@ -145,7 +152,7 @@ def rig_equations(
         (columns[p, LATER:], flown),
         (columns[q, LATER:], -flown),
     ]
-    stiff = rig.stiffness[p] ** 2
+    stiff = rig.stiffness**2
     metres, radians = (stiff[:, k, None, None] * np.eye(3) for k in range(2))
     turns, places = whitened(turning, residual, radians), whitened(moved, place, metres)
     return Equations(

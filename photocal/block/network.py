@@ -209,6 +209,7 @@ def assemble(block: Block) -> NetworkOfBlock:
         block.images.exposure,
         matrix_from_angles(exposures.values[:, :3]),
         exposures.values[:, 3:],
+        exposures.motion_sigma,
     )
     network = Network(
         cameras,

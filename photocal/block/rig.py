@@ -1,7 +1,7 @@
 """Cameras fixed to each other, as `[[head]]` of a block names them, and as the network has them."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat
@@ -127,11 +127,13 @@ def rig_of(
     exposure: Sequence[str],
     rotation: Floats,
     centre: Floats,
+    gust: Floats | None,
 ) -> Rig:
     """Make the rig of a network from the heads whose cameras it has.
 
     exposure (images,): name of each image's exposure, empty for none.
     rotation (images, 3, 3), centre (images, 3): start values, which tell what is not known of a head.
+    gust (images, 6): by how much velocity (m/s) and rate (rad/s) depart from those given; None at rest.
     """
     present = [one for one in heads if one.camera in cameras]
     if not present or not any(exposure):
@@ -144,12 +146,17 @@ def rig_of(
     values, sigma = (np.array([getattr(one, name) for one in present]) for name in ("values", "sigma"))
     own = Rotation.from_rotvec([np.zeros(3) if one.rotation is None else one.rotation for one in present])
     unknown = np.array([one.rotation is None for one in present])
-    rig = Rig(
-        own.as_matrix(), values, sigma, camera, base, image_camera[:0], image_camera[:0],
-        np.array([one.stiffness for one in present]),
-    )  # fmt: skip
+    none = image_camera[:0]
+    rig = Rig(own.as_matrix(), values, sigma, camera, base, none, none, np.zeros((0, 2)))
     head = rig.head_of(image_camera)
     first, second = pairs_of(number, head, base)
+    stiffness = np.array([one.stiffness for one in present])[head[first]]
+    if gust is not None and len(first):
+        # Nobody knows how a gust moves the frame until the later head exposes.
+        p, q = head[first], head[second]
+        later = (values[q, LATER] - values[p, LATER]) ** 2 + sigma[p, LATER] ** 2 + sigma[q, LATER] ** 2
+        departs = np.mean(gust[first].reshape(-1, 2, 3) ** 2, axis=2)
+        stiffness = np.sqrt(stiffness**2 + departs * later[:, None])
     for frame in range(len(frames)):
         mine = np.flatnonzero(base == frame)
         # Without its first head a frame begins with another, where nothing else holds that one.
@@ -169,4 +176,4 @@ def rig_of(
             apart = np.einsum("ji,nj->ni", rig.rotation[lead], np.einsum("nab,nb->na", rotation[a], centre[b] - centre[a]))  # fmt: skip  # noqa: E501
             place = np.median(apart, axis=0) + values[lead, CENTRE]
             values[k, CENTRE] = np.where(loose, place, values[k, CENTRE])
-    return Rig(rig.rotation, values, sigma, camera, base, first, second, rig.stiffness)
+    return replace(rig, first=first, second=second, stiffness=stiffness)

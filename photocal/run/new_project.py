@@ -29,6 +29,7 @@ CODE_LEVEL_M, OTHER_SURFACE_M = (1.5, 1.5, 3.0), 50.0
 # How far the cameras of a frame may be apart, m: the sigma of each coordinate.
 APART_M = 0.1
 # By how much later a head may expose than the first, s: by pictures of a recorded head some 10 to 30 ms.
+# Where readouts differ, so do their middles: heads begin together, or end together.
 LATER_S = 0.02
 # Fewer points leave the block turned, or without scale.
 FEWEST_CONTROL = 3
@@ -273,14 +274,20 @@ class _Text:
         """Cameras on one frame: the pictures tell how they are turned, nothing how far they are apart."""
         if self.frame is None:
             return
-        for name in self.cameras[1:]:
+        member = self.member
+        readouts = [
+            stated_camera(name, self.facts[int(np.flatnonzero(member == k)[0])]).camera.value("readout")
+            for k, name in enumerate(self.cameras)
+        ]
+        for name, readout in zip(self.cameras[1:], readouts[1:], strict=True):
+            half = (readout - readouts[0]) / 2
             yield "\n[[head]]  # turned as the pictures tell; rotation_deg and its sigma where it is known"
             yield f"camera = {_quoted(name)}"
             yield f"of = {_quoted(self.cameras[0])}"
             yield f"centre_m = [0.0, 0.0, 0.0]  # x right, y up, z backwards of {self.cameras[0]}: assumed"
             yield f"centre_sigma_m = {APART_M}"
-            yield "time_s = 0.0"
-            yield f"time_sigma_s = {LATER_S}  # heads expose together but for some hundredths: assumed"
+            yield f"time_s = {half:.4g}  # middle of its readout, where those of all begin together: assumed"
+            yield f"time_sigma_s = {np.hypot(LATER_S, half):.3g}"
         self.missing.append(
             f"nothing tells how far the cameras are apart: {APART_M} m assumed (centre_m in [[head]])"
         )

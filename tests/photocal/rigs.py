@@ -51,11 +51,12 @@ def lens(name: str, rng: np.random.Generator) -> Camera:
 
 def flight(
     rng: np.random.Generator, *, exposures: int = 60, points: int = 1500, sigma_px: float = 0.5,
-    missing: float = 0.0, times: bool = True,
+    missing: float = 0.0, times: bool = True, aft_later_s: float = 0.0,
 ) -> tuple[Flown, Network]:  # fmt: skip
     """Crossed strips with a camera of five heads: the truth and what is measured of it.
 
     missing: share of the pictures that are lost. times: whether the heads do not expose together.
+    aft_later_s: by how much later one of them exposes.
     """
     lines = 5
     along, across = np.divmod(np.arange(exposures), lines)
@@ -74,6 +75,7 @@ def flight(
     truth[:, 3:6] += [[0, 0, 0], [-0.1, 0, 0.02], [0.1, 0, 0.02], [0, 0.1, 0.02], [0, -0.1, 0.02]]
     if not times:
         truth[:, 6] = 0.0
+    truth[-1, 6] += aft_later_s
     turn = Rotation.from_rotvec(truth[:, :3]) * Rotation.from_rotvec(NOMINAL)
     count = len(HEADS) * exposures
     rotation, centre, motion = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 6))
@@ -98,7 +100,7 @@ def flight(
     pairs = pairs_of(exposure, head, np.zeros(len(HEADS), dtype=np.int64))
     rig = Rig(
         Rotation.from_rotvec(NOMINAL).as_matrix(), given, sigma, np.arange(len(HEADS)),
-        np.zeros(len(HEADS), dtype=np.int64), *pairs, np.tile(STIFFNESS, (len(HEADS), 1)),
+        np.zeros(len(HEADS), dtype=np.int64), *pairs, np.tile(STIFFNESS, (len(pairs[0]), 1)),
     )  # fmt: skip
     return flown, _measured(flown, head, exposure, motion, rig, rng, sigma_px)
 

@@ -183,21 +183,23 @@ def head_move(fitted: Fit) -> HeadMove | None:
             later = pairs[start:]
             # Rows of their relations, by component: three turns, then three shifts.
             rows = np.array([(n // 3) * 3 * len(rig.first) + 3 * later + n % 3 for n in range(6)])
-            slope = 1.0 / rig.stiffness[k, ::-1].repeat(3)
+            slopes = 1.0 / rig.stiffness[later, ::-1].repeat(3, axis=1).T
             design = np.zeros((layout.size, 6))
             force = np.zeros(6)
             for n in range(6):
-                for row in rows[n].tolist():
+                for row, slope in zip(rows[n].tolist(), slopes[n].tolist(), strict=True):
                     span = slice(equations.start[row], equations.start[row + 1])
-                    np.add.at(design[:, n], equations.column[span], slope[n] * equations.coefficient[span])
-                force[n] = slope[n] * equations.residual[rows[n]].sum()
+                    np.add.at(design[:, n], equations.column[span], slope * equations.coefficient[span])
+                force[n] = slopes[n] @ equations.residual[rows[n]]
             inside = solve(layout.envelope, at.normal.matrix, design)
-            normal = np.diag(len(later) * slope**2) - design.T @ inside
+            square = np.sum(slopes**2, axis=1)
+            unit = np.sqrt(square / len(later))
+            normal = np.diag(square) - design.T @ inside
             # The jump in units in which the stiffness is 1: what nothing resists has no share.
-            scaled = normal / np.outer(slope, slope)
+            scaled = normal / np.outer(unit, unit)
             value, vector = np.linalg.eigh((scaled + scaled.T) / 2)
             good = value > 1e-9 * len(later)
-            inverse = (vector[:, good] / value[good]) @ vector[:, good].T / np.outer(slope, slope)
+            inverse = (vector[:, good] / value[good]) @ vector[:, good].T / np.outer(unit, unit)
             move = inverse @ force
             tried.append((float(force @ move), int(good.sum()), k, int(later[0]), move, inverse))
     if not tried:

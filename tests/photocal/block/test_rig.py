@@ -51,6 +51,24 @@ def test_what_nothing_is_known_of_begins_as_the_images_lie() -> None:
     assert np.abs((found - flown.heads)[1:, 3:6] / sigma[1:, 3:6]).max() < 4.0
 
 
+def test_gusts_between_the_exposures_of_two_heads_are_none_of_their_errors() -> None:
+    """One head exposes 0.15 s after the others; velocity and rates are known but for gusts."""
+    rng = np.random.default_rng(8)
+    flown, network = rigs.flight(rng, exposures=40, points=1000, aft_later_s=0.15)
+    block, motion = rigs.block_of(network), network.exposures.motion
+    assert motion is not None
+    sigma = np.repeat([[0.5, 0.03]], 3, axis=1)
+    # All heads of an exposure fly through the same gust.
+    gust = np.zeros_like(motion)
+    gust[:, :3] = np.repeat(rng.normal(0, 0.5, (40, 3)), len(rigs.HEADS), axis=0)
+    gust[:, 3:] = rng.normal(0, 0.03, (len(motion), 3))
+    images = replace(block.images, motion=motion + gust, motion_sigma=np.broadcast_to(sigma, motion.shape))
+    read = assemble(replace(block, images=images)).network
+    solution = adjust(read)
+    assert np.nanmax(np.abs(rigs.standardised(flown, read, solution))) < 3.5
+    assert abs(solution.variance_factor - 1) < 4 * np.sqrt(2 / solution.degrees_of_freedom)
+
+
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
