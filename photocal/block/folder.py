@@ -28,7 +28,7 @@ from photocal.block.table import Table, known_rows, read_table, refuse, refuse_u
 from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
 
-MARKS, READINGS = "fiducials.csv", "fiducial_readings.csv"
+SETUP, MARKS, READINGS = "block.toml", "fiducials.csv", "fiducial_readings.csv"
 
 
 def from_readings(
@@ -42,11 +42,11 @@ def from_readings(
     if (observations.unit, observations.axes) != ("mm", "photo"):
         raise ConfigurationError(
             "readings become image coordinates in mm, x right and y up",
-            where=folder / "block.toml",
+            where=folder / SETUP,
             remedy='give unit = "mm" and axes = "photo" beside readings',
         )
     marks = read_table(folder / MARKS, ("camera", "fiducial", "x", "y"))
-    camera = known_rows(marks, "camera", tuple(own.id for own in cameras), "block.toml")
+    camera = known_rows(marks, "camera", tuple(own.id for own in cameras), SETUP)
     index, found = marks.names("fiducial")
     names = np.array(found)[index]
     known = marks.matrix("xy")
@@ -139,12 +139,10 @@ def read_block(folder: Path) -> Block:
     if not folder.is_dir():
         what = "is a file, a block folder was expected" if folder.exists() else "does not exist"
         raise InputNotFoundError(what, where=folder, remedy="name the folder that has block.toml")
-    setup = read_toml(folder / "block.toml", Setup)
-    cameras = tuple(make_camera(keys, folder / "block.toml") for keys in setup.camera)
+    setup = read_toml(folder / SETUP, Setup)
+    cameras = tuple(make_camera(keys, folder / SETUP) for keys in setup.camera)
     if len({camera.id for camera in cameras}) < len(cameras):
-        raise ConfigurationError(
-            "two cameras have the same id", where=folder / "block.toml", remedy="rename one"
-        )
+        raise ConfigurationError("two cameras have the same id", where=folder / SETUP, remedy="rename one")
     images = read_images(folder / "images.csv", cameras)
     points = read_points(folder / "points.csv")
     table = _observations_path(folder)
@@ -156,7 +154,7 @@ def read_block(folder: Path) -> Block:
     relations, checks = _read_relations(folder, points.names), folder / CHECK_DISTANCES
     optional = (*(f"{name}s.csv" for name in (*RELATIONS, "position", "attitude")), CHECK_DISTANCES)
     present = [name for name in optional if (folder / name).exists()]
-    tables = ["block.toml", "images.csv", "points.csv", table.name, *present]
+    tables = [SETUP, "images.csv", "points.csv", table.name, *present]
     tables += [MARKS, READINGS] if readings is not None else []
     positions = read_positions(
         folder / "positions.csv", images.names, setup.mounting.height_scale_from_m or 0.0
@@ -183,7 +181,7 @@ def read_block(folder: Path) -> Block:
         repetition,
         (setup.block.level, setup.block.global_test),
         read_relations(checks, "distance", points.names) if checks.exists() else NO_RELATIONS,
-        make_heads(setup.head, [camera.id for camera in cameras], folder / "block.toml"),
+        make_heads(setup.head, [camera.id for camera in cameras], folder / SETUP),
     )
 
 

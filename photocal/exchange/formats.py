@@ -176,12 +176,15 @@ def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) 
 
 
 def read_any_block(source: Path) -> Block:
-    """Read a block folder, or the set-up file of another program; raises what its reader does."""
-    if source.is_file():
-        return read_foreign_block(source)
-    from photocal.block.folder import read_block
+    """Read a block folder, also by its `block.toml`, or the set-up file of another program.
 
-    return read_block(source)
+    raises PhotocalError: what its reader does.
+    """
+    from photocal.block.folder import SETUP, read_block
+
+    if source.is_file() and source.name != SETUP:
+        return read_foreign_block(source)
+    return read_block(source.parent if source.is_file() else source)
 
 
 def read_foreign_block(path: Path) -> Block:

@@ -11,11 +11,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError
-from photocal.exchange.formats import FORMATS, Format, export, named, page
+from photocal.exchange.formats import FORMATS, Format, export, named, page, read_any_block
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import MODELS, Camera, Model, camera
 from photocal.geometry.conversion import in_pixels
 from photocal.geometry.rotation import matrix_from_angles
+from tests.photocal import blocks
 from tests.photocal.exchange.conftest import reconstruction_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -148,3 +149,10 @@ def test_origin_of_the_pixels_is_as_stated(tmp_path: Path, form: Format) -> None
         assert corner is not None
         number = np.float64(corner)
         assert repr(float(number)).encode() in content or number.tobytes() in content
+
+
+def test_a_block_folder_is_also_known_by_its_set_up_file(tmp_path: Path) -> None:
+    folder = blocks.small(tmp_path / "block")
+    by_folder, by_file = read_any_block(folder), read_any_block(folder / "block.toml")
+    assert by_file.inputs == by_folder.inputs
+    assert by_file.images.names == by_folder.images.names
