@@ -47,11 +47,7 @@ class Records:
 
 
 def batch_of_rows(
-    wire: Wire,
-    data: bytes,
-    base: int,
-    rows: list[tuple[int, int, int]],
-    damage: list[tuple[int, int]],
+    wire: Wire, data: bytes, base: int, rows: list[tuple[int, int, int]], damage: list[tuple[int, int]]
 ) -> Batch:
     """Return start, length and kind of records as a batch; damage counts from the beginning of `data`."""
     table = np.array(rows, np.int64).reshape(-1, 3)

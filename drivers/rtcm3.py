@@ -48,10 +48,7 @@ def decode_stations(batch: Batch) -> Stations:
         ecef.append([_signed(bits, at, 38) * 1e-4 for at in (34, 74, 114)])
         height.append(_unsigned(bits, 152, 16) * 1e-4 if batch.kind[i] == 1006 else np.nan)
     return Stations(
-        index,
-        np.array(station, np.int64),
-        np.array(ecef, float).reshape(-1, 3),
-        np.array(height, float),
+        index, np.array(station, np.int64), np.array(ecef, float).reshape(-1, 3), np.array(height, float)
     )
 
 

@@ -402,13 +402,7 @@ def _may_end(data: Octets, at: int, closed: bool, starts: Octets) -> int:
 
 
 def _known_inside(
-    data: Octets,
-    at: int,
-    end: int,
-    closed: bool,
-    ahead: Integers,
-    running: Running,
-    tables: Tables,
+    data: Octets, at: int, end: int, closed: bool, ahead: Integers, running: Running, tables: Tables
 ) -> int:
     """Return 0 when no frame of a known message begins between two places, 1 when one does, or the need."""
     if ahead[0] <= at:

@@ -99,10 +99,7 @@ def block_of_arrays(
 
 
 def with_relations(
-    block: Block,
-    kind: str,
-    rows: Iterable[tuple[str, str, float, float]],
-    related: Related | None = None,
+    block: Block, kind: str, rows: Iterable[tuple[str, str, float, float]], related: Related | None = None
 ) -> Block:
     """Add observations between points: scale bars, levelled height differences, azimuths, your own kinds.
 

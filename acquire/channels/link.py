@@ -64,12 +64,7 @@ class MessageWriter(Protocol):
     """Takes messages: `acquire.log.writer.LogWriter` or what writes one file after the other."""
 
     def messages(
-        self,
-        channel: Channel,
-        payloads: Payloads,
-        log_ns: Integers,
-        publish_ns: Integers,
-        sequence: Integers,
+        self, channel: Channel, payloads: Payloads, log_ns: Integers, publish_ns: Integers, sequence: Integers
     ) -> None:
         """Add messages of one channel."""
         ...

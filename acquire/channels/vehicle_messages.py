@@ -96,7 +96,7 @@ def system_time(sent: Sent) -> Decoded:
             "device": Times(np.where(known, device, -1)),
             "host_minus_device_s": np.where(known, (sent.log_ns - device) / 1e9, np.nan),
             "boot_s": sent.fields["time_boot_ms"] * 1e-3,
-        },
+        }
     )
 
 

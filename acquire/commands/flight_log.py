@@ -31,8 +31,7 @@ def import_(
         list[str] | None, option("Recording with the name of its link.", metavar="NAME=FILE")
     ] = None,
     date: Annotated[
-        str | None,
-        option("UTC date of the beginning of streams that do not tell it.", metavar="YYYY-MM-DD"),
+        str | None, option("UTC date of the beginning of streams that do not tell it.", metavar="YYYY-MM-DD")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -104,10 +103,7 @@ def _sentence(result: Imported) -> str:
     return f"{text}; time: {result.log_time}"
 
 
-def info(
-    log: Log,
-    as_json: AsJson = False,
-) -> None:
+def info(log: Log, as_json: AsJson = False) -> None:
     """Show links, frames by type, rates, gaps, damage, fixes, sources and clocks of a flight log.
 
     Example: `acquire info flight.mcap`

@@ -101,13 +101,11 @@ def record(
 
 def monitor(
     source: Annotated[
-        Path,
-        argument("Flight log (.mcap), folder of a recording, or its configuration (.toml)."),
+        Path, argument("Flight log (.mcap), folder of a recording, or its configuration (.toml).")
     ],
     page: Annotated[bool, option("Show it as a local web page instead.", "--page")] = False,
     address: Annotated[
-        str,
-        option("HOST:PORT of the page. Beyond this computer the page demands a token."),
+        str, option("HOST:PORT of the page. Beyond this computer the page demands a token.")
     ] = "127.0.0.1:8740",
     debrief: Annotated[Path | None, option("File that `photocal debrief` writes: the page shows it.")] = None,
     foxglove: Annotated[

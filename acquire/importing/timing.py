@@ -11,14 +11,7 @@ import numpy as np
 from acquire.channels.decoded import Decoder
 from acquire.channels.log_decoder import BootTime, boot_time
 from acquire.channels.vehicle import VehicleDecoder
-from acquire.importing.recording import (
-    DATAFLASH_LOG,
-    EVENT_LIST,
-    PX4_LOG,
-    TELEMETRY_LOG,
-    Format,
-    Source,
-)
+from acquire.importing.recording import DATAFLASH_LOG, EVENT_LIST, PX4_LOG, TELEMETRY_LOG, Format, Source
 from drivers.arrays import Integers
 from drivers.errors import InputMalformedError
 from drivers.frames import Batch

@@ -96,12 +96,7 @@ class LogWriter:
         return number
 
     def messages(
-        self,
-        channel: Channel,
-        payloads: Payloads,
-        log_ns: Integers,
-        publish_ns: Integers,
-        sequence: Integers,
+        self, channel: Channel, payloads: Payloads, log_ns: Integers, publish_ns: Integers, sequence: Integers
     ) -> None:
         """Add messages of one channel to the open chunk.
 

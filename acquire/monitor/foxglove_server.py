@@ -125,17 +125,11 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
     host = hidden_host()
     try:
         server = foxglove.start_server(
-            name="photocal acquire monitor",
-            host=host,
-            port=0,
-            capabilities=[],
-            context=context,
+            name="photocal acquire monitor", host=host, port=0, capabilities=[], context=context
         )
     except (RuntimeError, OSError) as refusal:
         raise ConfigurationError(
-            f"cannot be listened on ({refusal})",
-            where=host,
-            remedy="look at the loopback interface",
+            f"cannot be listened on ({refusal})", where=host, remedy="look at the loopback interface"
         ) from refusal
     served: dict[Channel, Any] = {}
 

@@ -4,18 +4,7 @@ from dataclasses import dataclass
 
 from drivers.errors import DeviceError
 from drivers.frames import Batch, Wire
-from drivers.ubx import encode
-from drivers.ubx.configure import (
-    CFG_MSG,
-    CFG_RATE,
-    CFG_VALGET,
-    MON_VER,
-    Step,
-    acknowledged,
-    read_settings,
-    read_version,
-    steps,
-)
+from drivers.ubx import configure, encode
 
 _PATIENCE_S, _ATTEMPTS, _LOSSES = 1.0, 4, 2
 
@@ -37,7 +26,7 @@ class ReceiverDialogue:
 
     def __init__(self, port: str, messages: tuple[str, ...], rate_ms: int) -> None:
         self._wanted = port, messages, rate_ms
-        self._steps: list[Step] | None = None
+        self._steps: list[configure.Step] | None = None
         self._verifying = False
         self._attempts = 0
         self._losses = 0
@@ -76,26 +65,26 @@ class ReceiverDialogue:
 
     def _question(self) -> bytes:
         if self._steps is None:
-            return encode(MON_VER, b"")
+            return encode(configure.MON_VER, b"")
         return self._steps[0].poll if self._verifying else self._steps[0].frame
 
     def _take(self, kind: int, payload: bytes, notes: list[str]) -> None:
         if self._steps is None:
-            if kind == MON_VER and len(payload) >= 40:
-                version = read_version(payload)
-                self._steps = steps(version, *self._wanted)
+            if kind == configure.MON_VER and len(payload) >= 40:
+                version = configure.read_version(payload)
+                self._steps = configure.steps(version, *self._wanted)
                 self._attempts = 0
                 notes.append(f"is a u-blox receiver of generation {version.generation}, {version.software}")
             return
         current = self._steps[0]
-        answer = acknowledged(kind, payload)
+        answer = configure.acknowledged(kind, payload)
         if answer is not None and answer[0] == current.kind and self._attempts and not self._verifying:
             if not answer[1]:
                 raise DeviceError(f"the receiver refused the configuration of {current.what} (ACK-NAK)")
             self._verifying = True
             self._attempts = 0
-        elif self._verifying and kind in (CFG_VALGET, CFG_MSG, CFG_RATE):
-            found = read_settings(kind, payload)
+        elif self._verifying and kind in (configure.CFG_VALGET, configure.CFG_MSG, configure.CFG_RATE):
+            found = configure.read_settings(kind, payload)
             if not found.keys() >= dict(current.expected).keys():
                 return
             if any(found[key] != value for key, value in current.expected):

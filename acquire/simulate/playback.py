@@ -170,12 +170,7 @@ class FlownAutopilot(Autopilot):
     """
 
     def __init__(
-        self,
-        name: str,
-        line: Wire,
-        clock: FlightClock,
-        *,
-        parameters: Mapping[str, float] | None = None,
+        self, name: str, line: Wire, clock: FlightClock, *, parameters: Mapping[str, float] | None = None
     ) -> None:
         super().__init__(parameters)
         self._name, self._line, self._clock = name, line, clock

@@ -59,13 +59,7 @@ def sequences(batch: Batch, index: Integers) -> Bytes:
 
 
 def encode(
-    dialect: Dialect,
-    message: int,
-    values: dict[str, Any],
-    *,
-    sequence: int,
-    system: int,
-    component: int,
+    dialect: Dialect, message: int, values: dict[str, Any], *, sequence: int, system: int, component: int
 ) -> bytes:
     """Return the MAVLink 2 frame of a message, unsigned and with its trailing zeros left out.
 

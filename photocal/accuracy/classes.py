@@ -7,17 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arrays import Floats
+from photocal.accuracy import statistics
 from photocal.accuracy.standard import ClassLimit, LimitTable, Question, ValueStandard
-from photocal.accuracy.statistics import (
-    Moments,
-    PrecisionTest,
-    combined_rmse,
-    counted_error,
-    lengths,
-    moments,
-    precision_quantile,
-    precision_test,
-)
 
 
 @dataclass(frozen=True)
@@ -27,13 +18,13 @@ class Sample:
     lengths_m (n,): plane distances or absolute height differences, m; None when only moments were published.
     """
 
-    components: tuple[Moments, ...]
+    components: tuple[statistics.Moments, ...]
     lengths_m: Floats | None = None
 
     @property
     def rmse_m(self) -> float:
         """Planimetric or height RMSE, m."""
-        return combined_rmse(*self.components)
+        return statistics.combined_rmse(*self.components)
 
 
 @dataclass(frozen=True)
@@ -45,7 +36,7 @@ class ClassDecision:
     """
 
     limit: ClassLimit
-    precision: tuple[PrecisionTest, ...]
+    precision: tuple[statistics.PrecisionTest, ...]
     rmse_within: bool
     share_within: float | None
     share_passes: bool | None
@@ -82,7 +73,7 @@ class AdmittedSize:
 
 def sample(vectors_m: Floats) -> Sample:
     """Make a sample from discrepancies."""
-    return Sample(tuple(moments(column) for column in vectors_m.T), lengths(vectors_m))
+    return Sample(tuple(statistics.moments(column) for column in vectors_m.T), statistics.lengths(vectors_m))
 
 
 def component_sigma(ep_m: float, components: int) -> float:
@@ -95,7 +86,7 @@ def decide(product: Sample, limit: ClassLimit, share_required: float, confidence
     sigma = component_sigma(limit.ep_m, len(product.components))
     testable = all(component.n > 1 for component in product.components)
     precision = (
-        tuple(precision_test(component, sigma, confidence) for component in product.components)
+        tuple(statistics.precision_test(component, sigma, confidence) for component in product.components)
         if testable
         else ()
     )
@@ -119,12 +110,15 @@ def admitted_size(
     if n > 1:
         # chi^2 = (n - 1) s^2 / sigma^2 reaches its quantile at this sigma, for the worst component.
         sigma = max(
-            component.std_m * math.sqrt((component.n - 1) / precision_quantile(component.n, confidence))
+            component.std_m
+            * math.sqrt((component.n - 1) / statistics.precision_quantile(component.n, confidence))
             for component in product.components
         )
         precision = sigma / component_sigma(unit.ep_m, len(product.components))
     share = (
-        None if product.lengths_m is None else counted_error(product.lengths_m, share_required) / unit.pec_m
+        None
+        if product.lengths_m is None
+        else statistics.counted_error(product.lengths_m, share_required) / unit.pec_m
     )
     return AdmittedSize(name, precision, product.rmse_m / unit.ep_m, share)
 

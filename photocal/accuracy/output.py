@@ -9,15 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from photocal.accuracy import classes
 from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult, VectorResult, findings
-from photocal.accuracy.classes import (
-    AdmittedSize,
-    ClassDecision,
-    ValueClass,
-    class_cm,
-    smallest_listed,
-    value_class_text,
-)
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN
 from photocal.accuracy.standard import scale_text, size_text
 from photocal.findings.finding import Finding
@@ -109,7 +102,7 @@ def _standard_record(result: TableResult) -> dict[str, Any]:
     }
 
 
-def _decision(decision: ClassDecision) -> dict[str, Any]:
+def _decision(decision: classes.ClassDecision) -> dict[str, Any]:
     return {
         "class": decision.limit.name,
         "pec_m": decision.limit.pec_m,
@@ -124,20 +117,20 @@ def _decision(decision: ClassDecision) -> dict[str, Any]:
     }
 
 
-def _admitted(admitted: AdmittedSize, sizes: tuple[float, ...]) -> dict[str, Any]:
+def _admitted(admitted: classes.AdmittedSize, sizes: tuple[float, ...]) -> dict[str, Any]:
     return {
         "class": admitted.name,
         "precision": admitted.precision,
         "rmse": admitted.rmse,
         "share": admitted.share,
         "accuracy": admitted.accuracy,
-        "next_listed": smallest_listed(sizes, admitted.accuracy),
+        "next_listed": classes.smallest_listed(sizes, admitted.accuracy),
     }
 
 
-def _value(value: ValueClass) -> dict[str, Any]:
+def _value(value: classes.ValueClass) -> dict[str, Any]:
     def rmse(figure: float | None) -> dict[str, float] | None:
-        return None if figure is None else {"rmse_m": figure, "class_cm": class_cm(figure)}
+        return None if figure is None else {"rmse_m": figure, "class_cm": classes.class_cm(figure)}
 
     return {
         "standard": value.standard.id,
@@ -178,7 +171,7 @@ def to_text(assessment: Assessment) -> str:
             f"planimetric RMSE left {similarity.rmse_left_m:.3f} m.\n"
         )
     parts += [_standard(table) for table in assessment.tables]
-    parts += [f"{value.standard.title}: {value_class_text(value)}\n" for value in assessment.values]
+    parts += [f"{value.standard.title}: {classes.value_class_text(value)}\n" for value in assessment.values]
     parts.append(findings_text(findings(assessment)))
     return "\n".join(parts)
 
@@ -296,7 +289,7 @@ def _smallest(result: TableResult, title: str) -> str:
         f"{title}: {what}", "class", "by precision", "by accuracy", "= RMSE", "and 90 %", "next listed"
     )
     for admitted in result.admitted:
-        listed = smallest_listed(result.table.sizes(), admitted.accuracy)
+        listed = classes.smallest_listed(result.table.sizes(), admitted.accuracy)
         sizes = (admitted.precision, admitted.accuracy, admitted.rmse, admitted.share, listed)
         table.add_row(admitted.name, *(_size(basis, size) for size in sizes))
     return _render(table)

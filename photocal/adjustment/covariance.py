@@ -34,10 +34,7 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
         problem.design, values, structure, inverse, normal.kept, point_covariance, residuals, redundancy
     )
     rays = Group(
-        "image",
-        residuals.size,
-        float(np.sum(problem.design.weight * residuals**2)),
-        float(redundancy.sum()),
+        "image", residuals.size, float(np.sum(problem.design.weight * residuals**2)), float(redundancy.sum())
     )
     groups = [rays, _control_group(problem, state.points, point_covariance)]
     for name, equations in other_equations(problem, state).items():

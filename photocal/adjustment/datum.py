@@ -17,13 +17,7 @@ from drivers.arrays import Floats, Integers
 from photocal.adjustment.envelope import multiply, solve
 from photocal.adjustment.kernels.substitution import back_substitute, reduce_right
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import (
-    Normal,
-    Problem,
-    diagonal_addresses,
-    normal_equations,
-    other_equations,
-)
+from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations, other_equations
 from photocal.adjustment.state import State
 
 # Steps of the whole block: so many at most, by differences over so many sigmas, as if each were resisted by

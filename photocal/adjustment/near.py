@@ -18,13 +18,7 @@ from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.kernels.data import Design
 from photocal.adjustment.kernels.removal import remove_images
-from photocal.adjustment.normal import (
-    Normal,
-    diagonal_addresses,
-    eliminated,
-    other_equations,
-    values_of,
-)
+from photocal.adjustment.normal import Normal, diagonal_addresses, eliminated, other_equations, values_of
 from photocal.adjustment.rank import weakest_pivot
 from photocal.adjustment.solver import SINGULAR_PIVOT, Near, chords, moved_along, moved_by
 from photocal.adjustment.state import State

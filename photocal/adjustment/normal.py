@@ -6,18 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
+from photocal.adjustment import observations
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Structure, Values
 from photocal.adjustment.kernels.elimination import accumulate, join
 from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network, own_parameters
-from photocal.adjustment.observations import (
-    camera_equations,
-    deviation_equations,
-    exposure_equations,
-    mounting_equations,
-    relation_equations,
-)
 from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
 from photocal.geometry.camera import MOTION, PARAMETERS
 from photocal.geometry.lens import OTHERS, optics
@@ -168,11 +162,11 @@ def values_of(problem: Problem, state: State) -> Values:
 def other_equations(problem: Problem, state: State) -> dict[str, Equations]:
     """Observations beside the rays and the points, by group."""
     return {
-        "camera": camera_equations(problem.network, problem.layout, state),
-        **deviation_equations(problem.network, problem.layout, state),
-        "exposure": exposure_equations(problem.network, problem.layout, state),
-        **relation_equations(problem.network, problem.layout, state),
-        **mounting_equations(problem.network, problem.layout, state),
+        "camera": observations.camera_equations(problem.network, problem.layout, state),
+        **observations.deviation_equations(problem.network, problem.layout, state),
+        "exposure": observations.exposure_equations(problem.network, problem.layout, state),
+        **observations.relation_equations(problem.network, problem.layout, state),
+        **observations.mounting_equations(problem.network, problem.layout, state),
     }
 
 
@@ -187,12 +181,7 @@ def eliminated(problem: Problem, rays: int, points: int) -> Eliminated:
 
 
 def add_rays(
-    problem: Problem,
-    design: Design,
-    values: Values,
-    kept: Eliminated,
-    matrix: Floats,
-    damping: float = 0.0,
+    problem: Problem, design: Design, values: Values, kept: Eliminated, matrix: Floats, damping: float = 0.0
 ) -> tuple[Floats, float, Flags]:
     """Add the reduced normal equations of rays and weighted points alone to a matrix.
 

@@ -97,10 +97,7 @@ class Minimum:
 
 
 def minimise(
-    problem: Problem,
-    state: State,
-    report: Callable[[Iteration], None] | None = None,
-    near: float = CONVERGED,
+    problem: Problem, state: State, report: Callable[[Iteration], None] | None = None, near: float = CONVERGED
 ) -> Minimum:
     """Find the state of least v'Pv.
 

@@ -6,19 +6,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.adjustment.mounting import (
-    BORESIGHT,
-    HEIGHT_SCALE,
-    LEVER,
-    NO_ATTITUDES,
-    NO_POSITIONS,
-    SHIFT,
-    STRIPS,
-    TIME,
-    Attitudes,
-    Mounting,
-    Positions,
-)
+from photocal.adjustment import mounting
 from photocal.adjustment.network import covariance_matrices
 from photocal.block.camera_setup import sigmas
 from photocal.block.setup import MountingKeys
@@ -39,10 +27,10 @@ BODY_AXES = {
 }
 
 
-def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> Positions:
+def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> mounting.Positions:
     """Read `positions.csv`: antenna positions in the block's frame."""
     if not path.exists():
-        return NO_POSITIONS
+        return mounting.NO_POSITIONS
     table = read_table(path, POSITION_COLUMNS, POSITION_EXTRAS)
     image = known_rows(table, "image", images, "images.csv")
     sigma = _sigmas(table, ("sX", "sY", "sZ"))
@@ -54,13 +42,13 @@ def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> Positi
     strip = table.names("strip")[0] if table.has("strip") else np.zeros(len(table), dtype=np.int64)
     values = table.matrix("XYZ")
     time = table.numbers("time_s", empty=0.0)
-    return Positions(image, values, covariance, velocity, strip, time, values[:, 2] - from_m)
+    return mounting.Positions(image, values, covariance, velocity, strip, time, values[:, 2] - from_m)
 
 
-def read_attitudes(path: Path, images: tuple[str, ...]) -> Attitudes:
+def read_attitudes(path: Path, images: tuple[str, ...]) -> mounting.Attitudes:
     """Read `attitudes.csv`: roll, pitch, yaw of the body (deg), its rates (deg/s), and their sigmas."""
     if not path.exists():
-        return NO_ATTITUDES
+        return mounting.NO_ATTITUDES
     table = read_table(path, ATTITUDE_COLUMNS, RATE_COLUMNS)
     image = known_rows(table, "image", images, "images.csv")
     angles = np.radians(table.matrix(("roll", "pitch", "yaw")))
@@ -69,10 +57,10 @@ def read_attitudes(path: Path, images: tuple[str, ...]) -> Attitudes:
     covariance = turn_per_angle @ (sigma[:, :, None] ** 2 * np.swapaxes(turn_per_angle, 1, 2))
     rates = np.radians(table.matrix(RATE_COLUMNS, empty=np.nan))
     rate, rate_sigma = rates.reshape(len(image), 2, 3).swapaxes(0, 1)
-    return Attitudes(image, rotation, covariance, rate, rate_sigma)
+    return mounting.Attitudes(image, rotation, covariance, rate, rate_sigma)
 
 
-def make_mounting(keys: MountingKeys, strips: int) -> Mounting:
+def make_mounting(keys: MountingKeys, strips: int) -> mounting.Mounting:
     """Make the mounting that `[mounting]` describes."""
     if keys.height_scale_sigma and keys.height_scale_from_m is None:
         raise ConfigurationError(
@@ -87,19 +75,19 @@ def make_mounting(keys: MountingKeys, strips: int) -> Mounting:
             where="block.toml, [mounting]",
             remedy="give the body directions of x (right), y (up in the image) and z (backwards)",
         )
-    values, sigma = np.zeros(STRIPS + 6 * strips), np.zeros(STRIPS + 6 * strips)
-    values[LEVER], values[BORESIGHT] = keys.lever_arm_m, np.radians(keys.boresight_deg)
-    values[TIME] = keys.time_offset_s
-    sigma[LEVER] = sigmas(keys.lever_arm_sigma_m)
-    sigma[BORESIGHT] = np.radians(sigmas(keys.boresight_sigma_deg))
-    sigma[TIME] = sigmas(keys.time_offset_sigma_s)[0]
-    sigma[SHIFT] = sigmas(keys.flight_shift_sigma_m)
-    sigma[HEIGHT_SCALE] = keys.height_scale_sigma
+    values, sigma = np.zeros(mounting.STRIPS + 6 * strips), np.zeros(mounting.STRIPS + 6 * strips)
+    values[mounting.LEVER], values[mounting.BORESIGHT] = keys.lever_arm_m, np.radians(keys.boresight_deg)
+    values[mounting.TIME] = keys.time_offset_s
+    sigma[mounting.LEVER] = sigmas(keys.lever_arm_sigma_m)
+    sigma[mounting.BORESIGHT] = np.radians(sigmas(keys.boresight_sigma_deg))
+    sigma[mounting.TIME] = sigmas(keys.time_offset_sigma_s)[0]
+    sigma[mounting.SHIFT] = sigmas(keys.flight_shift_sigma_m)
+    sigma[mounting.HEIGHT_SCALE] = keys.height_scale_sigma
     for strip in range(strips):
-        at = STRIPS + 6 * strip
+        at = mounting.STRIPS + 6 * strip
         sigma[at : at + 3] = sigmas(keys.strip_shift_sigma_m)
         sigma[at + 3 : at + 6] = sigmas(keys.strip_drift_sigma_m_s)
-    return Mounting(rotation, values, sigma)
+    return mounting.Mounting(rotation, values, sigma)
 
 
 def _sigmas(table: Table, columns: tuple[str, ...]) -> Floats:

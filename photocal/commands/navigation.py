@@ -25,8 +25,7 @@ BasePosition = Annotated[
 ]
 BaseSigma = Annotated[str | None, option("Standard deviations E,N,U of the base's position, metres.")]
 BaseWeather = Annotated[
-    str | None,
-    option("TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa."),
+    str | None, option("TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa.")
 ]
 RoverLink = Annotated[str, option("Link of the rover in the flight log.")]
 BaseLink = Annotated[str, option("Link of the base in the flight log.")]

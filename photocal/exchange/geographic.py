@@ -177,10 +177,7 @@ def located(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, To
 _SIGMAS = {"sX_m": "DOUBLE", "sY_m": "DOUBLE", "sZ_m": "DOUBLE"}
 _ANGLES = {"omega_deg": "DOUBLE", "phi_deg": "DOUBLE", "kappa_deg": "DOUBLE"}
 _EXPOSURES = Layer(
-    "exposures",
-    "POINT",
-    has_heights=True,
-    columns={"name": "TEXT", "camera": "TEXT", **_ANGLES, **_SIGMAS},
+    "exposures", "POINT", has_heights=True, columns={"name": "TEXT", "camera": "TEXT", **_ANGLES, **_SIGMAS}
 )
 _FOOTPRINTS = Layer(
     "footprints", "POLYGON", has_heights=False, columns={"name": "TEXT", "plane_z_m": "DOUBLE"}

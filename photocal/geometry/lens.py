@@ -355,14 +355,7 @@ def image_residual(
 
 @inlined
 def recorded(
-    cameras: Floats,
-    optics_of: Floats,
-    k: int,
-    u: float,
-    v: float,
-    w: float,
-    room: Scratch,
-    found: Floats,
+    cameras: Floats, optics_of: Floats, k: int, u: float, v: float, w: float, room: Scratch, found: Floats
 ) -> bool:
     """Find where a camera records a point of camera axes (u, v, w); False where it does not."""
     by_camera = room.by_camera

@@ -306,9 +306,7 @@ class _File(Table):
 
 
 def read_experiment(
-    path: Path,
-    read_block: Callable[[Path], Block],
-    read_interiors: Callable[[Path], tuple[Camera, ...]],
+    path: Path, read_block: Callable[[Path], Block], read_interiors: Callable[[Path], tuple[Camera, ...]]
 ) -> Experiment:
     """Read an experiment.
 

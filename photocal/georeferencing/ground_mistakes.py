@@ -10,16 +10,7 @@ from scipy.linalg import block_diag
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import PhotocalError
-from photocal.accuracy.ground_points import (
-    FOOT_M,
-    GroundPoints,
-    check_points_used_as_control,
-    control_in_few_images,
-    feet_for_metres,
-    heights_all_equal,
-    latitude_longitude_swapped,
-    wrong_utm_zone,
-)
+from photocal.accuracy import ground_points
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
@@ -44,25 +35,25 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
         (block.images.names[i], block.points.names[j])
         for i, j in zip(block.observations.image, block.observations.point, strict=True)
     )
-    listed = list(check_points_used_as_control(control, check))
+    listed = list(ground_points.check_points_used_as_control(control, check))
     for name, points in (("control", control), ("check", check)):
-        listed += heights_all_equal(points, name)
-    listed += control_in_few_images(control.names, pairs, "control")
-    listed += control_in_few_images(check.names, pairs, "check")
-    ground = GroundPoints(control.names + check.names, np.vstack([control.xyz_m, check.xyz_m]))
+        listed += ground_points.heights_all_equal(points, name)
+    listed += ground_points.control_in_few_images(control.names, pairs, "control")
+    listed += ground_points.control_in_few_images(check.names, pairs, "check")
+    ground = ground_points.GroundPoints(control.names + check.names, np.vstack([control.xyz_m, check.xyz_m]))
     if not len(ground.names):
         return tuple(listed)
     place = _place_findings(block, ground)
     listed += place
     # Distances say nothing where the whole frame is wrong.
     if not place and _metric(block):
-        listed += feet_for_metres(ground, by_start_values(block))
+        listed += ground_points.feet_for_metres(ground, by_start_values(block))
     return tuple(listed)
 
 
-def _of_role(block: Block, role: Role) -> GroundPoints:
+def _of_role(block: Block, role: Role) -> ground_points.GroundPoints:
     mine = np.flatnonzero(block.points.of_role(role))
-    return GroundPoints(tuple(block.points.names[j] for j in mine), block.points.values[mine])
+    return ground_points.GroundPoints(tuple(block.points.names[j] for j in mine), block.points.values[mine])
 
 
 def _metric(block: Block) -> bool:
@@ -77,7 +68,7 @@ def _metric(block: Block) -> bool:
         return False
 
 
-def _place_findings(block: Block, ground: GroundPoints) -> tuple[Finding, ...]:
+def _place_findings(block: Block, ground: ground_points.GroundPoints) -> tuple[Finding, ...]:
     # Observed antenna positions, else the centres of images.csv.
     exposures = block.positions.values if len(block.positions.image) else block.images.values[:, 3:]
     exposures = exposures[np.isfinite(exposures).all(axis=1)]
@@ -94,7 +85,9 @@ def _place_findings(block: Block, ground: GroundPoints) -> tuple[Finding, ...]:
         return (Finding("unknown-frame", "grave", block.frame),)
     if system.is_geographic:
         # X is longitude (east) and Y latitude (north), as for every other frame.
-        return latitude_longitude_swapped(ground.xyz_m[:, 1], ground.xyz_m[:, 0], exposures[:, 1::-1])
+        return ground_points.latitude_longitude_swapped(
+            ground.xyz_m[:, 1], ground.xyz_m[:, 0], exposures[:, 1::-1]
+        )
     utm = system.utm_zone
     if utm is None:
         return _far_in_local_frame(ground, exposures)
@@ -103,10 +96,10 @@ def _place_findings(block: Block, ground: GroundPoints) -> tuple[Finding, ...]:
     degrees = np.column_stack([latitude, longitude])
     if not np.isfinite(degrees).all():
         return (Finding("exposures-outside-frame", "grave", block.frame),)
-    return wrong_utm_zone(ground, int(utm[:-1]), southern=utm[-1] == "S", exposures_deg=degrees)
+    return ground_points.wrong_utm_zone(ground, int(utm[:-1]), southern=utm[-1] == "S", exposures_deg=degrees)
 
 
-def _far_in_local_frame(ground: GroundPoints, exposures: Floats) -> tuple[Finding, ...]:
+def _far_in_local_frame(ground: ground_points.GroundPoints, exposures: Floats) -> tuple[Finding, ...]:
     """Ground points far from the exposures, and the mistake that would bring them near."""
     places = ground.xyz_m[np.isfinite(ground.xyz_m).all(axis=1)]
     if not len(places):
@@ -117,8 +110,8 @@ def _far_in_local_frame(ground: GroundPoints, exposures: Floats) -> tuple[Findin
         return ()
     for code, cause, moved in (
         ("east-north-swapped", "near-when-swapped", middle[::-1]),
-        ("feet-for-metres-plane", "near-in-feet", middle * FOOT_M),
-        ("metres-for-feet", "near-in-metres", middle / FOOT_M),
+        ("feet-for-metres-plane", "near-in-feet", middle * ground_points.FOOT_M),
+        ("metres-for-feet", "near-in-metres", middle / ground_points.FOOT_M),
     ):
         near = float(np.hypot(*(moved - flight)))
         if near <= _FAR_M:
@@ -128,7 +121,7 @@ def _far_in_local_frame(ground: GroundPoints, exposures: Floats) -> tuple[Findin
     return (Finding("points-far-from-flight", "grave", figures=far, cause="other-frame"),)
 
 
-def by_start_values(block: Block) -> GroundPoints:
+def by_start_values(block: Block) -> ground_points.GroundPoints:
     """Intersect the rays of all points from the given orientations."""
     plane, _ = observed_plane(block)
     image = block.observations.image
@@ -153,7 +146,7 @@ def by_start_values(block: Block) -> GroundPoints:
         ideal[known],
         distance[known],
     )
-    return GroundPoints(block.points.names, xyz)
+    return ground_points.GroundPoints(block.points.names, xyz)
 
 
 Place = Callable[[Floats], Floats]

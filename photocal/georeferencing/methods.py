@@ -207,10 +207,7 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
         np.zeros(len(found.points), dtype=np.bool_),
         poses,
         _by_image(
-            len(block.images.names),
-            block.observations.image[found.rays],
-            found.residuals,
-            found.standardised,
+            len(block.images.names), block.observations.image[found.rays], found.residuals, found.standardised
         ),
         found.chi_squared,
         found.degrees_of_freedom,

@@ -59,11 +59,7 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Prog
     record = {
         "schema": SCHEMA,
         "kind": "board",
-        "board": {
-            "squares": [board.columns, board.rows],
-            "square_m": board.square_m,
-            "kind": board.kind,
-        },
+        "board": {"squares": [board.columns, board.rows], "square_m": board.square_m, "kind": board.kind},
         "images": [
             {"image": f.name, "corners": len(v.centres), "grey_value_sigma_px": float(v.sigmas.mean())}
             for f, v in zip(facts, views, strict=True)

@@ -10,15 +10,9 @@ from drivers.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import told
+from photocal.measurement import marks
 from photocal.measurement.block_files import Measured
 from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
-from photocal.measurement.marks import (
-    ControlMarks,
-    in_map_system,
-    named_after,
-    read_control_marks,
-    with_marks,
-)
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, position_figures, sight, stated_footprints, tie_record
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, Oriented, orient_ties
@@ -44,14 +38,14 @@ class GivenControl:
     crs: str
     height: str
 
-    def read(self, sizes: dict[str, tuple[int, int]]) -> ControlMarks:
+    def read(self, sizes: dict[str, tuple[int, int]]) -> marks.ControlMarks:
         """Points and marks, in a map system or local, as the images of these sizes show them."""
-        given = read_control_marks(self.path, self.sigma_m, sizes)
-        return replace(given, crs=self.crs) if self.crs else in_map_system(given)
+        given = marks.read_control_marks(self.path, self.sigma_m, sizes)
+        return replace(given, crs=self.crs) if self.crs else marks.in_map_system(given)
 
     def require_heights(self) -> None:
         """Refuse a file of which nobody says what its heights are."""
-        given = read_control_marks(self.path, self.sigma_m, {})
+        given = marks.read_control_marks(self.path, self.sigma_m, {})
         if given.crs != "local" and self.height not in ("ellipsoidal", "orthometric"):
             raise ConfigurationError(
                 "does not say what its heights are",
@@ -103,7 +97,7 @@ def measure_images(
         datum="control",
         points=given.points,
     )
-    start, unknown = with_marks(start, named_after(given.marks, sizes))
+    start, unknown = marks.with_marks(start, marks.named_after(given.marks, sizes))
     if len(marked_control(start)) >= FEWEST_CONTROL:
         known = np.isfinite(start.images.sigma[:, 5])
         start.images.sigma[known, 5] = OTHER_SURFACE_M

@@ -203,12 +203,5 @@ def _sensor_widths_mm() -> dict[str, float]:
 def start_camera(name: str, facts: ImageFacts, c: float, estimate: tuple[str, ...]) -> Camera:
     """Make a camera in px that is estimated on the job."""
     return camera(
-        name,
-        "brown-ideal",
-        "px",
-        facts.size_px,
-        (1.0, 1.0),
-        {"c": c},
-        estimate=estimate,
-        affinity="after",
+        name, "brown-ideal", "px", facts.size_px, (1.0, 1.0), {"c": c}, estimate=estimate, affinity="after"
     )

@@ -126,10 +126,7 @@ def _verified(
 
 
 def mutual_matches(
-    first: Bytes,
-    second: Bytes,
-    ratio: float,
-    windows: Iterable[Window] | None = None,
+    first: Bytes, second: Bytes, ratio: float, windows: Iterable[Window] | None = None
 ) -> Integers:
     """Features that are each other's nearest, clearly before the second nearest (Lowe 2004)."""
     # Descriptors are compared by the Hellinger kernel (Arandjelovic and Zisserman 2012).

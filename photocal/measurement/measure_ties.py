@@ -9,18 +9,11 @@ import numpy as np
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import InputNotFoundError
+from photocal.measurement import match_images
 from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture
 from photocal.measurement.maker_camera import stated_camera
-from photocal.measurement.match_images import (
-    Footprints,
-    MatchingPlan,
-    detect_all,
-    footprints,
-    match_all,
-    select_pairs,
-)
 from photocal.measurement.oriented_ties import Oriented, figures
 from photocal.measurement.position_files import local_places
 from photocal.measurement.refine import Source
@@ -65,9 +58,9 @@ class Sighted:
 
 def sight(
     paths: Sequence[Path],
-    plan: MatchingPlan,
+    plan: match_images.MatchingPlan,
     progress: Progress,
-    looking: Callable[[Sequence[ImageFacts]], Footprints],
+    looking: Callable[[Sequence[ImageFacts]], match_images.Footprints],
     given: Callable[[ImageFacts], ImageFacts],
 ) -> Sighted:
     """Find features in images, match them and join the matches to tracks.
@@ -78,7 +71,7 @@ def sight(
     pictures, left_out = each_picture(paths, lambda path: (path, read_facts(path)))
     readable = [path for path, _ in pictures]
     with progress("detecting features", len(readable)) as done:
-        keys, reasons = detect_all(readable, plan, done)
+        keys, reasons = match_images.detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
     left_out += [{"image": readable[k].name, "reason": r} for k, r in enumerate(reasons) if r]
     facts, keys = [given(pictures[k][1]) for k in good], tuple(keys[k] for k in good)
@@ -88,9 +81,9 @@ def sight(
             where=paths[0].parent,
             remedy="; ".join(f"{e['image']}: {e['reason']}" for e in left_out[:3]),
         )
-    pairs, rule = select_pairs(looking(facts), len(facts))
+    pairs, rule = match_images.select_pairs(looking(facts), len(facts))
     with progress("matching pairs of images", len(pairs)) as done:
-        tracks, counts = match_all(keys, pairs, plan, done)
+        tracks, counts = match_images.match_all(keys, pairs, plan, done)
     sources = tuple(Source(readable[k], key, plan.cache) for k, key in zip(good, keys, strict=True))
     return Sighted(tuple(facts), sources, tracks, pairs, int(np.count_nonzero(counts)), rule, tuple(left_out))
 
@@ -103,11 +96,7 @@ def tie_record(sighted: Sighted, oriented: Oriented) -> dict[str, Any]:
         "images": list(oriented.adjusted.block.images.names),
         "turned_by_exif": [f.name for f in sighted.facts if f.orientation != 1],
         "left_out": [*sighted.left_out, *explained(oriented.left_out, paths, sighted.facts)],
-        "pairs": {
-            "rule": sighted.rule,
-            "examined": len(sighted.pairs),
-            "verified": sighted.verified_pairs,
-        },
+        "pairs": {"rule": sighted.rule, "examined": len(sighted.pairs), "verified": sighted.verified_pairs},
         "tracks": {
             "of_features": sighted.tracks.count,
             "conflicts_removed": sighted.tracks.conflicts,
@@ -131,10 +120,10 @@ def position_figures(facts: Sequence[ImageFacts], sigma: Floats) -> dict[str, An
     }
 
 
-def stated_footprints(facts: Sequence[ImageFacts]) -> Footprints:
+def stated_footprints(facts: Sequence[ImageFacts]) -> match_images.Footprints:
     """Footprints of images as they say where they are, how high and which way they look."""
     places, _ = local_places(facts)
-    return footprints(
+    return match_images.footprints(
         places[:, :2],
         np.array([f.relative_altitude_m for f in facts]),
         np.radians([[f.gimbal_deg[2], f.gimbal_deg[1]] for f in facts]),

@@ -20,12 +20,7 @@ from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.geometry.similarity import (
-    Similarity,
-    aligned_similarity,
-    misses_of,
-    robust_similarity,
-)
+from photocal.geometry.similarity import Similarity, aligned_similarity, misses_of, robust_similarity
 from photocal.measurement.tie_block import views_of, with_ties
 from photocal.measurement.tracks import Tracks
 
@@ -204,10 +199,7 @@ def _directions(model: Model, given: Floats) -> tuple[Floats, Floats]:
     """Directions in the model, and what they are in the object: attitudes, or that cameras look down."""
     images = model.oriented & np.isfinite(given[:, :3]).all(axis=1)
     if images.any():
-        return (
-            model.rotation[images].reshape(-1, 3),
-            matrix_from_angles(given[images, :3]).reshape(-1, 3),
-        )
+        return (model.rotation[images].reshape(-1, 3), matrix_from_angles(given[images, :3]).reshape(-1, 3))
     up = model.rotation[model.oriented, 2].mean(axis=0)
     return (up / np.linalg.norm(up))[None], np.array([[0.0, 0.0, 1.0]])
 

@@ -9,12 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import (
-    ConfigurationError,
-    IllPosedError,
-    InputNotFoundError,
-    NotConvergedError,
-)
+from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError, NotConvergedError
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
 from photocal.block.rig import make_heads
@@ -33,13 +28,7 @@ from photocal.measurement.lens_choice import before_the_choice, with_chosen_lens
 from photocal.measurement.maker_camera import NO_LENS
 from photocal.measurement.marks import read_any_marks, read_marks, with_marks
 from photocal.measurement.match_images import Footprints, MatchingPlan, footprints
-from photocal.measurement.measure_ties import (
-    Sighted,
-    position_figures,
-    sight,
-    stated_footprints,
-    tie_record,
-)
+from photocal.measurement.measure_ties import Sighted, position_figures, sight, stated_footprints, tie_record
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, figures, orient_ties
 from photocal.measurement.placing import OF_POSITIONS, position_sigmas

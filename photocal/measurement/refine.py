@@ -188,9 +188,7 @@ def _expected(
     with np.errstate(invalid="ignore"):
         seen = _inside(place, views.sizes()[image])
     apart = np.einsum(
-        "nk,nk->n",
-        _directions(views, image, anchor[track]),
-        _directions(views, own[track], anchor[track]),
+        "nk,nk->n", _directions(views, image, anchor[track]), _directions(views, own[track], anchor[track])
     )
     seen &= apart > _COS_APART
     track, image, place = track[seen], image[seen], place[seen]

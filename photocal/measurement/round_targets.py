@@ -109,11 +109,7 @@ def saddle_centre(grey: Grey, approximate: tuple[float, float], radius: float) -
 
 
 def cross_centre(
-    grey: Grey,
-    approximate: tuple[float, float],
-    size: float,
-    width: float | None = None,
-    bend: Floats = FLAT,
+    grey: Grey, approximate: tuple[float, float], size: float, width: float | None = None, bend: Floats = FLAT
 ) -> Centre | None:
     """Centre of a cross of two bars."""
     window = cut_window(grey, approximate, size / 2)

@@ -89,10 +89,7 @@ class ClockModel:
 
 
 def fit_clock(
-    device_ns: Integers,
-    reference_ns: Integers,
-    resolution_s: float = 1e-3,
-    least_jump_s: float = 0.05,
+    device_ns: Integers, reference_ns: Integers, resolution_s: float = 1e-3, least_jump_s: float = 0.05
 ) -> ClockModel:
     """Fit offset and rate between two clocks from simultaneous readings."""
     if len(device_ns) < _LEAST_READINGS:

@@ -294,10 +294,7 @@ def in_order(solution: EngineSolution) -> EngineSolution:
 
 
 def trajectory_of(
-    solution: EngineSolution,
-    velocity_sigma: float,
-    base_m: Floats,
-    velocity: Floats | None = None,
+    solution: EngineSolution, velocity_sigma: float, base_m: Floats, velocity: Floats | None = None
 ) -> Trajectory:
     """Return the engine's positions as a trajectory."""
     place = solution.xyz_m

@@ -72,12 +72,7 @@ class Events:
         )
 
 
-def time_marks(
-    fields: NDArray[Any],
-    edge: str,
-    link: str,
-    stream_ns: Integers | None = None,
-) -> Events:
+def time_marks(fields: NDArray[Any], edge: str, link: str, stream_ns: Integers | None = None) -> Events:
     """Return the events of one edge from RXM-TIM-TM2 messages.
 
     raises InputMalformedError: when the marks are in the receiver's own time, which nothing ties to GPS time.

@@ -13,13 +13,7 @@ from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, Orientations, orientations
 from photocal.navigation.rig import Rig
-from photocal.navigation.trajectory import (
-    COLUMNS,
-    LARGEST_GAP_S,
-    covariance_cells,
-    enu_axes,
-    enu_offsets,
-)
+from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells, enu_axes, enu_offsets
 
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
 _SHOWN_GAP_S = 60.0

@@ -71,10 +71,7 @@ def _sigmas(exposures: Exposures) -> dict[str, Any]:
     covariance = exposures.placed.covariance_m2[exposures.placed.placed]
     position = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
     angles = np.degrees(exposures.angle_sigma[exposures.attitude.known])
-    return {
-        "position_enu_m": _medians(position),
-        "roll_pitch_yaw_deg": _medians(angles),
-    }
+    return {"position_enu_m": _medians(position), "roll_pitch_yaw_deg": _medians(angles)}
 
 
 def _medians(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float] | None:

@@ -153,11 +153,7 @@ def _off_code(here: Floats, combined: EngineSolution, code: EngineSolution, orig
 
 
 def _float_factor(
-    forward: EngineSolution,
-    fore: Integers,
-    backward: EngineSolution,
-    back: Integers,
-    separation: Floats,
+    forward: EngineSolution, fore: Integers, backward: EngineSolution, back: Integers, separation: Floats
 ) -> Floats:
     """Return how much too small the float sigmas are, from the separation of the two directions."""
     pair = (fore >= 0) & (back >= 0)

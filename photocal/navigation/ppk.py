@@ -64,10 +64,7 @@ def between_directions(
     for values, moved in zip(place, geodetic(mean @ enu_axes(*origin[:2]) + centre), strict=True):
         values[off] = moved
     lat, lon, height = place
-    return (
-        replace(combined, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance),
-        off,
-    )
+    return (replace(combined, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance), off)
 
 
 _LEAST_EPOCHS = 10

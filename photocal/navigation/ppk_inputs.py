@@ -14,12 +14,7 @@ from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file, read_precise_result
-from photocal.navigation.receiver_recording import (
-    ReceiverRecording,
-    pick,
-    read_receivers,
-    refuse_unusable,
-)
+from photocal.navigation.receiver_recording import ReceiverRecording, pick, read_receivers, refuse_unusable
 from photocal.navigation.time import GpsTime
 from photocal.navigation.troposphere import Weather, parse_weather
 

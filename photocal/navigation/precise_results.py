@@ -83,14 +83,7 @@ def read_observation_file(path: Path) -> ObservationFile:
         raise InputMalformedError(
             f"has an epoch that no calendar has ({failure})", where=path, remedy="was it damaged?"
         ) from failure
-    return ObservationFile(
-        path,
-        time,
-        frozenset(systems),
-        frozenset(bands),
-        antenna,
-        antenna_m,
-    )
+    return ObservationFile(path, time, frozenset(systems), frozenset(bands), antenna, antenna_m)
 
 
 def _height(cell: str, path: Path) -> float:

@@ -125,9 +125,7 @@ def vehicle_clocks(
         good &= np.abs(utc - np.median(utc[good])) < 86_400 * 10**9 if good.any() else False
         clock = autopilot_clock(boot[good], utc[good], host[good])
         arrival = device_by_arrival(
-            "autopilot's UTC by the recording computer's clock (SYSTEM_TIME)",
-            utc[good],
-            host[good],
+            "autopilot's UTC by the recording computer's clock (SYSTEM_TIME)", utc[good], host[good]
         )
         clocks += [c for c in (clock.compared if clock else None, arrival) if c is not None]
         told = clock is not None

@@ -247,12 +247,7 @@ def _local(trajectory: Trajectory) -> tuple[Floats, Floats]:
 
 
 def _hermite(
-    local: Floats,
-    velocity: Floats,
-    before: Integers,
-    after: Integers,
-    gap: Floats,
-    u: Floats,
+    local: Floats, velocity: Floats, before: Integers, after: Integers, gap: Floats, u: Floats
 ) -> tuple[Floats, Floats]:
     """Return position and velocity of the cubic through two positions with two velocities."""
     # Where a velocity is missing the chord takes its place (Fritsch and Carlson 1980, eq. 2).

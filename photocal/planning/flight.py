@@ -53,12 +53,7 @@ def best_azimuth(corners_m: Floats) -> float:
 
 
 def plan_strips(
-    corners_m: Floats,
-    azimuth_rad: float,
-    spacing_m: float,
-    base_m: float,
-    run_out_m: float,
-    height_m: float,
+    corners_m: Floats, azimuth_rad: float, spacing_m: float, base_m: float, run_out_m: float, height_m: float
 ) -> tuple[Strip, ...]:
     """Cover a polygon with parallel strips, flown to and fro."""
     if not (spacing_m > 0.0 and base_m > 0.0 and run_out_m >= 0.0):

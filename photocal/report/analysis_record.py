@@ -83,9 +83,7 @@ def analyse_run(
     checks, start = checks_of(read, assembly), state_of(assembly, result)
     outcome = analyse_network(assembly.network, checks, alpha, threshold, done, draws, start)
     outcome = replace(
-        outcome,
-        exterior_difference=exterior_difference(read, result),
-        result_sha256=digest(folder / RESULT),
+        outcome, exterior_difference=exterior_difference(read, result), result_sha256=digest(folder / RESULT)
     )
     with output_file(folder / ANALYSIS) as aside:
         write_json(aside, analysis_record(outcome, say or catalogue("en")))

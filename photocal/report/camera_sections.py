@@ -6,6 +6,7 @@ from photocal.adjustment.readout import Readout
 from photocal.findings.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
+from photocal.report import sensor
 from photocal.report.document import (
     Column,
     Figure,
@@ -18,14 +19,6 @@ from photocal.report.document import (
     columns,
 )
 from photocal.report.figures import correlation_picture, natural_width, radial_curve, residual_map
-from photocal.report.sensor import (
-    RADIAL,
-    SensorResiduals,
-    farthest_corner,
-    radial_profile,
-    sensor_residuals,
-    thinned,
-)
 from photocal.report.stored_analysis import Run
 
 CONFIDENCE = 0.95
@@ -220,12 +213,12 @@ ARROWS = 1500
 def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
     """Make the distortion curve and its table."""
     camera = run.result.cameras[camera_id]
-    if not any(camera.value(key) or key in camera.free for key in RADIAL):
+    if not any(camera.value(key) or key in camera.free for key in sensor.RADIAL):
         return Section(title, (Paragraph(say("distortion.none")),))
-    corner = farthest_corner(camera)
-    place = sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
+    corner = sensor.farthest_corner(camera)
+    place = sensor.sensor_residuals(run, camera_id).place - [camera.value("x0"), camera.value("y0")]
     outermost = float(np.hypot(*place.T).max()) if len(place) else 0.0
-    curve = radial_profile(camera, np.linspace(0.0, corner, 241))
+    curve = sensor.radial_profile(camera, np.linspace(0.0, corner, 241))
     factor, unit = (1e3, "µm") if camera.unit == "mm" else (1.0, "px")
     at = [
         f"{fixed(factor * float(v), 1, say.mark)} {unit}"
@@ -244,7 +237,7 @@ def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Cata
 
 def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) -> Table:
     step = _round_step(corner / 10)
-    profile = radial_profile(camera, np.append(np.arange(0.0, corner, step), corner))
+    profile = sensor.radial_profile(camera, np.append(np.arange(0.0, corner, step), corner))
     millimetres = camera.unit == "mm"
     pitch = float(np.mean(camera.pitch))
     units = ("µm", "px") if millimetres else ("px",)
@@ -272,8 +265,8 @@ def _round_step(step: float) -> float:
 def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
     """Make the map of residuals on the sensor and their size by image."""
     camera = run.result.cameras[camera_id]
-    residuals = sensor_residuals(run, camera_id)
-    vectors = thinned(residuals, camera, ARROWS)
+    residuals = sensor.sensor_residuals(run, camera_id)
+    vectors = sensor.thinned(residuals, camera, ARROWS)
     rays = len(residuals.place)
     caption = say("residuals.figure", rays=rays)
     if len(vectors.place) < rays:
@@ -292,7 +285,7 @@ def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalo
     return Section(title, tuple(pieces))
 
 
-def rms_px(residuals: SensorResiduals) -> tuple[float, float]:
+def rms_px(residuals: sensor.SensorResiduals) -> tuple[float, float]:
     """Root mean square of the residuals in x and y, px; 0 without rays."""
     if not len(residuals.place):
         return 0.0, 0.0
@@ -300,7 +293,7 @@ def rms_px(residuals: SensorResiduals) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _largest(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogue) -> str:
+def _largest(run: Run, camera_id: str, residuals: sensor.SensorResiduals, say: Catalogue) -> str:
     rays = run.result.residuals_of(camera_id)
     length = np.hypot(*residuals.residual_px.T)
     w = np.nan_to_num(np.abs(rays.standardised)).max(axis=1)
@@ -316,7 +309,7 @@ def _largest(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogu
     )
 
 
-def _rms_table(run: Run, camera_id: str, residuals: SensorResiduals, say: Catalogue) -> Table:
+def _rms_table(run: Run, camera_id: str, residuals: sensor.SensorResiduals, say: Catalogue) -> Table:
     camera = run.result.cameras[camera_id]
     images = run.result.images_of(camera_id).tolist()
     count, rms = run.result.residuals.rms()

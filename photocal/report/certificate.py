@@ -7,6 +7,7 @@ from drivers.errors import InputMalformedError
 from photocal.findings.digits import fixed, measured, relation, significant
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.texts import Catalogue, finding_text, identity
+from photocal.report import block_sections, camera_sections
 from photocal.report.analysis_sections import (
     analysis_verdict,
     hidden_errors,
@@ -14,22 +15,6 @@ from photocal.report.analysis_sections import (
     parameters,
     warned,
     warning_sections,
-)
-from photocal.report.block_sections import (
-    check_points,
-    exterior_orientation,
-    global_test,
-    inputs,
-    method,
-    relative_orientations,
-)
-from photocal.report.camera_sections import (
-    camera_facts,
-    correlations,
-    image_residuals,
-    interior_orientation,
-    radial_distortion,
-    rms_px,
 )
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
@@ -149,7 +134,7 @@ def _principal_point(run: Run, camera_id: str, say: Catalogue) -> Highlight:
 def _residuals(run: Run, say: Catalogue) -> Highlight:
     parts = [sensor_residuals(run, camera_id) for camera_id in run.result.cameras]
     rays = sum(len(part.place) for part in parts)
-    squares = [(len(part.place), *rms_px(part)) for part in parts]
+    squares = [(len(part.place), *camera_sections.rms_px(part)) for part in parts]
     x, y = (math.sqrt(sum(s[0] * s[i] ** 2 for s in squares) / max(rays, 1)) for i in (1, 2))
     both = math.sqrt((x**2 + y**2) / 2)
     remark = say("highlight.rms_remark", x=fixed(x, 3, say.mark), y=fixed(y, 3, say.mark), rays=rays)
@@ -231,10 +216,11 @@ def _sections(
     several = len(cameras) > 1
     readouts = {readout.camera: readout for readout in run.result.readouts}
     facts: tuple[Piece, ...] = tuple(
-        camera_facts(name, camera, readouts.get(name), say) for name, camera in cameras.items()
+        camera_sections.camera_facts(name, camera, readouts.get(name), say)
+        for name, camera in cameras.items()
     )
     number = certificate_number(run, particulars, warnings)
-    sections = [Section(say("camera.section"), facts), method(say("method.section"), run, say)]
+    sections = [Section(say("camera.section"), facts), block_sections.method(say("method.section"), run, say)]
     for position, (camera_id, camera) in enumerate(cameras.items(), start=1):
         name = str(position)
         # A correlation needs two estimated parameters.
@@ -244,10 +230,10 @@ def _sections(
             return f"{say(key)}: {camera_id}" if several else say(key)
 
         sections += [
-            interior_orientation(title("iop.section"), camera_id, run, say),
-            *(correlations(title("correlation.section"), name, c, say) for c in correlated),
-            radial_distortion(title("distortion.section"), name, run, camera_id, say),
-            image_residuals(title("residuals.section"), name, run, camera_id, say),
+            camera_sections.interior_orientation(title("iop.section"), camera_id, run, say),
+            *(camera_sections.correlations(title("correlation.section"), name, c, say) for c in correlated),
+            camera_sections.radial_distortion(title("distortion.section"), name, run, camera_id, say),
+            camera_sections.image_residuals(title("residuals.section"), name, run, camera_id, say),
         ]
         if run.analysis is not None and run.analysis.cameras.get(camera_id) is not None:
             sections.append(parameters(title("analysis.parameters"), camera_id, run, run.analysis, say))
@@ -257,13 +243,13 @@ def _sections(
         sections.append(method_check(run.analysis, say))
     return (
         *sections,
-        *relative_orientations(say("heads.section"), run, say),
-        exterior_orientation(say("eop.section"), run, say),
-        check_points(say("checks.section"), run, say),
-        global_test(say("test.section"), run, say),
+        *block_sections.relative_orientations(say("heads.section"), run, say),
+        block_sections.exterior_orientation(say("eop.section"), run, say),
+        block_sections.check_points(say("checks.section"), run, say),
+        block_sections.global_test(say("test.section"), run, say),
         *_judgements(run, particulars, known, overall(run, known, warnings), say),
         laboratory(say("laboratory.section"), particulars, number, say),
-        inputs(say("inputs.section"), run, say),
+        block_sections.inputs(say("inputs.section"), run, say),
         signature(say("signature.section"), particulars, say),
     )
 

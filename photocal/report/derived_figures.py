@@ -145,11 +145,7 @@ def check_printed(path: Path) -> PrintedCheck:
             flight.flying_height_m, flight.air_base_m, focal, camera.pixel_size_mm
         )
     checked = limits(
-        keys.residuals.image_rmse_mm,
-        camera.pixel_size_mm,
-        keys.residuals.check_rmse_cm,
-        flight.gsd_cm,
-        dz,
+        keys.residuals.image_rmse_mm, camera.pixel_size_mm, keys.residuals.check_rmse_cm, flight.gsd_cm, dz
     )
     return PrintedCheck(keys.calibration.name, plausibility(record), checked)
 

@@ -206,10 +206,7 @@ def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
         (say("equipment.boresight"), system.boresight_deg or none, system.boresight_sigma_deg or none),
     )
     rows = tuple(
-        (
-            label,
-            *(as_given(v, say.mark) if v is not None else say("word.none") for v in (*values, *sigmas)),
-        )
+        (label, *(as_given(v, say.mark) if v is not None else say("word.none") for v in (*values, *sigmas)))
         for label, values, sigmas in table
     )
     return Table(say("equipment.offsets"), tuple(heads), rows)

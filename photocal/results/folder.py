@@ -183,12 +183,7 @@ def write_csv(path: Path, table: Any) -> None:
 def _covariances(result: Result) -> Any:
     """One row for each image (deg, m), point (m) and camera: its unknowns and the lower triangle by rows."""
     rows: list[tuple[str, Sequence[str], Sequence[str], Floats]] = [
-        (
-            "image",
-            result.images.names,
-            (*ANGLES, *PLACE),
-            result.images.covariances * np.outer(SHOWN, SHOWN),
-        ),
+        ("image", result.images.names, (*ANGLES, *PLACE), result.images.covariances * np.outer(SHOWN, SHOWN)),
         ("point", result.points.names, PLACE, result.points.covariance),
     ]
     for name, adjusted in result.cameras.items():

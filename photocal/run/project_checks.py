@@ -164,14 +164,7 @@ def _check_place(
         return
     table, file = project.control.points, project.path
     tried: list[tuple[str, Path | None, float, float, str, Floats]] = [
-        (
-            "E and N of the control points are exchanged",
-            table,
-            latitude,
-            longitude,
-            project.crs,
-            middle[::-1],
-        )
+        ("E and N of the control points are exchanged", table, latitude, longitude, project.crs, middle[::-1])
     ]
     if (np.abs(control.values[:, :2]) <= (180, 90)).all():
         raise ConfigurationError(

@@ -93,11 +93,7 @@ class Stream:
 
 
 def rover_ubx(
-    session: Session,
-    events: Events | None = None,
-    geoid_m: float = 0.0,
-    *,
-    rng: np.random.Generator,
+    session: Session, events: Events | None = None, geoid_m: float = 0.0, *, rng: np.random.Generator
 ) -> Stream:
     """Return the rover's stream: RXM-RAWX, RXM-SFRBX, NAV-PVT and TIM-TM2."""
     for_position, for_marks = rng.spawn(2)

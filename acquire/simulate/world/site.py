@@ -6,16 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world.block_folder import (
-    FieldBook,
-    camera_keys,
-    take_notes,
-    toml_text,
-    write_block,
-    write_observations,
-    write_table,
-    write_targets,
-)
+from acquire.simulate.world import block_folder
 from acquire.simulate.world.configuration import Air, Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
 from acquire.simulate.world.streams import Wire, make_streams, telemetry_log
@@ -33,18 +24,18 @@ def write_project(world: World, site: Path) -> None:
     if block:
         sections.append(("[measurements]", {"block": "block"}))
     else:
-        notes = take_notes(world, world.place.to_projected(world.targets.surveyed_m))
-        write_targets(world, notes, site / "control.csv", world.targets.names)
+        notes = block_folder.take_notes(world, world.place.to_projected(world.targets.surveyed_m))
+        block_folder.write_targets(world, notes, site / "control.csv", world.targets.names)
         sections += _flight(world, notes)
     judgement = {"scale": given.judgement.scale} if given.judgement.scale else {}
     if given.judgement.standards:
         judgement["standards"] = given.judgement.standards  # type: ignore[assignment]
     sections += [("[judgement]", judgement)] if judgement else []
     sections.append(("[certificate]", {"particulars": "particulars.toml"}))
-    (site / "project.toml").write_text(toml_text(sections), encoding="utf-8")
+    (site / "project.toml").write_text(block_folder.toml_text(sections), encoding="utf-8")
 
 
-def _flight(world: World, notes: FieldBook) -> list[tuple[str, dict[str, Any]]]:
+def _flight(world: World, notes: block_folder.FieldBook) -> list[tuple[str, dict[str, Any]]]:
     given, rig = world.configuration, world.configuration.rig
     base = world.place.to_geodetic(notes.base_m[None])[0]
     place = [*(round(angle, 10) for angle in np.degrees(base[:2]).tolist()), round(float(base[2]), 4)]
@@ -87,7 +78,7 @@ def _flight(world: World, notes: FieldBook) -> list[tuple[str, dict[str, Any]]]:
                 "camera_axes": ["right", "forward", "up"],
             },
         ),
-        ("[[camera]]", camera_keys(given)),
+        ("[[camera]]", block_folder.camera_keys(given)),
         ("[control]", control),
     ]
     if not pictures:
@@ -109,7 +100,7 @@ def write_particulars(world: World, path: Path) -> None:
     given, camera = world.configuration, world.configuration.camera
     plan = given.plan
     sensor = [round(side * camera.pitch_mm, 3) for side in camera.size_px]
-    text = toml_text(
+    text = block_folder.toml_text(
         [
             (
                 "[document]",
@@ -158,9 +149,9 @@ def simulate_flight(configuration: Configuration, folder: Path, advance: Advance
     site.mkdir(parents=True)
     observed = None if configuration.level is Level.PICTURES else observe(world)
     if observed is not None and configuration.level is Level.BLOCK:
-        write_block(world, observed, site / "block")
+        block_folder.write_block(world, observed, site / "block")
     elif observed is not None:
-        write_observations(world, observed, site / "observations.csv")
+        block_folder.write_observations(world, observed, site / "observations.csv")
         write_times(world, site / "times.csv")
     if configuration.level is Level.PICTURES:
         from acquire.simulate.world.picture_file import write_pictures
@@ -183,7 +174,9 @@ def write_streams(world: World, streams: dict[str, Wire], folder: Path) -> None:
     (site / f"base.{world.configuration.gnss.base_protocol}").write_bytes(streams["base"].data)
     for name, wire in streams.items():
         sizes = [len(frame) for frame in wire.frames]
-        write_table(wires / f"{name}.csv", {"arrival_s": (".6f", wire.arrival_s), "bytes": ("d", sizes)})
+        block_folder.write_table(
+            wires / f"{name}.csv", {"arrival_s": (".6f", wire.arrival_s), "bytes": ("d", sizes)}
+        )
 
 
 def write_times(world: World, path: Path) -> None:
@@ -191,7 +184,7 @@ def write_times(world: World, path: Path) -> None:
     pairs = zip(world.exposures.names, picture_stamps(world), kept_images(world).tolist(), strict=True)
     rows = [(name, stamp.isoformat(timespec="milliseconds")) for name, stamp, kept in pairs if kept]
     names, taken = zip(*rows, strict=True)
-    write_table(path, {"image": ("", names), "taken": ("", taken)})
+    block_folder.write_table(path, {"image": ("", names), "taken": ("", taken)})
 
 
 def summary(world: World) -> dict[str, Any]:

@@ -147,11 +147,7 @@ def _write_points(world: World, path: Path, observed: Observations | None, proje
     if observed is not None:
         names, points = list(observed.names), observed.points_m
         roles += ["tie"] * (len(names) - len(roles))
-    columns: Columns = {
-        "point": ("", names),
-        "role": ("", roles),
-        **_columns(("X", "Y", "Z"), points, ".5f"),
-    }
+    columns: Columns = {"point": ("", names), "role": ("", roles), **_columns(("X", "Y", "Z"), points, ".5f")}
     if projected:
         columns |= _columns(("E", "N", "h"), world.place.to_projected(points), ".5f")
     write_table(path, columns)

@@ -313,12 +313,7 @@ def join_strips(
 
 
 def join(
-    design: Design,
-    strips: Structure,
-    structure: Structure,
-    start: Integers,
-    pieces: Floats,
-    matrix: Floats,
+    design: Design, strips: Structure, structure: Structure, start: Integers, pieces: Floats, matrix: Floats
 ) -> None:
     """Add what the pieces have given, in their order, to the reduced matrix.
 

@@ -195,11 +195,7 @@ def adjusted(model: Model) -> Model:
             np.hstack([angles_from_matrix(model.rotation[images]), model.centre[images]]),
             np.full((len(images), 6), np.inf),
         ),
-        Points(
-            model.points[points],
-            np.repeat(held[:, None], 3, axis=1),
-            np.zeros((len(points), 3, 3)),
-        ),
+        Points(model.points[points], np.repeat(held[:, None], 3, axis=1), np.zeros((len(points), 3, 3))),
         Rays(
             np.searchsorted(images, seen.rays.image[rays]),
             np.searchsorted(points, seen.rays.point[rays]),

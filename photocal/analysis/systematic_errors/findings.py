@@ -8,16 +8,7 @@ from scipy import special
 from drivers.arrays import Floats
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.observations import mounting_equations
-from photocal.analysis.systematic_errors.camera_findings import (
-    of_bias,
-    of_jackknife,
-    of_members,
-    of_round,
-    of_shift,
-    of_sigma,
-    of_significance,
-    of_strips,
-)
+from photocal.analysis.systematic_errors import camera_findings
 from photocal.analysis.systematic_errors.refit import SMALL_PX, Fit
 from photocal.analysis.systematic_errors.scatter import VarianceComponent
 from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Search
@@ -230,14 +221,14 @@ def of_heads(fitted: Fit) -> list[Finding]:
 
 def findings(search: Search) -> tuple[Finding, ...]:
     """Turn a search into a list."""
-    listed = [of_round(one) for one in search.rounds]
-    listed += of_members(search)
-    listed += of_shift(search)
-    listed += of_strips(search)
-    listed += of_sigma(search)
-    listed += of_bias(search)
-    listed += of_significance(search)
-    listed += of_jackknife(search)
+    listed = [camera_findings.of_round(one) for one in search.rounds]
+    listed += camera_findings.of_members(search)
+    listed += camera_findings.of_shift(search)
+    listed += camera_findings.of_strips(search)
+    listed += camera_findings.of_sigma(search)
+    listed += camera_findings.of_bias(search)
+    listed += camera_findings.of_significance(search)
+    listed += camera_findings.of_jackknife(search)
     listed += of_stated(search)
     listed += of_groups(search)
     listed += of_heads(search.last)

@@ -45,11 +45,7 @@ def variance_components(
     p_value[(others < 2.0) | (total <= 0.0) | (total >= whole)] = 1.0
     return tuple(
         VarianceComponent(
-            name,
-            int(count[i]),
-            float(checked[i]),
-            float(np.sqrt(total[i] / checked[i])),
-            float(p_value[i]),
+            name, int(count[i]), float(checked[i]), float(np.sqrt(total[i] / checked[i])), float(p_value[i])
         )
         for i, name in enumerate(names)
         if checked[i] >= 2.0

@@ -11,6 +11,7 @@ from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
 from photocal.adjustment.variance_components import VarianceComponents, estimate_components
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.robust import Jackknife, jackknife
+from photocal.analysis.systematic_errors import scatter
 from photocal.analysis.systematic_errors.candidates import (
     Candidate,
     ExtraParameter,
@@ -21,21 +22,7 @@ from photocal.analysis.systematic_errors.candidates import (
     judged,
     steps_of_c,
 )
-from photocal.analysis.systematic_errors.refit import (
-    Fit,
-    fit,
-    with_measurements,
-    with_sigmas,
-    without_member,
-)
-from photocal.analysis.systematic_errors.scatter import (
-    AssumedSigma,
-    ResidualMap,
-    VarianceComponent,
-    assumed_sigma,
-    residual_map,
-    variance_components,
-)
+from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas, without_member
 from photocal.analysis.systematic_errors.shifts import (
     ImageShift,
     PositionShift,
@@ -99,14 +86,14 @@ class Search:
     members: tuple[Member, ...]
     positions: PositionShift | None
     shift: PositionShift | None
-    sigma: AssumedSigma
+    sigma: scatter.AssumedSigma
     groups: tuple[GroupTest, ...]
     strips: tuple[StripShift, ...]
-    images: tuple[VarianceComponent, ...]
-    axes: tuple[VarianceComponent, ...]
-    cameras: tuple[VarianceComponent, ...]
+    images: tuple[scatter.VarianceComponent, ...]
+    axes: tuple[scatter.VarianceComponent, ...]
+    cameras: tuple[scatter.VarianceComponent, ...]
     shifts: tuple[ImageShift, ...]
-    maps: tuple[ResidualMap | None, ...]
+    maps: tuple[scatter.ResidualMap | None, ...]
     jackknife_first: Jackknife
     jackknife_last: Jackknife
 
@@ -130,7 +117,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     solution, rays = last.solution, last.network.rays
     squares = (solution.residuals / rays.sigma) ** 2
     redundancy = solution.redundancy
-    sigma = assumed_sigma(rays.sigma, solution.residuals, redundancy)
+    sigma = scatter.assumed_sigma(rays.sigma, solution.residuals, redundancy)
     factor = float(squares.sum() / redundancy.sum())
     both = np.repeat(rays.image, 2)
     camera = last.network.exposures.camera[both]
@@ -146,9 +133,9 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         sigma,
         _groups(last, sigma),
         strip_shifts(last),
-        variance_components(last.network.image_names, both, flat, checked),
-        variance_components(("x", "y"), axis, flat, checked),
-        variance_components(tuple(one.id for one in last.network.cameras), camera, flat, checked),
+        scatter.variance_components(last.network.image_names, both, flat, checked),
+        scatter.variance_components(("x", "y"), axis, flat, checked),
+        scatter.variance_components(tuple(one.id for one in last.network.cameras), camera, flat, checked),
         image_shifts(last, factor, done),
         tuple(_map(last, k, factor) for k in range(len(last.network.cameras))),
         before,
@@ -261,7 +248,7 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
     return Round(replace(outcome, alike=worst.alike, tested=worst.tested), before, after)
 
 
-def _groups(last: Fit, sigma: AssumedSigma) -> tuple[GroupTest, ...]:
+def _groups(last: Fit, sigma: scatter.AssumedSigma) -> tuple[GroupTest, ...]:
     """Test groups of observations, with the sigma of the rays that was found where it differs."""
     ratio = sigma.found / sigma.assumed
     if sigma.p_value < LEVEL and abs(ratio - 1.0) > WRONG_SIGMA:
@@ -316,7 +303,7 @@ def _as_residuals_agree(last: Fit) -> Fit | None:
     return fit(components.network, components.solution.state)
 
 
-def _map(last: Fit, camera: int, factor: float) -> ResidualMap | None:
+def _map(last: Fit, camera: int, factor: float) -> scatter.ResidualMap | None:
     mine = last.network.exposures.camera[last.network.rays.image] == camera
     if not mine.any():
         return None
@@ -325,4 +312,4 @@ def _map(last: Fit, camera: int, factor: float) -> ResidualMap | None:
     pixel: Floats = plane_to_pixel(own.size_px, own.pitch, last.network.rays.plane[mine])
     residual = last.solution.residuals[mine] / np.array(own.pitch) * down
     w = last.solution.standardised(last.network.rays.sigma)[mine] * down
-    return residual_map(own.size_px, pixel, residual, w, factor, LEVEL)
+    return scatter.residual_map(own.size_px, pixel, residual, w, factor, LEVEL)
