@@ -9,17 +9,16 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from drivers.errors import ConfigurationError, InputNotFoundError
 
+Content = TypeVar("Content", bound=BaseModel)
+
+
+_MOST_PARTS = 100
+
 
 class Table(BaseModel):
     """A table of a file: unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-Content = TypeVar("Content", bound=BaseModel)
-
-
-_MOST_PARTS = 100
 
 
 def parse_toml(text: str) -> dict[str, Any]:

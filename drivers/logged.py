@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch, PiecewiseFramer, Wire
 
+# What an examination answers besides a length.
+NOTHING, WAIT = 0, -1
+
 
 @dataclass(frozen=True)
 class Records:
@@ -63,10 +66,6 @@ def batch_of_rows(
         known=np.ones(len(table), bool),
         damage=lost,
     )
-
-
-# What an examination answers besides a length.
-NOTHING, WAIT = 0, -1
 
 
 class RecordFramer(PiecewiseFramer):

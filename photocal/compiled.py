@@ -18,6 +18,13 @@ from acquire.operating_system import cache_folder, private_folder
 from drivers.errors import OutputError, ProgramMissingError
 
 PACKAGE = Path(__file__).resolve().parent
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+# Kernels own no memory: with reference counting left out they run three times as fast. What they fill is
+# made by their callers.
+_COMMON: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+_LEAN: dict[str, Any] = {**_COMMON, "fastmath": {"contract"}, "_nrt": False}
 
 
 def _fingerprint() -> str:
@@ -70,15 +77,6 @@ def compile_all() -> None:
     running = [subprocess.Popen([sys.executable, "-c", f"import {part}"]) for part in parts]  # noqa: S603
     if sum(abs(part.wait()) for part in running):
         raise ProgramMissingError("the kernels cannot be compiled", remedy="run: photocal doctor")
-
-
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-# Kernels own no memory: with reference counting left out they run three times as fast. What they fill is
-# made by their callers.
-_COMMON: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-_LEAN: dict[str, Any] = {**_COMMON, "fastmath": {"contract"}, "_nrt": False}
 
 
 def compiled(function: Function) -> Function:

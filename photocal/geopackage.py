@@ -158,12 +158,8 @@ def _add_rows(
     database.execute(f"CREATE TABLE {name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, {described})")
     marks = ", ".join("?" * len(columns))
     # SQLite takes NaN for NULL; it would keep an infinite number.
-    known = [[_known(value) for value in row] for row in rows]
+    known = [[None if isinstance(v, float) and not math.isfinite(v) else v for v in row] for row in rows]
     database.executemany(f"INSERT INTO {name} VALUES (NULL, {marks})", known)  # noqa: S608
-
-
-def _known(value: Value) -> Value:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _geometry(layer: Layer, number: int, places: Floats) -> bytes:

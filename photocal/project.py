@@ -26,6 +26,9 @@ from photocal.geometry.camera import Camera
 Degrees = Annotated[FiniteFloat, Field(ge=-360, le=360)]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+Part = TypeVar("Part")
+# File that `photocal new` writes into the folder of a flight.
+NAME = "project.toml"
 
 
 def _beside(path: Path, info: ValidationInfo) -> Path:
@@ -292,9 +295,6 @@ class Contents(Table):
         return self
 
 
-Part = TypeVar("Part")
-
-
 @dataclass(frozen=True)
 class Project:
     """A project file that was read and checked.
@@ -368,10 +368,6 @@ class Project:
         if part is None:
             raise ConfigurationError(f"{name} is missing", where=self.path, remedy="add it")
         return part
-
-
-# File that `photocal new` writes into the folder of a flight.
-NAME = "project.toml"
 
 
 def read_project(path: Path) -> Project:

@@ -19,6 +19,14 @@ from drivers.gnsstime import gps_to_utc_ns, week_to_ns
 from drivers.logged import Records
 from drivers.ulog import UlogFormats
 
+# A receiver's time further than this from the middle of all is a lag or a leap, not what ties the clocks.
+_LIKELY_NS = 500_000_000
+Formats = TypeVar("Formats", UlogFormats, DataflashFormats)
+_YEAR_2000_US, _YEAR_2100_US = 946_684_800e6, 4_102_444_800e6
+_RECEIVERS = {"vehicle_gps_position": "", "sensor_gps": "-sensor", "sensor_gps[1]": "-sensor-2"}
+# Flag of the receiver.
+_FIXES = {50: "rtk_fixed", 34: "rtk_float", 16: "3d"}
+
 
 @dataclass(frozen=True)
 class Logged(SourceMessages):
@@ -54,10 +62,6 @@ def fix_names(types: Floats) -> list[str]:
     return [FIX_NAMES[min(int(v), last)] if v == v else FIX_NAMES[0] for v in types.tolist()]
 
 
-# A receiver's time further than this from the middle of all is a lag or a leap, not what ties the clocks.
-_LIKELY_NS = 500_000_000
-
-
 @dataclass(frozen=True)
 class BootTime:
     """When an autopilot started.
@@ -91,9 +95,6 @@ def boot_time(batches: Iterable[Batch], definitions: UlogFormats | DataflashForm
         return None
     middle = np.sort(every)[len(every) // 2]
     return BootTime(int(every[np.abs(every - middle) <= _LIKELY_NS].max()), len(every))
-
-
-Formats = TypeVar("Formats", UlogFormats, DataflashFormats)
 
 
 @dataclass(frozen=True)
@@ -141,10 +142,6 @@ class LogDecoder(ABC, Generic[Formats]):
     @abstractmethod
     def _decoded(self, part: Part[Formats]) -> Iterator[Decoded]:
         """Decode a batch."""
-
-
-_YEAR_2000_US, _YEAR_2100_US = 946_684_800e6, 4_102_444_800e6
-_RECEIVERS = {"vehicle_gps_position": "", "sensor_gps": "-sensor", "sensor_gps[1]": "-sensor-2"}
 
 
 class UlogDecoder(LogDecoder[UlogFormats]):
@@ -219,10 +216,6 @@ def _told_utc(microseconds: Floats, earliest_us: float) -> Integers:
     """Return UTC that records tell, nanoseconds since 1970; -1 where they tell none."""
     plausible = (microseconds > earliest_us) & (microseconds < _YEAR_2100_US)
     return np.where(plausible, np.where(plausible, microseconds, 0).astype(np.int64) * 1000, -1)
-
-
-# Flag of the receiver.
-_FIXES = {50: "rtk_fixed", 34: "rtk_float", 16: "3d"}
 
 
 class EventListClock:

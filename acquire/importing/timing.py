@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     Clock = ReceiverClock | EventListClock
     Definitions = UlogFormats | DataflashFormats
 
+HOST_TIME = "host stamps of the recording"
+
+Timed = Iterator[tuple[Batch, Integers]]
+
 
 def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, Integers]]:
     """Yield batches with the host stamps of their recording."""
@@ -85,11 +89,6 @@ def since_boot(
 
 def _steady(device: Integers, last: int) -> Integers:
     return np.asarray(np.maximum.accumulate(np.concatenate([[last], device]))[1:], np.int64)
-
-
-HOST_TIME = "host stamps of the recording"
-
-Timed = Iterator[tuple[Batch, Integers]]
 
 
 @dataclass(frozen=True)

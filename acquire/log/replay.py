@@ -13,6 +13,8 @@ from acquire.transports.sinks import Sink
 from drivers.errors import ConfigurationError, InputMalformedError
 from drivers.mavlink.dialect import V1, V2
 
+_STARTS = (V1, V2)
+
 
 @dataclass(frozen=True)
 class Replayed:
@@ -100,9 +102,6 @@ def raw_frames(path: Path, link: str) -> Iterator[tuple[int, bytes]]:
 def _is_raw(part: Messages) -> bool:
     channel = part.channel
     return channel.schema is None and channel.encoding != DAMAGE_ENCODING and channel.topic.endswith("/raw")
-
-
-_STARTS = (V1, V2)
 
 
 def export_tlog(path: Path, link: str, output: Path) -> int:

@@ -22,6 +22,10 @@ _SAMPLES = 24
 # A clock is wrong from 1 % on: good ones stay below 0.01 %.
 _RATE_LIMIT = 0.01
 _LEAST_SPAN_S = 10.0
+_ENCODINGS = {wire.encoding: wire for wire in Wire}
+# A pause of a link counts as a gap from here on.
+GAP_S = 2.0
+_LISTED_GAPS = 20
 
 
 @dataclass
@@ -86,12 +90,6 @@ def _ratio(host: Integers, boot: Integers) -> float | None:
     first, last = int(edges[longest]), int(edges[longest + 1]) - 1
     elapsed = float(host[last] - host[first]) / 1e9
     return float(boot[last] - boot[first]) / 1e9 / elapsed if elapsed > _LEAST_SPAN_S else None
-
-
-_ENCODINGS = {wire.encoding: wire for wire in Wire}
-# A pause of a link counts as a gap from here on.
-GAP_S = 2.0
-_LISTED_GAPS = 20
 
 
 @dataclass

@@ -18,6 +18,13 @@ from acquire.log.writer import LogWriter
 from drivers.arrays import Integers
 from drivers.errors import OutputError
 
+# What is held in memory while no disk takes anything, and how often it is tried again.
+HELD_BYTES = 256 << 20
+TRY_AGAIN_S = 5.0
+
+# Kind (see `acquire.recording.alarms`) and words of what had to be done.
+Told = tuple[str, str]
+
 
 class WholeWrites(io.RawIOBase):
     """A file whose writes are complete or fail; after a failure it ends where the last complete one ended.
@@ -88,14 +95,6 @@ def _has_end(path: Path) -> bool:
             return stream.read() == records.MAGIC and stream.tell() > len(records.MAGIC)
     except OSError:
         return False
-
-
-# What is held in memory while no disk takes anything, and how often it is tried again.
-HELD_BYTES = 256 << 20
-TRY_AGAIN_S = 5.0
-
-# Kind (see `acquire.recording.alarms`) and words of what had to be done.
-Told = tuple[str, str]
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ _TICK_S = 0.005
 # A reader that was quick enough before is waited for; one that has taken nothing for so long is gone.
 _PATIENCE_S = 10.0
 _DATAGRAM_BYTES = 8192
+HOST = "127.0.0.1"
+SPOKEN_TO = ("vehicle", "rover", "base")
 
 
 class Device(Protocol):
@@ -150,10 +152,6 @@ def _serving(
     finally:
         stop.set()
         thread.join(5)
-
-
-HOST = "127.0.0.1"
-SPOKEN_TO = ("vehicle", "rover", "base")
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from drivers.errors import InputMalformedError, InputNotFoundError
 from drivers.mavlink.dialect import V2, ardupilotmega
 
 _STAMP_BYTES = 8
+_AUTOPILOT = bytes((1, 1))
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,6 @@ def _read_line(stream: Path, times: Path) -> Wire:
         )
     frames = tuple(data[end - size : end] for end, (_, size) in zip(ends.tolist(), table, strict=True))
     return Wire(np.array([moment for moment, _ in table]), frames)
-
-
-_AUTOPILOT = bytes((1, 1))
 
 
 class FlightClock:

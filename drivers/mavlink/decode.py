@@ -11,6 +11,8 @@ from drivers.checksums import x25
 from drivers.frames import Batch, Wire, gather
 from drivers.mavlink.dialect import V2, Dialect
 
+FRAGMENT_BYTES, FRAGMENTS = 180, 4
+
 
 @dataclass(frozen=True, slots=True)
 class Messages:
@@ -78,9 +80,6 @@ def encode(
     header = bytes((len(payload), 0, 0, sequence & 0xFF, system, component)) + message.to_bytes(3, "little")
     check = x25(header + payload, dialect.seeds[message])
     return bytes((V2,)) + header + payload + check.to_bytes(2, "little")
-
-
-FRAGMENT_BYTES, FRAGMENTS = 180, 4
 
 
 def fragments(message: bytes, sequence: int) -> list[dict[str, Any]]:

@@ -20,6 +20,11 @@ NAV_POSLLH, NAV_PVT, NAV_HPPOSLLH, NAV_TIMEGPS, NAV_TIMEUTC, NAV_SVIN = (
 )  # fmt: skip
 RXM_SFRBX, RXM_RAWX, TIM_TM2 = 0x0213, 0x0215, 0x0D03
 ACK_NAK, ACK_ACK = 0x0500, 0x0501
+# Longest age of each class, seconds; 0 is unknown, from 12 on the age is 120 s or more.
+_AGES_S = np.array([np.nan, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, *[np.inf] * 4])
+# TIM-TM2: its flags, and the time bases.
+_NEW_FALLING, _TIME_VALID, _NEW_RISING, _BASE_SHIFT = 0x04, 0x40, 0x80, 3
+BASE_RECEIVER, BASE_GNSS, BASE_UTC = 0, 1, 2
 
 
 def _layout(*members: tuple[str, str] | tuple[str, str, int]) -> np.dtype[Any]:
@@ -99,10 +104,6 @@ class Messages:
         return len(self.index)
 
 
-# Longest age of each class, seconds; 0 is unknown, from 12 on the age is 120 s or more.
-_AGES_S = np.array([np.nan, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, *[np.inf] * 4])
-
-
 def correction_age_s(pvt: NDArray[Any]) -> Floats:
     """Return the age of the last differential correction that NAV-PVT tells, seconds.
 
@@ -120,11 +121,6 @@ def decode(batch: Batch, kind: int) -> Messages:
     # NAV-PVT had 84 bytes before protocol 15: what it lacks reads as zero.
     index = index[payload >= (84 if kind == NAV_PVT else row.itemsize)]
     return Messages(index, gather(batch.data, batch.start[index] + 6, batch.length[index] - 8, row))
-
-
-# TIM-TM2: its flags, and the time bases.
-_NEW_FALLING, _TIME_VALID, _NEW_RISING, _BASE_SHIFT = 0x04, 0x40, 0x80, 3
-BASE_RECEIVER, BASE_GNSS, BASE_UTC = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,16 @@ from photocal.accuracy.statistics import (
 from photocal.findings.finding import Figure, Finding
 
 PROBABLE_ERROR = 0.90
+# Below this number the standard deviation is known to worse than about a quarter of itself (95 %).
+SMALL_SAMPLE = 30
+_INTERVAL_CONFIDENCE = 0.95
+
+# The side on which a product lies, and what puts it there: the mean positive, and negative.
+_SIDES = {
+    "E": ("east", "west", "bias-in-plane"),
+    "N": ("north", "south", "bias-in-plane"),
+    "h": ("high", "low", "bias-in-height"),
+}
 
 
 @dataclass(frozen=True)
@@ -237,18 +247,6 @@ def _require_positive(question: Question) -> None:
     ):
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise ConfigurationError(f"{name} {value} is not a positive number")
-
-
-# Below this number the standard deviation is known to worse than about a quarter of itself (95 %).
-SMALL_SAMPLE = 30
-_INTERVAL_CONFIDENCE = 0.95
-
-# The side on which a product lies, and what puts it there: the mean positive, and negative.
-_SIDES = {
-    "E": ("east", "west", "bias-in-plane"),
-    "N": ("north", "south", "bias-in-plane"),
-    "h": ("high", "low", "bias-in-height"),
-}
 
 
 def findings(assessment: Assessment) -> tuple[Finding, ...]:

@@ -28,6 +28,24 @@ NAMED = 60
 _INK = "#1f4e9c"
 _MAP_INCHES = (7.0, 6.0)
 _HISTOGRAM_INCHES = (7.0, 2.6)
+# First number that no authority uses, for a coordinate system without one.
+_OWN_SYSTEM = 100_000
+
+
+_NAMES = {"point": "TEXT", "role": "TEXT"}
+_PLANE = {"dE_m": "DOUBLE", "dN_m": "DOUBLE"}
+_POINTS = Layer(
+    "ground_points",
+    "POINT",
+    has_heights=False,
+    columns={**_NAMES, "h_m": "DOUBLE", **_PLANE, "dh_m": "DOUBLE", "plane_m": "DOUBLE"},
+)
+_VECTORS = Layer(
+    "residual_vectors",
+    "LINESTRING",
+    has_heights=False,
+    columns={**_NAMES, **_PLANE, "plane_m": "DOUBLE", "enlarged": "DOUBLE"},
+)
 
 
 def round_down(value: float) -> float:
@@ -150,26 +168,6 @@ def write_figures(discrepancies: Discrepancies, folder: Path) -> tuple[Path, ...
             # Without the date the same input gives the same bytes.
             figure.savefig(aside / name, metadata={"CreationDate": None})
     return tuple(folder / name for name in made)
-
-
-# First number that no authority uses, for a coordinate system without one.
-_OWN_SYSTEM = 100_000
-
-
-_NAMES = {"point": "TEXT", "role": "TEXT"}
-_PLANE = {"dE_m": "DOUBLE", "dN_m": "DOUBLE"}
-_POINTS = Layer(
-    "ground_points",
-    "POINT",
-    has_heights=False,
-    columns={**_NAMES, "h_m": "DOUBLE", **_PLANE, "dh_m": "DOUBLE", "plane_m": "DOUBLE"},
-)
-_VECTORS = Layer(
-    "residual_vectors",
-    "LINESTRING",
-    has_heights=False,
-    columns={**_NAMES, **_PLANE, "plane_m": "DOUBLE", "enlarged": "DOUBLE"},
-)
 
 
 def reference_system(crs: str | None) -> ReferenceSystem:

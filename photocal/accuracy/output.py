@@ -17,6 +17,8 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, plain
 
 SCHEMA = "photocal.check/2"
+_WIDTH = 118
+_NONE = "-"
 
 
 def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, Any]:
@@ -150,10 +152,6 @@ def _value(value: classes.ValueClass) -> dict[str, Any]:
 def finite(value: float) -> float | None:
     """Give a number that JSON knows, or None."""
     return value if math.isfinite(value) else None
-
-
-_WIDTH = 118
-_NONE = "-"
 
 
 def to_text(assessment: Assessment) -> str:

@@ -19,6 +19,8 @@ Component = Literal["planimetry", "height"]
 Basis = Literal["scale", "interval"]
 # Text over several lines of a file, as one.
 Prose = Annotated[str, AfterValidator(lambda text: " ".join(text.split()))]
+_SCALE = re.compile(r"^(?:1:)?(?P<denominator>[0-9]+(?:\.[0-9]+)?)$")
+SHIPPED = ("decree-89817", "pec-pcd", "asprs-2024")
 
 
 @dataclass(frozen=True)
@@ -146,9 +148,6 @@ class ValueStandard(Table):
     blunder_over_target: Figure
 
 
-_SCALE = re.compile(r"^(?:1:)?(?P<denominator>[0-9]+(?:\.[0-9]+)?)$")
-
-
 def parse_scale(text: str) -> float:
     """Read a scale; raises ConfigurationError when it is not a scale."""
     match = _SCALE.match(text.replace(" ", ""))
@@ -165,9 +164,6 @@ def scale_text(denominator: float) -> str:
 def size_text(basis: str, size: float) -> str:
     """Write a scale or a contour interval."""
     return scale_text(size) if basis == "scale" else f"interval {size:.4g} m"
-
-
-SHIPPED = ("decree-89817", "pec-pcd", "asprs-2024")
 
 
 class ScaleStandard(Table):

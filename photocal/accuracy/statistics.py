@@ -13,6 +13,17 @@ from drivers.errors import ConfigurationError, IllPosedError, InputMalformedErro
 # 1 / the 0.75 quantile of the standard normal distribution: the median of absolute deviations
 # times this estimates the standard deviation of normal data (Hoehle and Hoehle 2009).
 _MAD_TO_STD = 1.482602218505602
+# Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
+# exponentially and this many suffice for axis ratios down to about 1:100.
+_DIRECTIONS = 2048
+# The approximation of Royston 1995 that scipy computes holds for these numbers of points.
+SHAPIRO_WILK_SAMPLES = range(3, 5001)
+# A smaller range is no measurement: all values are equal.
+_NO_RANGE_M = 1e-9
+# Below this many points a deviation cannot be told from the spread it makes itself.
+SMALLEST_SAMPLE = 5
+# More outliers than this are no outliers any more but another distribution.
+MOST_TESTED = 100
 
 
 @dataclass(frozen=True)
@@ -115,11 +126,6 @@ def combined_rmse(*components: Moments) -> float:
     return math.sqrt(sum(component.rmse_m**2 for component in components))
 
 
-# Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
-# exponentially and this many suffice for axis ratios down to about 1:100.
-_DIRECTIONS = 2048
-
-
 def counted_error(lengths_m: Floats, share: float) -> float:
     """Give the smallest length that at least a share of the points does not exceed."""
     n = len(lengths_m)
@@ -155,12 +161,6 @@ def circular_error(second_moments_m2: Floats, probability: float) -> float:
 
     upper = math.sqrt(float(stats.chi2.ppf(probability, 2)))
     return math.sqrt(large) * float(brentq(missing, 0.0, upper * (1.0 + 1e-9), xtol=1e-12))
-
-
-# The approximation of Royston 1995 that scipy computes holds for these numbers of points.
-SHAPIRO_WILK_SAMPLES = range(3, 5001)
-# A smaller range is no measurement: all values are equal.
-_NO_RANGE_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -270,12 +270,6 @@ def _require_level(confidence: float) -> None:
         raise ConfigurationError(
             f"confidence {confidence} is not between 0 and 1", remedy="give for example 0.90"
         )
-
-
-# Below this many points a deviation cannot be told from the spread it makes itself.
-SMALLEST_SAMPLE = 5
-# More outliers than this are no outliers any more but another distribution.
-MOST_TESTED = 100
 
 
 def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:

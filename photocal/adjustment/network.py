@@ -17,6 +17,10 @@ from photocal.adjustment.mounting import (
 from photocal.adjustment.rig import NO_RIG, Rig
 from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES, Camera
 
+RELATIONS = ("distance", "height_difference", "azimuth")
+# From differences of points, shape (n, 3): the values, and their derivatives with respect to the second.
+Related = Callable[[Floats], tuple[Floats, Floats]]
+
 
 @dataclass(frozen=True)
 class Exposures:
@@ -68,11 +72,6 @@ class Rays:
     point: Integers
     plane: Floats
     sigma: Floats
-
-
-RELATIONS = ("distance", "height_difference", "azimuth")
-# From differences of points, shape (n, 3): the values, and their derivatives with respect to the second.
-Related = Callable[[Floats], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from drivers.arrays import Floats, Integers
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
 
+Sided = Literal["two-sided", "one-sided", "none"]
+
 
 @dataclass(frozen=True)
 class Group:
@@ -23,9 +25,6 @@ class Group:
     observations: int
     chi_squared: float
     redundancy: float
-
-
-Sided = Literal["two-sided", "one-sided", "none"]
 
 
 @dataclass(frozen=True)

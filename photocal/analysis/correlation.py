@@ -31,6 +31,9 @@ _CAUSES: tuple[tuple[frozenset[str], frozenset[str], str], ...] = (
     (_DECENTRING, _DECENTRING, "all-around"),
 )
 UNKNOWN = "unknown"
+# A computed matrix may miss by the rounding of its own arithmetic.
+ARITHMETIC = 1e-10
+ELEMENTS = ("omega", "phi", "kappa", "X0", "Y0", "Z0")
 
 
 @dataclass(frozen=True)
@@ -64,10 +67,6 @@ def cause(first: str, second: str) -> str:
         if (first in left and second in right) or (first in right and second in left):
             return words
     return UNKNOWN
-
-
-# A computed matrix may miss by the rounding of its own arithmetic.
-ARITHMETIC = 1e-10
 
 
 def correlation_findings(names: tuple[str, ...], matrix: Floats | None, rounding: float) -> list[Finding]:
@@ -113,9 +112,6 @@ def sign_repair(matrix: Floats) -> tuple[tuple[int, int], float]:
 
 def _least(matrix: Floats) -> float:
     return float(np.linalg.eigvalsh((matrix + matrix.T) / 2)[0])
-
-
-ELEMENTS = ("omega", "phi", "kappa", "X0", "Y0", "Z0")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,9 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError
 from photocal.geometry.camera import Camera
 
+GROUPS = (("x0", "y0"), ("K1", "K2", "K3"), ("P1", "P2"), ("B1", "B2"))
+CUMULATIVE = (("K1",), ("K1", "K2"), ("K1", "K2", "K3"), ("K1", "K2", "K3", "K4"))
+
 
 @dataclass(frozen=True)
 class Estimates:
@@ -117,10 +120,6 @@ def quadratic_form(estimates: Estimates) -> float:
     positive_definite(estimates)
     t = estimates.values / sigma
     return float(t @ np.linalg.solve(estimates.correlation, t))
-
-
-GROUPS = (("x0", "y0"), ("K1", "K2", "K3"), ("P1", "P2"), ("B1", "B2"))
-CUMULATIVE = (("K1",), ("K1", "K2"), ("K1", "K2", "K3"), ("K1", "K2", "K3", "K4"))
 
 
 @dataclass(frozen=True)

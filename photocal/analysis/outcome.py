@@ -36,6 +36,11 @@ from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
+# Of the bootstrap: the same images are drawn again when a certificate is verified.
+SEED = 1
+# Findings of terms that a lens model lacks.
+_TERMS = ("radial", "decentring")
+SCHEMA = "photocal.analysis/2"
 
 
 @dataclass(frozen=True)
@@ -153,12 +158,6 @@ def _reach(fit: Fit, camera: int) -> float:
     return float(np.linalg.norm(rays.plane[mine], axis=1).max(initial=0.0))
 
 
-# Of the bootstrap: the same images are drawn again when a certificate is verified.
-SEED = 1
-# Findings of terms that a lens model lacks.
-_TERMS = ("radial", "decentring")
-
-
 @dataclass(frozen=True)
 class Removal:
     """Parameters of a camera with some images left out together."""
@@ -218,9 +217,6 @@ class ExteriorDifference:
     rmse_m: tuple[float, ...]
     mean_arcsec: tuple[float, ...]
     rmse_arcsec: tuple[float, ...]
-
-
-SCHEMA = "photocal.analysis/2"
 
 
 @dataclass(frozen=True, kw_only=True)

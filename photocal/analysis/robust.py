@@ -19,6 +19,12 @@ from photocal.analysis.systematic_errors.refit import Fit, left_without, lowest,
 MOST_REMOVALS, REMOVED_TOGETHER = 30, 15
 # Left of each adjustment, see `minimise`: some 1e-4 standard deviations.
 NEAR = 1e-8
+# Of a residual that almost nothing checks: its share of the error is not known.
+LEAST_CHECKED = 0.05
+# With fewer images beyond the parameters their scatter tells too little of itself.
+FEWEST = 10
+# From here on two standard deviations tell something different.
+APART = 4.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -93,14 +99,6 @@ def standard_error(values: Floats) -> Floats:
     if m < 3:
         return np.full(values.shape[1:], np.nan)
     return np.asarray(np.sqrt((m - 1) / m * np.sum((values - values.mean(axis=0)) ** 2, axis=0)))
-
-
-# Of a residual that almost nothing checks: its share of the error is not known.
-LEAST_CHECKED = 0.05
-# With fewer images beyond the parameters their scatter tells too little of itself.
-FEWEST = 10
-# From here on two standard deviations tell something different.
-APART = 4.0 / 3.0
 
 
 def apart(formal: float, robust: float | None) -> bool:

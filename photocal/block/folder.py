@@ -29,6 +29,16 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
 
 SETUP, MARKS, READINGS = "block.toml", "fiducials.csv", "fiducial_readings.csv"
+IMAGE_COLUMNS = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa")
+IMAGE_SIGMAS = ("so", "sp", "sk", "sX", "sY", "sZ")
+EXPOSURE = "exposure"
+POINT_COLUMNS = ("point", "X", "Y", "Z", "role")
+POINT_SIGMAS = ("sX", "sY", "sZ")
+POINT_CROSS = ("sXY", "sXZ", "sYZ")
+OBSERVATION_COLUMNS = ("image", "point", "x", "y")
+# Observations between points stand in tables of their plural: distances.csv (m), height_differences.csv (m),
+# azimuths.csv (degrees, from the Y axis towards X).
+CHECK_DISTANCES = "check_distances.csv"
 
 
 def from_readings(
@@ -115,18 +125,6 @@ def mean_of_readings(
         readings, image=readings.image[chosen], point=readings.point[chosen], values=mean, sigma=of_mean
     )
     return means, Repetition(*counts)
-
-
-IMAGE_COLUMNS = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa")
-IMAGE_SIGMAS = ("so", "sp", "sk", "sX", "sY", "sZ")
-EXPOSURE = "exposure"
-POINT_COLUMNS = ("point", "X", "Y", "Z", "role")
-POINT_SIGMAS = ("sX", "sY", "sZ")
-POINT_CROSS = ("sXY", "sXZ", "sYZ")
-OBSERVATION_COLUMNS = ("image", "point", "x", "y")
-# Observations between points stand in tables of their plural: distances.csv (m), height_differences.csv (m),
-# azimuths.csv (degrees, from the Y axis towards X).
-CHECK_DISTANCES = "check_distances.csv"
 
 
 def read_block(folder: Path) -> Block:

@@ -120,7 +120,9 @@ def verify(
     if not any(name.endswith(" is a link") for name in files):
         changed, found, pages = _repeat(certified, folder, block)
         files += pages
-    signed = authenticity(folder, _named_key(certified), known_keys(keys))
+    responsible = certified["particulars"].get("responsible", {})
+    named_key = str(responsible.get("key", "")) if isinstance(responsible, dict) else ""
+    signed = authenticity(folder, named_key, known_keys(keys))
     if trust and signed.trust == "unknown" and not (changed or files or found):
         from photocal.report.signing import trust as remember
 
@@ -166,11 +168,6 @@ def verify(
             where=certificate,
             remedy="ask the issuer for the certificate as it was issued",
         )
-
-
-def _named_key(certified: dict[str, Any]) -> str:
-    responsible = certified["particulars"].get("responsible", {})
-    return str(responsible.get("key", "")) if isinstance(responsible, dict) else ""
 
 
 def _repeat(

@@ -9,6 +9,7 @@ import typer
 from acquire.console import application, run
 
 _DATA = Path(__file__).parent
+app = application("Demonstrations: a simulated flight with known truth, a camera of a published study.")
 
 
 def published(output: Path) -> None:
@@ -53,9 +54,6 @@ def _lines(figures: dict[str, Any]) -> list[str]:
         f"position fixes: {', '.join(fixes)}",
         f"exposures: {frames.get('CAMERA_FEEDBACK', 0)}; clock: {link['clock']['verdict']}",
     ]
-
-
-app = application("Demonstrations: a simulated flight with known truth, a camera of a published study.")
 
 
 @app.callback(invoke_without_command=True, no_args_is_help=False)

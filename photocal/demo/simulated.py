@@ -24,6 +24,9 @@ from photocal.results.result import Result
 _LEVER = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
 _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 _WITHIN = 3.0
+_ACQUIRE = (sys.executable, "-c", "from acquire.cli import main; main()")
+_START_S = 300.0
+_STOP_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -122,11 +125,6 @@ def table(rows: tuple[Row, ...]) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.3e}" if value and abs(value) < 1e-3 else f"{value:.5f}"
-
-
-_ACQUIRE = (sys.executable, "-c", "from acquire.cli import main; main()")
-_START_S = 300.0
-_STOP_S = 300.0
 
 
 def simulated(plan: Path, output: Path, seed: int | None, speed: float) -> None:

@@ -52,6 +52,19 @@ NUMBERS = {name: number for number, (name, _) in MODELS.items()}
 LARGEST_KEY = 1 << 62
 # Key of a mark that belongs to no point.
 NO_POINT = -1
+# Number, place, reprojection error and track of a point.
+Point = tuple[int, Sequence[float], float, Integers]
+_MARK = np.dtype([("xy", "<f8", 2), ("key", "<i8")])
+_TRACK = np.dtype([("image", "<u4"), ("place", "<u4")])
+FILES = ("cameras", "images", "points3D")
+
+# What COLMAP has of other lenses.
+_OTHERS: dict[Model, tuple[str, ...]] = {
+    "rational": ("K1", "K2", "K3", "K4", "K5", "K6", "P1", "P2"),
+    "equidistant": ("K1", "K2", "K3", "K4"),
+}
+# Which of our parameters each of COLMAP's makes free.
+_FREES = {f"k{n}": (f"K{n}",) for n in range(1, 7)} | {"p1": ("P1", "P2"), "fx": ("B1",)}
 
 
 @dataclass(frozen=True)
@@ -97,10 +110,6 @@ class Content:
     tracks: tuple[Integers, ...]
 
 
-# Number, place, reprojection error and track of a point.
-Point = tuple[int, Sequence[float], float, Integers]
-
-
 def content_of(lenses: Iterable[Lens], shots: Iterable[Shot], points: Iterable[Point]) -> Content:
     """Put a model together."""
     rows = list(points)
@@ -127,10 +136,6 @@ def unknown_model(name: object, place: object) -> InputMalformedError:
     return InputMalformedError(
         f"camera model {name} has no equivalent", where=place, remedy=f"convert it to one of {known}"
     )
-
-
-_MARK = np.dtype([("xy", "<f8", 2), ("key", "<i8")])
-_TRACK = np.dtype([("image", "<u4"), ("place", "<u4")])
 
 
 class _Reader:
@@ -322,17 +327,6 @@ def write_text_model(folder: Path, content: Content) -> None:
         ):
             pairs = " ".join(str(number) for number in track.ravel().tolist())
             out.write(f"{key} {digits(xyz)} 128 128 128 {error!r} {pairs}\n")
-
-
-FILES = ("cameras", "images", "points3D")
-
-# What COLMAP has of other lenses.
-_OTHERS: dict[Model, tuple[str, ...]] = {
-    "rational": ("K1", "K2", "K3", "K4", "K5", "K6", "P1", "P2"),
-    "equidistant": ("K1", "K2", "K3", "K4"),
-}
-# Which of our parameters each of COLMAP's makes free.
-_FREES = {f"k{n}": (f"K{n}",) for n in range(1, 7)} | {"p1": ("P1", "P2"), "fx": ("B1",)}
 
 
 def read_colmap(folder: Path) -> Reconstruction:

@@ -52,6 +52,9 @@ _GROUPS = {
     "K": ("K1", "K2", "K3", "K4"),
     "P": ("P1", "P2"),
 }
+CONTROL_FORMAT = "id,x,y,z,sx,sy,sz"
+# The parameters of ours that each switch of DBAT's estimation frees.
+_SWITCHES = {key: tuple(OURS[NAMES.index(name)] for name in names) for key, names in _GROUPS.items()}
 
 
 def read_dbat(path: Path) -> Block:
@@ -277,11 +280,6 @@ def _list(
 def recognises(path: Path) -> bool:
     """Whether an XML file is a set-up of this program."""
     return "dbat_script_version" in read_xml(path).attrib
-
-
-CONTROL_FORMAT = "id,x,y,z,sx,sy,sz"
-# The parameters of ours that each switch of DBAT's estimation frees.
-_SWITCHES = {key: tuple(OURS[NAMES.index(name)] for name in names) for key, names in _GROUPS.items()}
 
 
 def write_dbat(folder: Path, block: Block) -> Path:

@@ -27,6 +27,18 @@ IMAGE_FIELDS = ("id", "path", "dummy", "ignored")
 MARK_FIELDS = ("id", "im", "ignored", "dummy", "x", "y", "sx", "sy", "sxy")
 # What one field of the file stands for.
 _SPREAD = {"sxy": ("sx", "sy"), "sxyz": ("sx", "sy", "sz")}
+# DBAT's names in the order of its reports.
+NAMES = ("cc", "px", "py", "as", "sk", "K1", "K2", "K3", "K4", "P1", "P2")
+MODELS: dict[int, tuple[Model, Affinity]] = {
+    -1: ("brown-ideal", "additive"),
+    1: ("brown-observed", "additive"),
+    2: ("brown-observed", "additive"),
+    3: ("brown-observed", "before"),
+    4: ("brown-observed", "after"),
+    5: ("brown-observed", "before"),
+}
+WITH_AFFINITY = (3, 4, 5)
+OURS = ("c", "x0", "y0", "B1", "B2", "K1", "K2", "K3", "K4", "P1", "P2")
 
 
 @dataclass(frozen=True)
@@ -87,20 +99,6 @@ def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[Row
         for field, cell in zip(fields, cells, strict=True):
             row.update(dict.fromkeys(_SPREAD.get(field, (field,)), cell))
         yield Row(line, row)
-
-
-# DBAT's names in the order of its reports.
-NAMES = ("cc", "px", "py", "as", "sk", "K1", "K2", "K3", "K4", "P1", "P2")
-MODELS: dict[int, tuple[Model, Affinity]] = {
-    -1: ("brown-ideal", "additive"),
-    1: ("brown-observed", "additive"),
-    2: ("brown-observed", "additive"),
-    3: ("brown-observed", "before"),
-    4: ("brown-observed", "after"),
-    5: ("brown-observed", "before"),
-}
-WITH_AFFINITY = (3, 4, 5)
-OURS = ("c", "x0", "y0", "B1", "B2", "K1", "K2", "K3", "K4", "P1", "P2")
 
 
 @dataclass(frozen=True)

@@ -210,17 +210,13 @@ def write_geopackage(
     for geometry, properties in features(given, to_geographic or np.array):
         layer = _KINDS.get(properties["kind"], _POINTS)
         values = [properties.get(column) for column in layer.columns]
-        layers[layer.name][1].append((_corners(geometry), values))
+        corners = geometry["coordinates"]
+        corners = np.array(corners[0] if geometry["type"] == "Polygon" else [corners], dtype=float)
+        layers[layer.name][1].append((corners, values))
     with geopackage(path, system) as database:
         for layer, found in layers.values():
             add_layer(database, layer, system, found, changed_utc)
         add_table(database, "image_residuals", _RESIDUALS, _residuals(given), changed_utc)
-
-
-def _corners(geometry: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Corners of a geometry as in GeoJSON, shape (n, 2) or (n, 3)."""
-    polygon = geometry["type"] == "Polygon"
-    return np.array(geometry["coordinates"][0] if polygon else [geometry["coordinates"]], dtype=float)
 
 
 def _residuals(given: Reconstruction) -> Iterator[Sequence[Value]]:

@@ -38,6 +38,7 @@ MM = 1e-3
 # A distance between two points and its standard deviation, m.
 Bar = tuple[str, str, float, float]
 _A_PRIORI = re.compile(rb"S0 apriori:\s*([0-9.eE+-]+)")
+_TERMS = ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
 
 
 def read_jaicov(path: Path, sigma_mm: float | None = None) -> Block:
@@ -187,9 +188,6 @@ def _marks(lines: list[Line], images: set[str], points: set[str], sigma: float) 
 def read_unweighted(path: Path) -> Block:
     """Read a project without a report, its measurements weighted alike."""
     return read_jaicov(path, sigma_mm=1e-3)
-
-
-_TERMS = ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
 
 
 def write_jaicov(stem: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:

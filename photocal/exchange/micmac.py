@@ -36,6 +36,8 @@ from photocal.geometry.conversion import Conversion, converted, in_pixels
 CONVENTION = "eConvApero_DistM2C"
 # The uncertainty that the program writes where nobody has given one.
 PLACEHOLDER = 1.0
+FOLDER = "Ori-photocal"
+TERMS = ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2")
 
 
 def read_calibration(path: Path) -> Camera:
@@ -180,10 +182,6 @@ def _distortion(given: Element, place: list[float], path: Path) -> dict[str, flo
         # dx = P1 (r^2 + 2 x^2) + 2 P2 x y + b1 x + b2 y, with y down.
         values |= {"P1": p1, "P2": -p2, "B1": b1, "B2": -b2}
     return values
-
-
-FOLDER = "Ori-photocal"
-TERMS = ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2")
 
 
 def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:

@@ -36,6 +36,25 @@ LOCAL_CRS = (
     'ENGCRS["Local Cartesian frame",EDATUM["Origin of the block"],CS[Cartesian,3],AXIS["easting (X)",east,'
     'ORDER[1]],AXIS["northing (Y)",north,ORDER[2]],AXIS["up (Z)",up,ORDER[3]],LENGTHUNIT["metre",1.0]]'
 )
+_SPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "photocal")
+_BANDS = (("Red", 0.2126), ("Green", 0.7152), ("Blue", 0.0722))
+# Files of the project by the kind of item that they belong to.
+_ITEMS: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
+    ("scene_reference_frame", ("scene-reference-frame",), ()),
+    ("camera_list", ("camera-list",), ()),
+    ("input_cameras", ("input-cameras",), ("camera_list",)),
+    ("input_control_points", ("input-control-points",), ("input_cameras",)),
+    (
+        "projected_control_points",
+        ("projected-control-points",),
+        ("scene_reference_frame", "input_control_points"),
+    ),
+    (
+        "calibration",
+        ("calibrated-cameras", "calibrated-control-points"),
+        ("scene_reference_frame", "input_cameras", "input_control_points"),
+    ),
+)
 
 
 def format_name(kind: str) -> str:
@@ -207,27 +226,6 @@ def read_project_block(path: Path) -> Block:
     given = read_opf(path)
     files = structured(path, "an OPF project", lambda: list(_resources(path).files.values()))
     return vision_block(given.name, given, [path, *files])
-
-
-_SPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "photocal")
-_BANDS = (("Red", 0.2126), ("Green", 0.7152), ("Blue", 0.0722))
-# Files of the project by the kind of item that they belong to.
-_ITEMS: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
-    ("scene_reference_frame", ("scene-reference-frame",), ()),
-    ("camera_list", ("camera-list",), ()),
-    ("input_cameras", ("input-cameras",), ("camera_list",)),
-    ("input_control_points", ("input-control-points",), ("input_cameras",)),
-    (
-        "projected_control_points",
-        ("projected-control-points",),
-        ("scene_reference_frame", "input_control_points"),
-    ),
-    (
-        "calibration",
-        ("calibrated-cameras", "calibrated-control-points"),
-        ("scene_reference_frame", "input_cameras", "input_control_points"),
-    ),
-)
 
 
 def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:

@@ -17,6 +17,7 @@ from photocal.geometry.rotation import angles_from_matrix
 # What a value without a standard deviation of its own is: free.
 FREE = (np.inf, np.inf, np.inf)
 UNKNOWN = (np.nan, np.nan, np.nan)
+Row = Sequence[str | float]
 
 
 @dataclass(frozen=True)
@@ -147,9 +148,6 @@ def require_no_blanks(names: Iterable[str], remedy: str = "rename it") -> None:
     for name in names:
         if any(letter.isspace() for letter in name):
             raise InputMalformedError(f"the name {name!r} has blanks", remedy=remedy)
-
-
-Row = Sequence[str | float]
 
 
 def write_rows(path: Path, rows: Iterable[Row], between: str = " ") -> None:

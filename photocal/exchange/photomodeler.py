@@ -8,7 +8,7 @@ control points in the export are a posteriori: those of the survey come from a t
 mark with sigma 0 (a SmartPoint) has the default of 1 px.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,6 +26,9 @@ from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted
 
 DEFAULT_SIGMA_PX = 1.0
+# Tolerance and number of iterations of the head; nothing depends on them.
+_HEAD = "0.0005 20"
+_TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
 
 
 @dataclass(frozen=True)
@@ -270,11 +273,6 @@ def read_with_control(path: Path) -> Block:
     return read_photomodeler(path, control if control.exists() else None)
 
 
-# Tolerance and number of iterations of the head; nothing depends on them.
-_HEAD = "0.0005 20"
-_TERMS = ("K1", "K2", "K3", "P1", "P2", "B1")
-
-
 def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write an export, and `NAME-control.txt` beside it where there is control."""
     sizes = {own.size_px for own in given.cameras}
@@ -302,8 +300,12 @@ def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = No
     ]
     for k, name in enumerate(given.image_names):
         lines += _photo_lines(k, name, given, interiors[int(given.image_camera[k])])
+    marks = []
+    for ray in np.argsort(given.image, kind="stable"):
+        x, y = (given.pixels[ray] + 0.5).tolist()
+        marks.append(f"{given.image[ray]} {numbers[given.point[ray]]} {x!r} {y!r} 1.0 1.0")
     # Every section ends with a blank line.
-    lines += ["", *control, "", *rows, "", *_marks(given, numbers), "", ""]
+    lines += ["", *control, "", *rows, "", *marks, "", ""]
     path.write_text("\n".join(lines), encoding="utf-8", newline="\n")
     if control:
         surveyed = [j for j in order if given.roles[j] == "control"]
@@ -343,9 +345,3 @@ def _photo_lines(k: int, name: str, given: Reconstruction, interior: Sequence[fl
         f"{k} {digits(interior)}",
         f"{k} {digits([0.0] * 10)}",
     ]
-
-
-def _marks(given: Reconstruction, numbers: Sequence[str]) -> Iterable[str]:
-    for ray in np.argsort(given.image, kind="stable"):
-        x, y = (given.pixels[ray] + 0.5).tolist()
-        yield f"{given.image[ray]} {numbers[given.point[ray]]} {x!r} {y!r} 1.0 1.0"

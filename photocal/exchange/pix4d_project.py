@@ -33,6 +33,16 @@ from photocal.geometry.conversion import Conversion
 HEAD = "Pix4D camera calibration file"
 _SENSOR = re.compile(r"#Focal Length mm assuming a sensor width of ([0-9.eE+-]+)x([0-9.eE+-]+)mm")
 _KEYS = ("F", "Px", "Py", "K1", "K2", "K3", "T1", "T2")
+CAMERAS = "calibrated_camera_parameters.txt"
+BINGO = "tp_bingo.txt"
+_ERRORS = "calibrated_external_camera_parameters_error.txt"
+# Whatever the project says of its measurements, they are weighted alike first.
+UNIT_SIGMA_PX = 1.0
+# Positions farther from the adjusted ones are in another system.
+FAR_M = 1000.0
+_ROWS = 10
+# Name, lens, position and rotation of an image.
+_Shot = tuple[str, tuple[float, ...], Floats, Floats]
 
 
 def read_pix4d(path: Path, size_px: tuple[int, int]) -> Camera:
@@ -94,18 +104,6 @@ def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion,
     """A .cam file for each camera."""
     name = "_pix4d_calibrated_internal_camera_parameters.cam"
     return tuple(write_pix4d(folder / (file_name(camera.id) + name), camera) for camera in given.cameras)
-
-
-CAMERAS = "calibrated_camera_parameters.txt"
-BINGO = "tp_bingo.txt"
-_ERRORS = "calibrated_external_camera_parameters_error.txt"
-# Whatever the project says of its measurements, they are weighted alike first.
-UNIT_SIGMA_PX = 1.0
-# Positions farther from the adjusted ones are in another system.
-FAR_M = 1000.0
-_ROWS = 10
-# Name, lens, position and rotation of an image.
-_Shot = tuple[str, tuple[float, ...], Floats, Floats]
 
 
 def read_pix4d_project(folder: Path) -> ForeignProject:

@@ -20,6 +20,10 @@ from photocal.results.result import Result
 
 Angle = Literal["deg", "gon"]
 UNIT_SIGMA_PX = 1.0
+# Sigmas of control points that nobody has given, X, Y, Z, m.
+ASSUMED_M = (0.02, 0.02, 0.03)
+# Affinities below are what a quotient of equal focal lengths leaves.
+_NOTHING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -281,12 +285,6 @@ def file_name(name: str) -> str:
     """A name that stays inside the folder: letters, digits and a few signs."""
     kept = "".join(letter if letter.isalnum() or letter in "-_. " else "_" for letter in name)
     return kept.strip(". ") or "camera"
-
-
-# Sigmas of control points that nobody has given, X, Y, Z, m.
-ASSUMED_M = (0.02, 0.02, 0.03)
-# Affinities below are what a quotient of equal focal lengths leaves.
-_NOTHING = 1e-9
 
 
 @dataclass(frozen=True)

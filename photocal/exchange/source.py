@@ -24,6 +24,8 @@ MAX_SIDE_PX = 1_000_000
 _LONGEST_NAME = 255
 _MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+T = TypeVar("T")
+MAX_XML_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -197,9 +199,6 @@ def files_of(folder: Path, pattern: str) -> list[Path]:
     return found
 
 
-T = TypeVar("T")
-
-
 def read_json(path: Path) -> Any:
     """Read a JSON object; errors in one line; raises InputNotFoundError, InputMalformedError."""
     text = read_text(path)
@@ -227,9 +226,6 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"the number {text[:40]} is not finite")
     return value
-
-
-MAX_XML_BYTES = 256 << 20
 
 
 def read_xml(path: Path) -> Element:

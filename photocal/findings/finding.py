@@ -10,6 +10,8 @@ from typing import Any, Literal
 # should know. Passed and untested: what was looked at in vain, and what could not be looked at.
 Severity = Literal["refused", "grave", "doubtful", "consequence", "note", "passed", "untested"]
 Figure = float | str | tuple[str, ...] | None
+# Limit of equivalence: a smaller error of the stated standard deviations is no finding, however sure it is.
+FACTOR = 0.05
 
 
 @dataclass(frozen=True)
@@ -59,10 +61,6 @@ class Finding:
 def untested(code: str, cause: str, figures: Mapping[str, Any] | None = None) -> Finding:
     """Give what could not be looked at, and why not."""
     return Finding(code, "untested", figures=figures or {}, cause=cause)
-
-
-# Limit of equivalence: a smaller error of the stated standard deviations is no finding, however sure it is.
-FACTOR = 0.05
 
 
 def of_global_test(

@@ -28,15 +28,13 @@ MOTION = ("move_X", "move_Y", "move_Z", "turn_x", "turn_y", "turn_z")
 SHAKE_DEGREES = (2, 3, 4, 5, 6)
 SHAKE = tuple(f"shake{degree}_{axis}" for degree in SHAKE_DEGREES for axis in "xyz")
 OWN = PARAMETERS + MOTION + SHAKE
+# Millimetres in a metre: c is given in them, distances in metres.
+MM = 1000.0
 
 
 def among(*names: str) -> Flags:
     """Which of `PARAMETERS` have one of these names, shape (20,)."""
     return np.isin(PARAMETERS, names)
-
-
-# Millimetres in a metre: c is given in them, distances in metres.
-MM = 1000.0
 
 
 @dataclass(frozen=True)

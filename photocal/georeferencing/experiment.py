@@ -36,6 +36,14 @@ from photocal.georeferencing.methods import (
 Use = Literal["weighted", "fixed", "as-given"]
 # A name, and which points are control; every other ground point is a check point.
 Pattern = tuple[str, Integers]
+SCHEMA = "photocal.control-numbers/1"
+COUNTS = (0, 1, 3, 5)
+CHOICES = 6
+# Errors predicted with this probability: 1.96 standard deviations.
+COVERED = 0.95
+_TIMES = 1.959964
+# More control is said to be worth while where it lowers what is predicted by more than this.
+WORTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -384,16 +392,6 @@ def _patterns(control: _Control, block: Block, path: Path) -> tuple[Pattern, ...
     usable = usable[surveyed[usable]]
     patterns += [(f"{n} control", spread_points(block, usable, n)) for n in control.counts]
     return tuple(patterns)
-
-
-SCHEMA = "photocal.control-numbers/1"
-COUNTS = (0, 1, 3, 5)
-CHOICES = 6
-# Errors predicted with this probability: 1.96 standard deviations.
-COVERED = 0.95
-_TIMES = 1.959964
-# More control is said to be worth while where it lowers what is predicted by more than this.
-WORTH = 0.1
 
 
 def control_numbers(

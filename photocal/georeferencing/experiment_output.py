@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 
 _SHOWN = (("plane", "#1f4e9c", "o"), ("Z", "#b06a2a", "s"))
+SCHEMA = "photocal.experiment/2"
+_AXES = ("x", "y", "z")
 
 
 def rmse_plot(outcome: Outcome) -> Figure | None:
@@ -76,10 +78,6 @@ def control_plot(outcome: Outcome) -> Figure | None:
     panels[0].set_ylabel("at the check points (m)")
     panels[0].legend(fontsize=7)
     return figure
-
-
-SCHEMA = "photocal.experiment/2"
-_AXES = ("x", "y", "z")
 
 
 def to_json(outcome: Outcome) -> dict[str, Any]:

@@ -31,6 +31,17 @@ _SCALE_CAMERA, _SCALE_READOUT = 0.01, 0.1
 # A direction is not determined when its standard deviation stays above this share of the scale.
 _UNDETERMINED = 0.05
 _TAKES_PART = 0.1
+SIGNIFICANCE = 0.001
+# So many places are tried where the camera may have changed.
+_MOST_PLACES = 6
+# On either side; fewer say nothing of a principal distance.
+_FEWEST_IMAGES = 4
+# The first image of a second camera, and its parameters: start values of those that are free.
+Change = tuple[int, Floats]
+# Standard deviations that are wrong by no more are no finding.
+_NO_FINDING = 0.1
+# They are settled when they change by a smaller share; it takes no more adjustments.
+_SETTLED, _SETTLING = 0.02, 12
 
 
 @dataclass(frozen=True)
@@ -110,19 +121,6 @@ def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...]
         if has:
             groups.setdefault(group, []).append(name)
     return tuple(tuple(group) for group in groups.values())
-
-
-SIGNIFICANCE = 0.001
-# So many places are tried where the camera may have changed.
-_MOST_PLACES = 6
-# On either side; fewer say nothing of a principal distance.
-_FEWEST_IMAGES = 4
-# The first image of a second camera, and its parameters: start values of those that are free.
-Change = tuple[int, Floats]
-# Standard deviations that are wrong by no more are no finding.
-_NO_FINDING = 0.1
-# They are settled when they change by a smaller share; it takes no more adjustments.
-_SETTLED, _SETTLING = 0.02, 12
 
 
 @dataclass(frozen=True)

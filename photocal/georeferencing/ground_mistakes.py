@@ -26,6 +26,19 @@ from photocal.georeferencing.methods import checkable, local_origin, with_roles,
 
 # Farther than any flight is from its ground points, in a local frame.
 _FAR_M = 50_000.0
+Place = Callable[[Floats], Floats]
+
+# With fewer control points a contradiction cannot be laid at the door of one of them.
+_FEWEST = 4
+_MOST_REMOVED = 3
+_SIGNIFICANCE = 0.001
+# Less than this many times the stated sigma is a poor point, not a wrong one.
+_WRONG = 10.0
+# A slip explains a coordinate when it comes this near, in standard deviations.
+_NEAR = 4.0
+# Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
+# offset (s); the shift is free.
+_LOOSE_C, _LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
 
 
 def ground_findings(block: Block) -> tuple[Finding, ...]:
@@ -147,21 +160,6 @@ def by_start_values(block: Block) -> ground_points.GroundPoints:
         distance[known],
     )
     return ground_points.GroundPoints(block.points.names, xyz)
-
-
-Place = Callable[[Floats], Floats]
-
-# With fewer control points a contradiction cannot be laid at the door of one of them.
-_FEWEST = 4
-_MOST_REMOVED = 3
-_SIGNIFICANCE = 0.001
-# Less than this many times the stated sigma is a poor point, not a wrong one.
-_WRONG = 10.0
-# A slip explains a coordinate when it comes this near, in standard deviations.
-_NEAR = 4.0
-# Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
-# offset (s); the shift is free.
-_LOOSE_C, _LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
 
 
 @dataclass(frozen=True)

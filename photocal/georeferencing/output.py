@@ -22,6 +22,10 @@ from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY,
 from photocal.georeferencing.findings import block_findings, estimate_text
 from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
 
+SCHEMA = "photocal.block-check/2"
+_AXES = ("X", "Y", "Z")
+_POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
+
 
 def standards_rows(check: BlockCheck) -> list[list[str]]:
     """Give one row for each statement, one column for each method that has check points."""
@@ -69,11 +73,6 @@ def _size(basis: str, size: float | None) -> str:
 
 def _class(rmse_m: float | None) -> str:
     return "-" if rmse_m is None else f"{class_cm(rmse_m):.1f} cm"
-
-
-SCHEMA = "photocal.block-check/2"
-_AXES = ("X", "Y", "Z")
-_POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 
 
 def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:

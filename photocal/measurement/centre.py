@@ -20,6 +20,18 @@ FINEST_PX = 0.003
 # Far enough for digits, near enough for the third order not to matter.
 _STEP_PX = 8.0
 _AROUND = _STEP_PX * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]])
+Kind = Literal["disc", "ring", "cross", "hourglass"]
+
+# Targets that are smaller are not told from specks: side in px where it is seen shortest.
+SMALLEST_PX = {"disc": 8.0, "ring": 8.0, "cross": 12.0, "hourglass": 12.0}
+# Width of a cross's bars, diameter of a ring's hole, as parts of the side.
+PARTS = {"disc": 1.0, "ring": HOLE, "cross": BAR, "hourglass": 1.0}
+_BLUR_PX = 0.7
+# Ground that is looked at around a target, as a part of its half side, and at least, px.
+_BESIDE, _BESIDE_PX = 0.15, 1.5
+_STEP = np.pi / 12
+# How many steps until a target looks the same again.
+_TURNS = {"disc": 1, "ring": 1, "cross": 6, "hourglass": 12}
 
 
 @dataclass(frozen=True)
@@ -96,20 +108,6 @@ def ground_bend(camera: Camera, rotation: Floats, pixel: Floats) -> Floats:
     second[:, 0, 0], second[:, 1, 1] = (ground[k] - 2 * ground[0] + ground[k + 1] for k in (1, 3))
     second[:, 0, 1] = second[:, 1, 0] = (ground[5] + ground[6] - ground[7] - ground[8]) / 4
     return np.asarray(np.tensordot(np.linalg.inv(by_pixel), second, 1) / (2 * _STEP_PX**2))
-
-
-Kind = Literal["disc", "ring", "cross", "hourglass"]
-
-# Targets that are smaller are not told from specks: side in px where it is seen shortest.
-SMALLEST_PX = {"disc": 8.0, "ring": 8.0, "cross": 12.0, "hourglass": 12.0}
-# Width of a cross's bars, diameter of a ring's hole, as parts of the side.
-PARTS = {"disc": 1.0, "ring": HOLE, "cross": BAR, "hourglass": 1.0}
-_BLUR_PX = 0.7
-# Ground that is looked at around a target, as a part of its half side, and at least, px.
-_BESIDE, _BESIDE_PX = 0.15, 1.5
-_STEP = np.pi / 12
-# How many steps until a target looks the same again.
-_TURNS = {"disc": 1, "ring": 1, "cross": 6, "hourglass": 12}
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,10 @@ from acquire.outputs import output_file
 from drivers.arrays import Bytes, Flags, Integers
 
 Arrays = dict[str, NDArray[Any]]
+Floats32 = NDArray[np.float32]
+
+# Cells along the longer side, in each of which the coarsest features stay.
+CELLS = 24
 
 
 def combined_key(*parts: object) -> str:
@@ -83,12 +87,6 @@ def _remove(path: Path) -> None:
     except OSError:
         # A folder with other files stays.
         return
-
-
-Floats32 = NDArray[np.float32]
-
-# Cells along the longer side, in each of which the coarsest features stay.
-CELLS = 24
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,15 @@ from photocal.measurement.image_facts import ImageFacts
 # each specimen, designed by its maker, read of tags of the lens, and guessed.
 MEASURED, DESIGNED, STATED, GUESSED = 0.003, 0.01, 0.03, 0.2
 _RADIAL = {"K1": 3, "K2": 5, "K3": 7}
+# Sigma of a readout that a maker states, s: his clock is exact, what his lines are is not said.
+READOUT_SIGMA_S = 0.002
+# A "35 mm equivalent" is stated for a frame 36 mm wide (makers take the width: CIPA DCG-001 takes the
+# diagonal, which agrees for frames of 3 : 2).
+FRAME_WIDTH_MM = 36.0
+# Tags that give less or more than these shares of the longer side, or are unlike the equivalent by this
+# logarithm, are wrong. Where nothing is known: a field of view of 60 degrees along the longer side.
+LEAST_WIDTHS, MOST_WIDTHS, UNLIKE = 0.2, 50.0, 0.25
+UNKNOWN_WIDTHS = 1 / (2 * math.tan(math.radians(30)))
 
 
 @dataclass(frozen=True)
@@ -62,10 +71,6 @@ class StatedCamera:
         if self.camera.rolling:
             sigma["readout"] = READOUT_SIGMA_S
         return sigma
-
-
-# Sigma of a readout that a maker states, s: his clock is exact, what his lines are is not said.
-READOUT_SIGMA_S = 0.002
 
 
 def stated_camera(name: str, facts: ImageFacts) -> StatedCamera:
@@ -124,15 +129,6 @@ def _numbers(text: str) -> list[float]:
     found = re.findall(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?", text)
     values = [float(one) for one in found]
     return values if np.isfinite(values).all() else []
-
-
-# A "35 mm equivalent" is stated for a frame 36 mm wide (makers take the width: CIPA DCG-001 takes the
-# diagonal, which agrees for frames of 3 : 2).
-FRAME_WIDTH_MM = 36.0
-# Tags that give less or more than these shares of the longer side, or are unlike the equivalent by this
-# logarithm, are wrong. Where nothing is known: a field of view of 60 degrees along the longer side.
-LEAST_WIDTHS, MOST_WIDTHS, UNLIKE = 0.2, 50.0, 0.25
-UNKNOWN_WIDTHS = 1 / (2 * math.tan(math.radians(30)))
 
 
 def group_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[str, ...], Integers]:

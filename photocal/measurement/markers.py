@@ -18,6 +18,25 @@ from photocal.measurement.refine import Source
 from photocal.measurement.template import cut_window, fit_template
 from photocal.tasks.workers import Workers, run_tasks
 
+DICTIONARIES = (
+    *(f"{n}x{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    "apriltag_16h5",
+    "apriltag_25h9",
+    "apriltag_36h10",
+    "apriltag_36h11",
+    "aruco_original",
+    "aruco_mip_36h12",
+)
+# A marker whose picture differs from the ideal one by more than this part of its contrast is none.
+WORST_MISFIT = 0.2
+LEAST_CONTRAST = 20.0
+# A cell of a code has at least so many pixels.
+_SMALLEST_CELL_PX = 1.25
+# Raised whenever the meaning of cached results changes.
+VERSION = 3
+# Plates are not flat and lenses not modelled to the last: what the grey values cannot know, px.
+COMMON_PX = 0.02
+
 
 def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Centre, Floats] | None:
     """Centre and corners of a dark quadrilateral, such as the border of a coded marker."""
@@ -73,22 +92,6 @@ def _diagonals(p: Floats) -> Floats:
     return np.asarray(meeting[:2] / meeting[2])
 
 
-DICTIONARIES = (
-    *(f"{n}x{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
-    "apriltag_16h5",
-    "apriltag_25h9",
-    "apriltag_36h10",
-    "apriltag_36h11",
-    "aruco_original",
-    "aruco_mip_36h12",
-)
-# A marker whose picture differs from the ideal one by more than this part of its contrast is none.
-WORST_MISFIT = 0.2
-LEAST_CONTRAST = 20.0
-# A cell of a code has at least so many pixels.
-_SMALLEST_CELL_PX = 1.25
-
-
 @dataclass(frozen=True)
 class Marker:
     """A coded marker in an image.
@@ -141,12 +144,6 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
             continue
         found.setdefault(int(identity), []).append(Marker(int(identity), centre, refined))
     return tuple(marks[0] for _, marks in sorted(found.items()) if len(marks) == 1)
-
-
-# Raised whenever the meaning of cached results changes.
-VERSION = 3
-# Plates are not flat and lenses not modelled to the last: what the grey values cannot know, px.
-COMMON_PX = 0.02
 
 
 def find_coded_targets(

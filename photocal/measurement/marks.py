@@ -18,6 +18,19 @@ from photocal.exchange.source import Line, number, read_lines, read_xml, require
 
 # A point that somebody clicked, when the table does not say how well.
 BY_HAND_PX = 1.0
+Sizes = Mapping[str, tuple[int, int]]
+Sigma = tuple[float, float]
+# Words that head the columns of such tables, in the order in which tables without a head have them.
+_HEADS = (
+    ("image", ("image", "image_name", "imagename", "image_label", "camera", "camera_label", "photo")),
+    ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label")),
+    ("x", ("x", "u", "image_u", "image_x", "x_px")),
+    ("y", ("y", "v", "image_v", "image_y", "y_px")),
+)
+# Of our own tables, whose upper-left pixel has its centre at (0, 0).
+_OWN = ("image", "point", "x", "y")
+# In all others the corner of that pixel is (0, 0).
+_HALF = 0.5
 
 
 def read_marks(path: Path) -> tuple[Mark, ...]:
@@ -55,10 +68,6 @@ def with_marks(block: Block, marks: Iterable[Mark]) -> tuple[Block, tuple[Mark, 
     sigma = np.array([m.sigma for m in rows.values()]).reshape(-1, 2)
     seen = block.observations.plus(keys[:, 0], keys[:, 1], xy, sigma)
     return replace(block, observations=seen), tuple(unknown)
-
-
-Sizes = Mapping[str, tuple[int, int]]
-Sigma = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -239,19 +248,6 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
     if not entries:
         raise InputMalformedError("has no point with coordinates", where=path, remedy="is it the right file?")
     return ControlMarks("EPSG:4326", object_points(entries), tuple(marks), tuple(bare))
-
-
-# Words that head the columns of such tables, in the order in which tables without a head have them.
-_HEADS = (
-    ("image", ("image", "image_name", "imagename", "image_label", "camera", "camera_label", "photo")),
-    ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label")),
-    ("x", ("x", "u", "image_u", "image_x", "x_px")),
-    ("y", ("y", "v", "image_v", "image_y", "y_px")),
-)
-# Of our own tables, whose upper-left pixel has its centre at (0, 0).
-_OWN = ("image", "point", "x", "y")
-# In all others the corner of that pixel is (0, 0).
-_HALF = 0.5
 
 
 def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Mark, ...]:

@@ -25,6 +25,9 @@ MOST_PARTNERS = 24
 ALL_UP_TO, SEQUENCE = 60, 12
 # Footprints that overlap by less than about a fifth are of no use.
 USEFUL = 0.8
+# Raised whenever the meaning of cached results changes: of features, of matches.
+FEATURES, MATCHES = 2, 2
+_NAMES = ("pixels", "scale", "descriptors")
 
 
 @dataclass(frozen=True)
@@ -100,11 +103,6 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
         near &= ~known | (distance < USEFUL * (radius[first] + radius[other]))
     pairs = np.column_stack([rows[first[near]], rows[other[near]]])
     return pairs, "footprints" if known.all() else "neighbours"
-
-
-# Raised whenever the meaning of cached results changes: of features, of matches.
-FEATURES, MATCHES = 2, 2
-_NAMES = ("pixels", "scale", "descriptors")
 
 
 @dataclass(frozen=True)

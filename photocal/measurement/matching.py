@@ -1,6 +1,6 @@
 """Matches between the features of two images: ratio test, cross check, epipolar geometry."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,10 @@ _REACH, _LEAST_PART = 2.0, 0.05
 _MOST_PART, _WILD_PART = 0.15, 0.25
 # The nearest of a few is nearest by chance.
 _FEWEST = 10
+# So many features at a time: their likenesses fit into the processor's cache.
+_BLOCK = 512
+
+Window = tuple[Integers, Integers] | tuple[slice, slice]
 
 
 def search_windows(
@@ -71,12 +75,6 @@ def _moved(homography: Floats, pixels: Floats32) -> Floats:
     moved = pixels.astype(float) @ homography[:, :2].T + homography[:, 2]
     ahead = moved[:, 2:] > 0
     return np.where(ahead, moved[:, :2] / np.where(ahead, moved[:, 2:], 1.0), np.nan)
-
-
-# So many features at a time: their likenesses fit into the processor's cache.
-_BLOCK = 512
-
-Window = tuple[Integers, Integers] | tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -137,7 +135,10 @@ def mutual_matches(
     best = np.zeros(len(a), dtype=np.float32)
     clear = np.zeros(len(a), dtype=np.bool_)
     best_back = np.full(len(b), -1.0, dtype=np.float32)
-    for rows, columns in _blocks(len(a), len(b)) if windows is None else windows:
+    if windows is None:
+        # All features of one image with all of the other, in pieces.
+        windows = ((slice(start, start + _BLOCK), slice(0, len(b))) for start in range(0, len(a), _BLOCK))
+    for rows, columns in windows:
         likeness = a[rows] @ b[columns].T
         best_back[columns] = np.maximum(best_back[columns], likeness.max(axis=0))
         each = np.arange(len(likeness))
@@ -167,12 +168,6 @@ def epipolar_inliers(first: Floats32, second: Floats32, tolerance_px: float) -> 
         return none
     mask = found[1]
     return none if mask is None else np.asarray(np.ravel(mask) > 0)
-
-
-def _blocks(count: int, other: int) -> Iterator[tuple[slice, slice]]:
-    """All features of one image with all of the other, in pieces."""
-    for start in range(0, count, _BLOCK):
-        yield slice(start, start + _BLOCK), slice(0, other)
 
 
 def _rooted(descriptors: Bytes) -> Floats32:

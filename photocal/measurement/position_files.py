@@ -15,6 +15,11 @@ from photocal.exchange.reference_table import read_references
 from photocal.exchange.source import read_text
 from photocal.measurement.image_facts import ImageFacts
 
+Given = Callable[[ImageFacts], ImageFacts]
+
+# Longitude, latitude (deg), height and three sigmas (east, north, up), m.
+_Place = tuple[float, float, float, float, float, float]
+
 
 def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, float, float]]:
     """Projection centres in a topocentric frame (east, north, up) at their median.
@@ -70,12 +75,6 @@ def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:
         ) from refusal
     places[known] = np.column_stack([east, north, altitude])
     return places
-
-
-Given = Callable[[ImageFacts], ImageFacts]
-
-# Longitude, latitude (deg), height and three sigmas (east, north, up), m.
-_Place = tuple[float, float, float, float, float, float]
 
 
 def read_positions(path: Path, names: Sequence[str]) -> Given:

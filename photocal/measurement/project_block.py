@@ -282,13 +282,9 @@ def _footprints(
 def _marks_by_hand(project: Project, files: Sequence[Path]) -> tuple[Mark, ...]:
     path = project.control.marks
     by_hand = read_marks(path) if path is not None and path.exists() else ()
-    sizes = _sizes(project.picture_folder) if files else {}
+    pictures = list_images(project.picture_folder) if files else []
+    sizes = {facts.name: facts.size_px for facts in each_picture(pictures, read_facts)[0]}
     return (*by_hand, *(mark for file in files for mark in read_any_marks(file, sizes)))
-
-
-def _sizes(folder: Path) -> dict[str, tuple[int, int]]:
-    """Width and height of the images that can be read, by name."""
-    return {facts.name: facts.size_px for facts in each_picture(list_images(folder), read_facts)[0]}
 
 
 def _nowhere(name: str) -> InputNotFoundError:

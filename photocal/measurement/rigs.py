@@ -13,6 +13,7 @@ from photocal.measurement.image_facts import ImageFacts
 # few exposures only; pictures of one exposure are this close in time, s.
 MOST_HEADS, FEWEST_EXPOSURES, MISSED, TOGETHER_S = 12, 2, 0.5, 3.0
 _PARTS = re.compile(r"[_\-. ]+")
+Keys = dict[Path, tuple[str, str]]
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,6 @@ def recognised(pictures: Mapping[Path, ImageFacts]) -> Frame | None:
         if best is not None:
             return best
     return None
-
-
-Keys = dict[Path, tuple[str, str]]
 
 
 def _by_name(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[Frame]:

@@ -9,7 +9,7 @@ from photocal.measurement import patterns
 from photocal.measurement.centre import Centre, accepted, half_contrast
 from photocal.measurement.image_file import Grey
 from photocal.measurement.patterns import FLAT
-from photocal.measurement.template import Template, Window, cut_window, fit_template
+from photocal.measurement.template import Window, cut_window, fit_template
 
 
 def round_centre(
@@ -44,7 +44,8 @@ def round_centre(
     if fit is None:
         return None
     outline = _axes(fit.parameters[2:5])
-    if not _alike(outline, semi_axes) or (hole and not 0.05 < fit.parameters[5] < 0.95):
+    alike = all(0.5 < a / b < 2 for a, b in zip(outline[:2], sorted(semi_axes)[::-1], strict=True))
+    if not alike or (hole and not 0.05 < fit.parameters[5] < 0.95):
         return None
     farthest = longest * (1 - hole) / 2 + 1
     shape = np.r_[outline, fit.parameters[5:-2]]
@@ -83,11 +84,6 @@ def _axes(extent: Floats) -> Floats:
     return np.array([values[1], values[0], np.arctan2(vectors[1, 1], vectors[0, 1])])
 
 
-def _alike(outline: Floats, semi_axes: tuple[float, float]) -> bool:
-    expected = sorted(semi_axes, reverse=True)
-    return all(0.5 < a / b < 2 for a, b in zip(outline[:2], expected, strict=True))
-
-
 def saddle_centre(grey: Grey, approximate: tuple[float, float], radius: float) -> Centre | None:
     """Centre of a chessboard corner or an hourglass mark."""
     window = cut_window(grey, approximate, radius)
@@ -123,7 +119,8 @@ def cross_centre(
     for turn in np.arange(0, np.pi / 2, np.pi / 8):
         for beside, contrast in ((low, high - low), (high, low - high)):
             start = np.array([x, y, turn, turn + np.pi / 2, broad, 1.0, beside, contrast])
-            fits.append(_sketch(window, template, start))
+            left = window.grey - template(start, window.x, window.y)
+            fits.append((float(left @ left), start))
     _, start = min(fits, key=lambda pair: pair[0])
     fit = fit_template(window, template, start, sizes)
     if fit is None or not 0.3 * broad < fit.parameters[4] < 3 * broad:
@@ -131,8 +128,3 @@ def cross_centre(
     if abs(np.sin(fit.parameters[2] - fit.parameters[3])) < 0.4:
         return None
     return accepted(window, fit, abs(fit.parameters[7]), approximate, size / 4, fit.parameters[2:6])
-
-
-def _sketch(window: Window, template: Template, start: Floats) -> tuple[float, Floats]:
-    left = window.grey - template(start, window.x, window.y)
-    return float(left @ left), start

@@ -21,6 +21,13 @@ WHITE, BLACK, BURNT = 250, 5, 0.4
 BLURRED = 0.4
 # Pictures that sharpness is compared with.
 OTHERS = 3
+# Sigma of a position that the image does not state, m: single-frequency receivers in the air.
+POSITION_SIGMA_M = (1.5, 1.5, 3.0)
+# A level block without control says little about c, x0 and y0, which go with the heights and the
+# positions: they are held until somebody asks for them.
+ESTIMATE = ("K1", "K2")
+# Fewer positions do not fix a datum.
+FEWEST_POSITIONS = 3
 
 
 def explained(
@@ -76,15 +83,6 @@ def _sharpness(grey: Bytes) -> float:
 
     fine = cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 1.0), cv2.CV_32F)
     return float(fine.std() / max(float(grey.std()), 1.0))
-
-
-# Sigma of a position that the image does not state, m: single-frequency receivers in the air.
-POSITION_SIGMA_M = (1.5, 1.5, 3.0)
-# A level block without control says little about c, x0 and y0, which go with the heights and the
-# positions: they are held until somebody asks for them.
-ESTIMATE = ("K1", "K2")
-# Fewer positions do not fix a datum.
-FEWEST_POSITIONS = 3
 
 
 def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block:

@@ -144,7 +144,9 @@ def _agrees(centre: Centre, look: Look) -> bool:
         return _round(centre, look) and bool(hollow)
     wide = look.part * look.size
     broad = look.kind == "hourglass" or abs(centre.shape[2] - wide) <= _PART * wide + _SIZE_PX
-    return _square(centre, look) and bool(broad)
+    # The two lines are perpendicular in the target's plane.
+    first, second = (look.in_plane(float(angle)) for angle in centre.shape[:2])
+    return bool(broad and abs(np.cos(first - second)) <= np.sin(_ANGLE))
 
 
 def _round(centre: Centre, look: Look) -> bool:
@@ -154,9 +156,3 @@ def _round(centre: Centre, look: Look) -> bool:
     radii = np.linalg.svd(np.linalg.solve(look.affine, turn @ np.diag([a, b])), compute_uv=False)
     even = radii.max() <= radii.min() * (1 + _OUT_OF_ROUND + _OUT_OF_ROUND_PX / look.size)
     return bool(even and (np.abs(radii - 1) <= _SIZE + _SIZE_PX / look.semi_axes[1]).all())
-
-
-def _square(centre: Centre, look: Look) -> bool:
-    """Whether two lines are perpendicular in the target's plane."""
-    first, second = (look.in_plane(float(angle)) for angle in centre.shape[:2])
-    return bool(abs(np.cos(first - second)) <= np.sin(_ANGLE))

@@ -19,6 +19,18 @@ Place = tuple[float, float]
 PLAIN = ("disc", "ring", "cross", "hourglass")
 # White space around a target, as a part of its size.
 MARGIN = 0.15
+PAPERS_MM = {
+    "a4": (210.0, 297.0),
+    "a3": (297.0, 420.0),
+    "a2": (420.0, 594.0),
+    "a1": (594.0, 841.0),
+    "a0": (841.0, 1189.0),
+}
+# What printers leave white, and the strip at the foot with the bar and the words.
+EDGE_MM, FOOT_MM = 6.0, 22.0
+BAR_MM = 100.0
+# The sheets do not depend on the day.
+_DATE = dt.datetime(2000, 1, 1, tzinfo=dt.UTC)
 
 
 @dataclass(frozen=True)
@@ -140,20 +152,6 @@ def _cells(black: Cells, cell: float) -> tuple[Shape, ...]:
 def _runs(line: Cells) -> Sequence[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.r_[False, line, False].astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
-PAPERS_MM = {
-    "a4": (210.0, 297.0),
-    "a3": (297.0, 420.0),
-    "a2": (420.0, 594.0),
-    "a1": (594.0, 841.0),
-    "a0": (841.0, 1189.0),
-}
-# What printers leave white, and the strip at the foot with the bar and the words.
-EDGE_MM, FOOT_MM = 6.0, 22.0
-BAR_MM = 100.0
-# The sheets do not depend on the day.
-_DATE = dt.datetime(2000, 1, 1, tzinfo=dt.UTC)
 
 
 def sheets_pdf(sheets: Sequence[Sheet], paper: str) -> bytes:

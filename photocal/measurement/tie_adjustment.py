@@ -29,6 +29,10 @@ _ROUNDS = 8
 FEW_APART = 0.02
 # Three rays give a pose that nothing checks.
 FEWEST_RAYS = 6
+Solved = tuple[Block, NetworkOfBlock, Solution]
+# A principal distance that leaves its start value by more than this is not what the lens has: errors of the
+# model (rolling shutter, lens, positions) go into what the block does not determine.
+CREDIBLE = 0.05
 
 
 @dataclass(frozen=True)
@@ -161,9 +165,6 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
 def _kept(start: Block, poses: Floats) -> Images:
     images = start.images
     return replace(images, values=np.where(np.isfinite(images.sigma), images.values, poses))
-
-
-Solved = tuple[Block, NetworkOfBlock, Solution]
 
 
 def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
@@ -341,11 +342,6 @@ def by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats
     redundancy = np.empty(len(assembly.rays))
     redundancy[assembly.rays] = solution.redundancy.mean(axis=1)
     return size, redundancy
-
-
-# A principal distance that leaves its start value by more than this is not what the lens has: errors of the
-# model (rolling shutter, lens, positions) go into what the block does not determine.
-CREDIBLE = 0.05
 
 
 def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:

@@ -19,6 +19,18 @@ TIE = ROLES.index("tie")
 START_GROSS = 8.0
 # Points whose rays deviate less from their mean lie too far away to be determined, rad.
 LEAST_SPREAD = 0.005
+# A ray is wrong when its residual exceeds so many of its standard deviations.
+GROSS = 3.5
+# Rays of a kind have one sigma: classes of feature scale, or of the precision of the match.
+CLASSES, FEWEST_IN_CLASS = 8, 200
+FINEST_PX = 0.02
+# An image with fewer rays has the sigmas of all.
+FEWEST_IN_IMAGE = 100
+_ROUNDS = 8
+# Classes and images in turn, until neither changes.
+_TURNS = 4
+# Of errors with less redundancy nothing shows.
+_SEEN = 0.05
 
 
 def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Block:
@@ -120,20 +132,6 @@ def views_of(block: Block, frame: Frame) -> OrientedImages:
     movement = np.nan_to_num(images.motion) * readout[:, None]
     views = OrientedImages(images.names, block.cameras, images.camera, images.values)
     return replace(views, movement=movement if movement.any() else None).in_local(frame)
-
-
-# A ray is wrong when its residual exceeds so many of its standard deviations.
-GROSS = 3.5
-# Rays of a kind have one sigma: classes of feature scale, or of the precision of the match.
-CLASSES, FEWEST_IN_CLASS = 8, 200
-FINEST_PX = 0.02
-# An image with fewer rays has the sigmas of all.
-FEWEST_IN_IMAGE = 100
-_ROUNDS = 8
-# Classes and images in turn, until neither changes.
-_TURNS = 4
-# Of errors with less redundancy nothing shows.
-_SEEN = 0.05
 
 
 def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats) -> Floats:

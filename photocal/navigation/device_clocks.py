@@ -14,6 +14,8 @@ _LEAST_READINGS = 4
 _JUMP_SIGMAS = 8.0
 # A quartz clock is right to 0.01 %; from 1 % on the recording was played back at another speed.
 PLAYBACK_LIMIT = 0.01
+# Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
+_RESTART_NS = 5_000_000_000
 
 
 @dataclass(frozen=True)
@@ -192,10 +194,6 @@ def _fit(device: Integers, reference: Integers, resolution_s: float) -> ClockSeg
         scatter_s=scale,
         readings=len(x),
     )
-
-
-# Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
-_RESTART_NS = 5_000_000_000
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,19 @@ from photocal.navigation.trajectory import Geodetic, Trajectory
 FIXED, FLOAT = 1, 2
 _COLUMNS = 15
 _LEAST_SIGMA_M = 1e-4
+_FIELDS = 12
+_MOST_EPOCHS = 200
+_LONGEST_LAG_S = 300.0
+_LEAST_EPOCHS = 30
+# Windows of several correlation times balance noise and what is cut off (Sokal 1997, section 3).
+_WINDOW = 5.0
+_STATUS = {1: "fixed", 2: "float"}
+_DIFFERENTIAL = 2
+# What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
+# times (Odijk 2002, chapter 3).
+PER_METRE = 1e-6
+# Antennas without calibration: phase centres agree to a millimetre or two at best.
+STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
 
 
 @dataclass(frozen=True)
@@ -136,14 +149,6 @@ def _exact_ns(text: str) -> int:
     return int(whole) * 1_000_000_000 + int(part.ljust(9, "0")[:9])
 
 
-_FIELDS = 12
-_MOST_EPOCHS = 200
-_LONGEST_LAG_S = 300.0
-_LEAST_EPOCHS = 30
-# Windows of several correlation times balance noise and what is cut off (Sokal 1997, section 3).
-_WINDOW = 5.0
-
-
 @dataclass(frozen=True)
 class SatelliteResiduals:
     """Satellites used by the engine, one row per epoch, satellite and frequency.
@@ -261,15 +266,6 @@ def _centred(satellites: SatelliteResiduals, at: Integers, epochs: int) -> Float
         # Alone, or with one other, a satellite says nothing.
         table[:, group == own] = np.where(count > 2, part - mean, np.nan)
     return table
-
-
-_STATUS = {1: "fixed", 2: "float"}
-_DIFFERENTIAL = 2
-# What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
-# times (Odijk 2002, chapter 3).
-PER_METRE = 1e-6
-# Antennas without calibration: phase centres agree to a millimetre or two at best.
-STATIC_FLOOR_M = np.array([0.001, 0.001, 0.002])
 
 
 def static_position(forward: EngineSolution, combined: EngineSolution) -> EngineSolution:

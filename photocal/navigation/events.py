@@ -26,6 +26,16 @@ RISING, FALLING = "rising", "falling"
 _COUNTER = 1 << 16
 _MAVLINK = ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER")
 _CLAIMED = ("latitude_deg", "longitude_deg", "altitude_msl_m", "roll_deg", "pitch_deg", "yaw_deg")
+# Member with the time, its unit in nanoseconds, and the member with the count.
+_KINDS = {
+    "CAMERA_FEEDBACK": ("time_usec", 1000, "img_idx"),
+    "CAMERA_TRIGGER": ("time_usec", 1000, "seq"),
+    "CAMERA_IMAGE_CAPTURED": ("time_boot_ms", 1_000_000, "image_index"),
+}
+# From 2000 on a time is UTC, below it counts from the start of the autopilot.
+_EARLIEST_UTC_NS = 946_684_800 * 1_000_000_000
+# Flag of the receiver: 50 fixed, 34 float, 16 single.
+_STATUS = {50: "fixed", 34: "float"}
 
 
 @dataclass(frozen=True)
@@ -173,16 +183,6 @@ def _logged(source: str, rows: dict[tuple[int, int], tuple[float, ...]], untimed
     return Events(source, time, stamp[:, 1], accuracy, remarks, told[:, 1:])
 
 
-# Member with the time, its unit in nanoseconds, and the member with the count.
-_KINDS = {
-    "CAMERA_FEEDBACK": ("time_usec", 1000, "img_idx"),
-    "CAMERA_TRIGGER": ("time_usec", 1000, "seq"),
-    "CAMERA_IMAGE_CAPTURED": ("time_boot_ms", 1_000_000, "image_index"),
-}
-# From 2000 on a time is UTC, below it counts from the start of the autopilot.
-_EARLIEST_UTC_NS = 946_684_800 * 1_000_000_000
-
-
 def boot_exposures(log: FlightLog, link: str | None, clock: AutopilotClock) -> dict[str, Events]:
     """Return the exposures whose only device time is that since boot, by the message that told them."""
     dialect = ardupilotmega()
@@ -211,10 +211,6 @@ def _placed(name: str, boot: Integers, host: Integers, number: Integers, clock: 
     order = first[np.argsort(utc[first], kind="stable")]
     remarks = [*counter_jumps(number[order], name), f"{name}: placed by {clock.compared.name}"]
     return Events(name, UtcTime(utc[order]).to_gps(), number[order], sigma[order], remarks)
-
-
-# Flag of the receiver: 50 fixed, 34 float, 16 single.
-_STATUS = {50: "fixed", 34: "float"}
 
 
 @dataclass(frozen=True)

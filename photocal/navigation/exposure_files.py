@@ -17,6 +17,14 @@ from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_ce
 
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
 _SHOWN_GAP_S = 60.0
+EVENT_COLUMNS = (
+    *COLUMNS, "image", "roll_deg", "pitch_deg", "yaw_deg", "event", "note", "sroll", "spitch", "syaw",
+    "above_take_off_m",
+)  # fmt: skip
+_ORIENTATION = ("X", "Y", "Z", "omega", "phi", "kappa")
+IMAGE_COLUMNS = (
+    "image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk",
+)  # fmt: skip
 
 
 def plot_exposures(run: ExposureRun, path: Path) -> None:
@@ -93,16 +101,6 @@ def _gaps(run: ExposureRun, minutes: Floats, gaps: Any) -> None:
     gaps.ticklabel_format(useOffset=False)
     gaps.legend()
     gaps.set(xlabel="time / min", ylabel="epochs apart / s", title="Epochs around each event")
-
-
-EVENT_COLUMNS = (
-    *COLUMNS, "image", "roll_deg", "pitch_deg", "yaw_deg", "event", "note", "sroll", "spitch", "syaw",
-    "above_take_off_m",
-)  # fmt: skip
-_ORIENTATION = ("X", "Y", "Z", "omega", "phi", "kappa")
-IMAGE_COLUMNS = (
-    "image", "camera", "X", "Y", "Z", "omega", "phi", "kappa", "sX", "sY", "sZ", "so", "sp", "sk",
-)  # fmt: skip
 
 
 def write_exposures(path: Path, exposures: Exposures) -> None:

@@ -25,6 +25,8 @@ from photocal.tasks.progress import Progress
 CODE = "image-rotations"
 # Attitudes of small vehicles are good to a few degrees.
 ROUGH_DEG = 5.0
+_LEAST = 6
+_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -134,10 +136,6 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
     if figures["median_deg"] > ROUGH_DEG:
         return Finding(CODE, "grave", figures=figures, clauses=("other-images", "pairs-differ", *clauses))
     return Finding(CODE, "passed", figures=figures, clauses=clauses)
-
-
-_LEAST = 6
-_SIGMAS = 3.0
 
 
 def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: Rig) -> list[PairRotation]:

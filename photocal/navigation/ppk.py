@@ -32,6 +32,12 @@ from photocal.navigation.troposphere import Weather
 
 # Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.
 _ROUNDING_M = 0.005
+_LEAST_EPOCHS = 10
+_AT_ONCE = 2
+_BASE_LIMIT_M = 10.0
+# The engine uses base observations up to 30 s old.
+_BASE_AGE_NS = 30_000_000_000
+_SYSTEMS = "GREJC"
 
 
 def between_directions(
@@ -65,14 +71,6 @@ def between_directions(
         values[off] = moved
     lat, lon, height = place
     return (replace(combined, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance), off)
-
-
-_LEAST_EPOCHS = 10
-_AT_ONCE = 2
-_BASE_LIMIT_M = 10.0
-# The engine uses base observations up to 30 s old.
-_BASE_AGE_NS = 30_000_000_000
-_SYSTEMS = "GREJC"
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ _GPS_EPOCH = dt.date(1980, 1, 6)
 _EPOCH_3 = pattern(r"> (\d{4}) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2}\d\.\d+)")
 _EPOCH_2 = pattern(r" (\d\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2,3}\.\d{7})  [01]")
 _EPHEMERIS = pattern(r"(?:[GRECJIS][ \d]\d|[ \d]\d) +\d{2,4} +\d{1,2} +\d{1,2} ")
+# CSRS-PPP states half widths of 95 % intervals.
+_OF_95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -114,10 +116,6 @@ def _gps_ns(*fields: str) -> int:
     days = (dt.date(year, month, day) - _GPS_EPOCH).days
     seconds = days * 86_400 + hour * 3600 + minute * 60 + int(whole)
     return seconds * 1_000_000_000 + int(part.ljust(9, "0")[:9])
-
-
-# CSRS-PPP states half widths of 95 % intervals.
-_OF_95 = 1.959964
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ from photocal.navigation.flight_log import FlightLog
 _SAME_MARK_M = 0.01
 _MSM_FIRST, _MSM_LAST = 1071, 1137
 _NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
+_GGA = kind_of(b"GPGGA")
+_SEPARATION, _QUALITY = 11, 6
 
 
 @dataclass
@@ -193,10 +195,6 @@ def refuse_unusable(recording: ReceiverRecording, role: str, log: FlightLog) -> 
         where=place,
         remedy="let the receiver send RXM-RAWX and RXM-SFRBX",
     )
-
-
-_GGA = kind_of(b"GPGGA")
-_SEPARATION, _QUALITY = 11, 6
 
 
 def told_by_receiver(batch: Batch, payloads: list[bytes]) -> list[float]:

@@ -22,6 +22,10 @@ from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric
 from photocal.navigation.troposphere import measured_weather
 from photocal.project import AirAtBase
 
+_LOG = ".mcap"
+# How the engine numbers precise positions.
+_PRECISE = 6
+
 
 class KnownMark(Table):
     """A mark with a known position: degrees, ellipsoidal height, sigmas east, north, up (0: held)."""
@@ -81,9 +85,6 @@ class SurveySetup(Table):
     known: tuple[KnownMark, ...] = ()
     ppp: tuple[PrecisePoint, ...] = ()
     baseline: tuple[MeasuredBaseline, ...] = ()
-
-
-_LOG = ".mcap"
 
 
 @dataclass(frozen=True)
@@ -239,10 +240,6 @@ def _earth_centred(t: Trajectory) -> tuple[Floats, Floats]:
     axes = enu_axes(float(t.lat_deg[0]), float(t.lon_deg[0]))
     place = t.xyz_m[0]
     return np.asarray(place), np.asarray(axes.T @ t.covariance_m2[0] @ axes)
-
-
-# How the engine numbers precise positions.
-_PRECISE = 6
 
 
 def _precise_point(

@@ -24,6 +24,9 @@ _LEAST_TRIP_NS = 1_000_000
 _JUMP_TRIPS = 3.0
 # A receiver sends an epoch up to a tenth of a second after it: computation and transmission.
 _RECEIVER_LATE_S, _RECEIVER_LATE_SIGMA_S = 0.05, 0.03
+Received = tuple[Integers, Integers, NDArray[Any]]
+_MILLISECOND_NS = 1_000_000
+_LONGEST_TRIP_NS = 10_000_000_000
 
 
 @dataclass(frozen=True)
@@ -88,11 +91,6 @@ def clock_through_host(
     name = "autopilot's UTC by TIMESYNC and the epochs of a GNSS receiver"
     compared = replace(sync.host_of_boot, name=name, cycles=(fitted,), constant_sigma_s=constant)
     return AutopilotClock(compared, host_ns[:1])
-
-
-Received = tuple[Integers, Integers, NDArray[Any]]
-_MILLISECOND_NS = 1_000_000
-_LONGEST_TRIP_NS = 10_000_000_000
 
 
 @dataclass(frozen=True)

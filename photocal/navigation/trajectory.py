@@ -13,6 +13,17 @@ from photocal.navigation.time import GpsTime
 COLUMNS = (
     "time_gps_ns", "lat_deg", "lon_deg", "height_m", "status", "se", "sn", "su", "sen", "seu", "snu",
 )  # fmt: skip
+_SEMI_MAJOR_M = 6_378_137.0
+_FLATTENING = 1 / 298.257223563
+_ECCENTRICITY2 = _FLATTENING * (2 - _FLATTENING)
+
+
+LARGEST_GAP_S = 1.5
+_LEAST_TRIALS = 20
+_PRIOR_TRIALS = 10
+_WINDOW_NS = 30_000_000_000
+# Acceleration of a vehicle that is not known better, per component (small multirotors manoeuvre below it).
+_DEFAULT_ROUGHNESS = 0.5
 
 
 class Geodetic(Columns):
@@ -113,19 +124,6 @@ def geodetic(xyz_m: Floats) -> tuple[Floats, Floats, Floats]:
         lat = np.arctan2(z + _ECCENTRICITY2 * normal * np.sin(lat), distance)
     height = distance * np.cos(lat) + z * np.sin(lat) - _SEMI_MAJOR_M**2 / normal
     return np.degrees(lat), np.degrees(np.arctan2(y, x)), height
-
-
-_SEMI_MAJOR_M = 6_378_137.0
-_FLATTENING = 1 / 298.257223563
-_ECCENTRICITY2 = _FLATTENING * (2 - _FLATTENING)
-
-
-LARGEST_GAP_S = 1.5
-_LEAST_TRIALS = 20
-_PRIOR_TRIALS = 10
-_WINDOW_NS = 30_000_000_000
-# Acceleration of a vehicle that is not known better, per component (small multirotors manoeuvre below it).
-_DEFAULT_ROUGHNESS = 0.5
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,12 @@ from photocal.planning.frame import (
 
 # More than any aircraft can fly in one mission: a mistaken unit, not a plan.
 _MOST_EXPOSURES = 50_000
+# Half a pixel: what the canon-elph study takes for a tie point in one image.
+IMAGE_SIGMA_PX = 0.5
+# Control points and check points, east and north in the plane of the flight, m.
+Layout = tuple[Floats, Floats]
+# Side of the grid of candidate places as a share of the root of the area.
+_GRID_SHARE = 1.0 / 60.0
 
 
 @dataclass(frozen=True)
@@ -104,10 +110,6 @@ def _extent_in_band(rotated: Floats, low: float, high: float) -> tuple[float, fl
         found.append(a[:, 0] + (border - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]))
     values = np.concatenate(found)
     return float(values.min()), float(values.max())
-
-
-# Half a pixel: what the canon-elph study takes for a tie point in one image.
-IMAGE_SIGMA_PX = 0.5
 
 
 @dataclass(frozen=True)
@@ -236,12 +238,6 @@ def _strips(corners: Floats, azimuth: float, level: LevelGeometry, along: Side) 
     return plan_strips(
         corners, azimuth, level.strip_spacing_m, level.base_m, ground_along / 2.0, level.height_m
     )
-
-
-# Control points and check points, east and north in the plane of the flight, m.
-Layout = tuple[Floats, Floats]
-# Side of the grid of candidate places as a share of the root of the area.
-_GRID_SHARE = 1.0 / 60.0
 
 
 def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float) -> Layout:

@@ -18,6 +18,13 @@ from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.planning.flight import Flight, Layout
 
+# MAV_AUTOPILOT and MAV_TYPE of MAVLink.
+AUTOPILOTS = {"ardupilot": 3, "px4": 12}
+VEHICLES = {"fixed-wing": 1, "quadrotor": 2}
+
+# SPEED_TYPE of the command CHANGE_SPEED: over ground.
+_GROUND_SPEED = 1.0
+
 
 class Command(IntEnum):
     """Commands of MAVLink (MAV_CMD) that a photo flight needs."""
@@ -35,14 +42,6 @@ class FrameOfHeight(IntEnum):
     GLOBAL = 0
     MISSION = 2
     GLOBAL_RELATIVE = 3
-
-
-# MAV_AUTOPILOT and MAV_TYPE of MAVLink.
-AUTOPILOTS = {"ardupilot": 3, "px4": 12}
-VEHICLES = {"fixed-wing": 1, "quadrotor": 2}
-
-# SPEED_TYPE of the command CHANGE_SPEED: over ground.
-_GROUND_SPEED = 1.0
 
 
 @dataclass(frozen=True)

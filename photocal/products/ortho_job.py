@@ -24,6 +24,8 @@ from photocal.products.terrain import Bounds, Grid, Terrain, TerrainSource
 METHODS = {"nearest": NEAREST, "bilinear": BILINEAR, "cubic": CUBIC}
 # A terrain model is sampled at most so densely to learn its mean height.
 _SAMPLE = 512
+_PASSES = 100
+_CLOSE_M = 1e-5
 
 
 def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int, RasterFile]:
@@ -230,10 +232,6 @@ def displacement_field(
     y = np.arange(grid.north - step / 2, grid.north - grid.rows * grid.cell, -step)
     xs, ys = np.meshgrid(x, y)
     return displacement(right, wrong, terrain, frame, xs.ravel(), ys.ravel())
-
-
-_PASSES = 100
-_CLOSE_M = 1e-5
 
 
 def image_points(shots: OrientedImages, number: int, local: Floats) -> Floats:

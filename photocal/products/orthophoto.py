@@ -20,6 +20,10 @@ from photocal.products.kernels import look_up, resample
 from photocal.products.oriented import image_border, lens_tables
 from photocal.products.terrain import Bounds, Grid, TerrainSource, ground_points
 
+TILE = 512
+# What a pixel needs of memory while its tile is worked on is some 200 bytes; images are the larger part.
+IMAGE_MEMORY = 800_000_000
+
 
 def border_directions(shots: OrientedImages) -> Floats:
     """Directions in object space of rays around the border of each image, shape (m, k, 3)."""
@@ -71,11 +75,6 @@ def footprints(shots: OrientedImages, frame: Frame, height: float) -> Bounds:
     west, south = np.nanmin(reach, axis=0)
     east, north = np.nanmax(reach, axis=0)
     return float(west), float(south), float(east), float(north)
-
-
-TILE = 512
-# What a pixel needs of memory while its tile is worked on is some 200 bytes; images are the larger part.
-IMAGE_MEMORY = 800_000_000
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,17 @@ from photocal.adjustment.solution import global_test
 from photocal.block.table import Table, read_table, refuse
 from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinder
 
+Vertical = Literal["X", "Y", "Z"]
+
+# The two horizontal axes, such that they and the vertical one are right-handed.
+HORIZONTAL: dict[str, tuple[int, int, int]] = {"X": (1, 2, 0), "Y": (2, 0, 1), "Z": (0, 1, 2)}
+SIGMAS = ("sX", "sY", "sZ")
+CORRELATIONS = ("rXY", "rXZ", "rYZ")
+SCHEMA = "photocal.volume/1"
+_INK, _RULE = "#1a1a1a", "#8a8f94"
+# The largest residual is drawn as this share of the radius.
+_LARGEST = 0.25
+
 
 @dataclass(frozen=True)
 class Volume:
@@ -71,14 +82,6 @@ def volume_between_sections(radius: Floats, height: Floats, covariance: Floats) 
         float(by_height**2 @ covariance[:, 1, 1]),
         float(np.einsum("mi,mij,mj->", gradient, covariance, gradient)),
     )
-
-
-Vertical = Literal["X", "Y", "Z"]
-
-# The two horizontal axes, such that they and the vertical one are right-handed.
-HORIZONTAL: dict[str, tuple[int, int, int]] = {"X": (1, 2, 0), "Y": (2, 0, 1), "Z": (0, 1, 2)}
-SIGMAS = ("sX", "sY", "sZ")
-CORRELATIONS = ("rXY", "rXZ", "rYZ")
 
 
 @dataclass(frozen=True)
@@ -261,9 +264,6 @@ def _tilt(cylinder: Cylinder) -> tuple[float, float]:
     return float(np.arctan2(length, cylinder.axis[2])), float(np.sqrt(variance))
 
 
-SCHEMA = "photocal.volume/1"
-
-
 def volume_json(volume: Volume) -> dict[str, float]:
     """Give a volume as plain values."""
     return {
@@ -365,11 +365,6 @@ def tank_text(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> 
     if tank.between is not None:
         lines.append(f"between the lowest and the highest section, end areas: {volume_text(tank.between)}")
     return "\n".join(lines)
-
-
-_INK, _RULE = "#1a1a1a", "#8a8f94"
-# The largest residual is drawn as this share of the radius.
-_LARGEST = 0.25
 
 
 def draw_rings(tank: Tank, axes: tuple[str, str, str], path: Path) -> None:

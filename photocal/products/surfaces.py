@@ -200,11 +200,6 @@ def _across(direction: Floats) -> Floats:
     return np.array([first, np.cross(direction, first)])
 
 
-def _tilted(direction: Floats, step: Floats) -> Floats:
-    tilted = direction + step @ _across(direction)
-    return np.asarray(tilted / np.linalg.norm(tilted))
-
-
 def _radii(points: Floats, point: Floats, axis: Floats) -> tuple[Floats, Floats, Floats]:
     """Distance from an axis, unit vector away from it, and distance along it."""
     away = points - point
@@ -223,7 +218,8 @@ def _cylinder_condition(state: Floats, points: Floats) -> tuple[Floats, Floats, 
 
 def _cylinder_moved(state: Floats, step: Floats) -> Floats:
     point = state[:3] + step[:2] @ _across(state[3:6])
-    axis = _tilted(state[3:6], step[2:4])
+    axis = state[3:6] + step[2:4] @ _across(state[3:6])
+    axis = axis / np.linalg.norm(axis)
     # The axis' foot beside the centroid keeps position and direction apart.
     return np.concatenate([point - (point @ axis) * axis, axis, [state[6] + step[4]]])
 

@@ -14,6 +14,15 @@ from photocal.geometry.frames import Frame
 
 # a, b, c, d, e, f: X = a column + b row + c, Y = d column + e row + f, from the corner of the first cell.
 Transform = tuple[float, float, float, float, float, float]
+Heights = NDArray[np.floating]
+
+# West, south, east, north.
+Bounds = tuple[float, float, float, float]
+
+HEIGHT_KINDS = ("ellipsoidal", "orthometric", "local")
+# Larger grids would not fit into memory beside the triangles.
+_MOST_CELLS = 100_000_000
+_STRIP = 64
 
 
 @dataclass(frozen=True)
@@ -65,14 +74,6 @@ def _between(count: int, nodes: int) -> tuple[Integers, Floats]:
     place = np.linspace(0, nodes - 1, count) if count > 1 else np.zeros(1)
     node = np.minimum(place.astype(np.int64), nodes - 2)
     return node, place - node
-
-
-Heights = NDArray[np.floating]
-
-# West, south, east, north.
-Bounds = tuple[float, float, float, float]
-
-HEIGHT_KINDS = ("ellipsoidal", "orthometric", "local")
 
 
 @dataclass(frozen=True)
@@ -129,11 +130,6 @@ def bounds_of(transform: Transform, columns: int, rows: int) -> Bounds:
     x = [c + a * i + b * j for i in (0, columns) for j in (0, rows)]
     y = [f + d * i + e * j for i in (0, columns) for j in (0, rows)]
     return min(x), min(y), max(x), max(y)
-
-
-# Larger grids would not fit into memory beside the triangles.
-_MOST_CELLS = 100_000_000
-_STRIP = 64
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,9 @@ from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import block_of_run
 from photocal.results.result import Result
 
+ALPHA = 0.10
+THRESHOLD = 0.8
+
 
 def analysis_record(analysis: Analysis, say: Catalogue) -> dict[str, Any]:
     """Turn an analysis into plain values, ready for JSON, with words beside its codes."""
@@ -52,10 +55,6 @@ def _words(part: object, say: Catalogue) -> dict[str, Any]:
         **{key: as_plain(size.get(key)) for key in ("figure", "sigma", "unit")},
         **{f"effect_{key}": as_plain(size.get(key)) for key in ("c", "ground_m", "px")},
     }
-
-
-ALPHA = 0.10
-THRESHOLD = 0.8
 
 
 def analyse_run(

@@ -16,6 +16,8 @@ from photocal.findings.digits import Number
 from photocal.findings.texts import Catalogue, finding_text, need_words, plain
 from photocal.geometry.camera import Camera
 
+SCHEMA = "photocal.published/1"
+
 
 def analysis_text(outcome: Outcome, say: Catalogue) -> str:
     """Turn an analysis into text."""
@@ -159,9 +161,6 @@ def _method(method: MethodCheck, say: Catalogue) -> str:
     if not missing:
         return f"  {name}: {say('analysis.satisfied')}"
     return f"  {name}: {say('analysis.not_satisfied')}: {'; '.join(missing)}"
-
-
-SCHEMA = "photocal.published/1"
 
 
 def published_text(sets: tuple[PublishedSet, ...], say: Catalogue) -> str:

@@ -28,6 +28,8 @@ STRONG = 0.9
 OPINIONS = ("sandwich", "bootstrap")
 # Zero is a special value for these; that c differs from zero is no finding.
 NOT_TESTED = ("c",)
+ROWS = 60
+ARROWS = 1500
 
 
 def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: Catalogue) -> KeyValues:
@@ -204,10 +206,6 @@ def _strong(camera: Camera, say: Catalogue) -> str:
         for i, j in pairs
     ]
     return say("correlation.strong", limit=limit, pairs=", ".join(texts))
-
-
-ROWS = 60
-ARROWS = 1500
 
 
 def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:

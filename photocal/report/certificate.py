@@ -43,13 +43,14 @@ def certificate(
     run: Run, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
 ) -> Document:
     """Compose the certificate."""
-    result = run.result
-    known = tuple(derived_figures(run, camera_id, particulars) for camera_id in result.cameras)
+    cameras = run.result.cameras
+    calibrated = any(camera.free for camera in cameras.values())
+    known = tuple(derived_figures(run, camera_id, particulars) for camera_id in cameras)
     _refuse_impossible(known, say)
     return Document(
         language=say.language,
         title=say("title.certificate"),
-        subtitle=_subtitle(run, say),
+        subtitle=say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras)),
         number=certificate_number(run, particulars, warnings),
         facts=_facts(run, particulars, certificate_number(run, particulars, warnings), say),
         highlights=_highlights(run, warnings, say),
@@ -57,12 +58,6 @@ def certificate(
         sections=(*warning_sections(warnings, say), *_sections(run, particulars, known, warnings, say)),
         words={word: say(f"word.{word}") for word in WORDS},
     )
-
-
-def _subtitle(run: Run, say: Catalogue) -> str:
-    cameras = run.result.cameras
-    calibrated = any(camera.free for camera in cameras.values())
-    return say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras))
 
 
 def certificate_number(run: Run, particulars: Metadata, warnings: tuple[Finding, ...] = ()) -> str:

@@ -19,6 +19,11 @@ from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run
 
 Verdict = Literal["acceptable", "new_calibration", "not_determined"]
+Pair = tuple[FiniteFloat, FiniteFloat]
+# A block counts as flown when every camera looks down within so many degrees.
+NADIR_DEG = 30.0
+# Pairs of axes are compared for this many images at most; beyond, every k-th is taken.
+IMAGES = 1000
 
 
 @dataclass(frozen=True)
@@ -72,9 +77,6 @@ def verdict(checked: tuple[Limit, ...]) -> Verdict:
     if False in kept:
         return "new_calibration"
     return "acceptable" if all(kept) else "not_determined"
-
-
-Pair = tuple[FiniteFloat, FiniteFloat]
 
 
 class CalibrationKeys(Table):
@@ -203,10 +205,6 @@ def offsets(
     return Offsets(values, sigmas, prior) if values is not None and sigmas is not None else None
 
 
-# A block counts as flown when every camera looks down within so many degrees.
-NADIR_DEG = 30.0
-
-
 @dataclass(frozen=True)
 class DerivedFigures:
     """What is known of one camera and its flight; None is not determined.
@@ -320,10 +318,6 @@ def _record(run: Run, camera_id: str, particulars: Metadata) -> CalibrationRecor
         depth_spread=spread,
         prior_sigmas={name: prior[name] for name in camera.free if np.isfinite(prior[name])},
     )
-
-
-# Pairs of axes are compared for this many images at most; beyond, every k-th is taken.
-IMAGES = 1000
 
 
 def network_shape(run: Run, camera_id: str) -> tuple[float, float] | None:

@@ -13,6 +13,9 @@ from photocal.findings.texts import Catalogue
 
 Align = Literal["left", "right", "center"]
 Tone = Literal["good", "bad", "note"]
+HTML_TEMPLATE = "certificate.html.j2"
+HTML_STYLE = "certificate.css"
+TEMPLATE = "certificate.typ"
 
 
 @dataclass(frozen=True)
@@ -139,10 +142,6 @@ class Document:
     words: dict[str, str]
 
 
-HTML_TEMPLATE = "certificate.html.j2"
-HTML_STYLE = "certificate.css"
-
-
 def html(document: Document) -> str:
     """Render a report as HTML."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
@@ -187,9 +186,6 @@ def _inline(figure: Figure) -> str:
 
 def _text(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
-
-
-TEMPLATE = "certificate.typ"
 
 
 def pdf(document: Document, date: dt.date) -> bytes:

@@ -33,6 +33,7 @@ RESULT_KEYS = (
     *("degrees_of_freedom", "chi_squared", "sigma0_squared", "global_test", "groups", "cameras", "images"),
     *("checks", "snooping", "mounting", "heads", "variance_components"),
 )
+FORMS = ("certificate.html", "certificate.pdf", NAME)
 
 
 def record(
@@ -182,9 +183,6 @@ def _complete(content: dict[str, Any], file: Path) -> None:
                 where=file,
                 remedy="make the certificate again",
             )
-
-
-FORMS = ("certificate.html", "certificate.pdf", NAME)
 
 
 def issue(

@@ -25,6 +25,8 @@ from photocal.report.stored_analysis import Run
 
 Origin = Literal["computed", "given", "fixed", "not_determined"]
 Filled = tuple[str, Origin] | None
+LAYOUT = Path(__file__).with_name("ministry_aerial_survey.csv")
+COLUMNS = ("section", "item", "key", "en", "pt-BR", "unit", "obligation")
 
 
 @dataclass(frozen=True)
@@ -282,10 +284,6 @@ def corners(c: Context) -> tuple[tuple[str, ...], ...]:
             (name, str(column), str(line), *(fixed(v, 4, c.say.mark) if known else MINUS for v in (x, y)))
         )
     return tuple(rows)
-
-
-LAYOUT = Path(__file__).with_name("ministry_aerial_survey.csv")
-COLUMNS = ("section", "item", "key", "en", "pt-BR", "unit", "obligation")
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from photocal.report.stored_analysis import Run
 
 # Contributions that a person may enter, in the order of the budget; type B.
 ENTERED: tuple[Source, ...] = ("control", "datum", "temperature", "refocus", "model")
+TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 
 
 def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -> Section:
@@ -120,9 +121,6 @@ def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> 
     )
     heads = (source, kind_of, Column("u", camera.unit), share_of)
     return Table(say("uncertainty.table", camera=camera_id), heads, tuple(rows), note)
-
-
-TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 
 
 def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue) -> Section:

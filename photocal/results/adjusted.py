@@ -56,6 +56,9 @@ from photocal.results.result import (
     Software,
 )
 
+NOTHING_MORE = Wanted()
+Report = Callable[[Iteration], None]
+
 
 def result_of(
     block: Block,
@@ -406,10 +409,6 @@ def _residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Re
     r[assembly.rays] = solution.redundancy
     w[assembly.rays] = solution.standardised(assembly.network.rays.sigma) * sign
     return Residuals(block.images.names, block.points.names, seen.image, seen.point, seen.values, v, r, w)
-
-
-NOTHING_MORE = Wanted()
-Report = Callable[[Iteration], None]
 
 
 def adjust_block(

@@ -35,6 +35,18 @@ from photocal.tasks.progress import Progress
 
 # A common shift of the positions is told as one of the datum from here on, in its standard deviations.
 SHIFTED = 3.0
+SCHEMA = "photocal.adoption/1"
+FIGURES = "adoption.json"
+FEWEST_CONTROL = 3
+# Three rays give a pose that nothing checks; images that are named in one remark.
+FEWEST_RAYS, MOST_NAMED = 4, 6
+# How often the sigmas of image coordinates are estimated, where the program states none.
+_WEIGHTINGS = 2
+FEWEST_FREE = 5.0
+# Sigmas are found to one per cent.
+_SETTLED = 0.02
+# Two variances are different from this significance on.
+LEAST = 0.0005
 
 
 def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
@@ -218,20 +230,6 @@ def adoption_text(figures: dict[str, Any]) -> str:
         )
     lines += [f"hidden: {sentence}" for sentence in figures["hidden"]]
     return "\n".join(lines)
-
-
-SCHEMA = "photocal.adoption/1"
-FIGURES = "adoption.json"
-FEWEST_CONTROL = 3
-# Three rays give a pose that nothing checks; images that are named in one remark.
-FEWEST_RAYS, MOST_NAMED = 4, 6
-# How often the sigmas of image coordinates are estimated, where the program states none.
-_WEIGHTINGS = 2
-FEWEST_FREE = 5.0
-# Sigmas are found to one per cent.
-_SETTLED = 0.02
-# Two variances are different from this significance on.
-LEAST = 0.0005
 
 
 def adopt(

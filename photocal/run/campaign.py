@@ -24,6 +24,7 @@ from photocal.tasks.progress import Progress, quiet
 _MEMORY = ".digests.json"
 # In the work folder while a run works: how far it is.
 PROGRESS = "progress.json"
+Task = tuple[Path, dt.date, str | None, str | None, bool]
 
 
 def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
@@ -98,9 +99,6 @@ def run_project(
     if failure is not None:
         raise explained(project, failure) from failure
     return tuple(made)
-
-
-Task = tuple[Path, dt.date, str | None, str | None, bool]
 
 
 @dataclass(frozen=True)

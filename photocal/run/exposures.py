@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from photocal.navigation.trajectory import Trajectory
 
 FIGURES = "exposures.json"
+# Of a rate between two attitudes of an autopilot, some hundredths of a second apart, deg/s.
+_RATE_SIGMA = 2.0
 
 
 def exposures_stage(project: Project, ppk: Path) -> Stage:
@@ -123,10 +125,6 @@ def exposures_of(project: Project, show: Progress) -> tuple[ExposureRun, Rig, st
     folder = made_in(project.output) / stage.name
     figures = json.loads((folder / PPK_FIGURES).read_text(encoding="utf-8"))
     return *_placed(project, kept_trajectory(folder / TRAJECTORY), figures), ""
-
-
-# Of a rate between two attitudes of an autopilot, some hundredths of a second apart, deg/s.
-_RATE_SIGMA = 2.0
 
 
 def write_positions(path: Path, antenna: Exposures, crs: str) -> None:

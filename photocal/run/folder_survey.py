@@ -34,6 +34,7 @@ _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 _TABLES = (".csv", ".txt")
 _RINEX = (".obs", ".nav", ".rnx")
 _DEPTH = 3
+Sizes = dict[str, tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -134,9 +135,6 @@ def _files(folder: Path, depth: int) -> Iterator[Path]:
             yield path
         elif depth and path.is_dir() and not (path / ".digests.json").exists():
             yield from _files(path, depth - 1)
-
-
-Sizes = dict[str, tuple[int, int]]
 
 
 def _control(path: Path, sizes: Sizes, unread: list[str]) -> Found | None:

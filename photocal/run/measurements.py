@@ -20,6 +20,9 @@ from photocal.project import Project
 from photocal.run.stage import Stage
 from photocal.tasks.progress import Progress
 
+RECORD = "measurement.json"
+_UNMATCHED = ("unmatched_images", "ambiguous_images")
+
 
 def given_block(project: Project, images: Images, without_exposure: Collection[str] = ()) -> Block:
     """Make the block of given observations: points that the control table does not have are tie points."""
@@ -85,10 +88,6 @@ def with_points_on_the_ground(block: Block) -> Block:
         total = np.bincount(seen.point[down], place[down, axis], len(count))
         values[missing, axis] = total[missing] / count[missing]
     return replace(block, points=replace(block.points, values=values))
-
-
-RECORD = "measurement.json"
-_UNMATCHED = ("unmatched_images", "ambiguous_images")
 
 
 def measurements_stage(project: Project, exposures: Path | None) -> Stage:

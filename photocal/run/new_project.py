@@ -80,7 +80,9 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
     if control is not None and control.points is not None:
         files["control.csv"] = _points_table(text.control_points)
         if text.marks:
-            files["marks.csv"] = _marks_table(text.marks)
+            columns = ("image", "point", "x", "y", "sx", "sy")
+            rows = [[m.image, m.point, *(f"{v:.3f}" for v in (m.x, m.y, *m.sigma))] for m in text.marks]
+            files["marks.csv"] = rows_text(columns, rows)
     for name in files:
         if (folder / name).exists() and not (name != NAME and (folder / name) == getattr(control, "file", 0)):
             raise OutputError("is there already", where=folder / name, remedy="move it away, or use it")
@@ -402,11 +404,6 @@ def _points_table(points: ObjectPoints) -> str:
         )
     ]
     return rows_text(("point", "X", "Y", "Z", "sX", "sY", "sZ", "role"), rows)
-
-
-def _marks_table(marks: Sequence[Mark]) -> str:
-    rows = [[m.image, m.point, f"{m.x:.3f}", f"{m.y:.3f}", *(f"{s:.3f}" for s in m.sigma)] for m in marks]
-    return rows_text(("image", "point", "x", "y", "sx", "sy"), rows)
 
 
 def _quoted(text: str) -> str:

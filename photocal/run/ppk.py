@@ -11,6 +11,8 @@ from photocal.run.stage import Stage
 from photocal.tasks.progress import Progress
 
 _COLUMNS = ("lat_deg", "lon_deg", "height_m", "status", "covariance_m2", "velocity_m_s")
+TRAJECTORY = "trajectory.npz"
+FIGURES = "ppk.json"
 
 
 def keep_trajectory(path: Path, trajectory: Trajectory) -> None:
@@ -28,10 +30,6 @@ def kept_trajectory(path: Path) -> Trajectory:
             velocity_sigma_m_s=float(kept["velocity_sigma_m_s"]),
             **{name: kept[name] for name in _COLUMNS},
         )
-
-
-TRAJECTORY = "trajectory.npz"
-FIGURES = "ppk.json"
 
 
 def ppk_stage(project: Project) -> Stage:

@@ -39,6 +39,7 @@ LINE = 0.02
 FEWEST = 3
 _PICTURES = 10
 _UNITS = {"feet": 0.3048, "millimetres": 0.001, "centimetres": 0.01, "kilometres": 1000.0}
+Place = tuple[float, float, str, float]
 
 
 def check_project(project: Project) -> None:
@@ -54,9 +55,6 @@ def check_project(project: Project) -> None:
         _check_place(project, control, *place)
     elif project.contents.flight is None and not any(own.has_position for own in facts_of_pictures(project)):
         _check_line(project, control)
-
-
-Place = tuple[float, float, str, float]
 
 
 def _place(project: Project) -> Place | None:

@@ -28,6 +28,12 @@ from photocal.tasks.progress import Progress
 _SMALL_BYTES = 1 << 22
 # A file that changes twice within the clock's step keeps its times: so young ones are not remembered.
 _YOUNG_NS = 2_000_000_000
+# What a stage was made from and what it wrote.
+RECORD = "stage.json"
+_REMEDY = "choose another output in the project file"
+_ASIDE, _OLD = ".partial", ".old.partial"
+_PACKAGES = ("drivers", "acquire", "photocal")
+_TOLD_EVERY_S = 1.0
 
 
 class Digests:
@@ -77,12 +83,6 @@ class Digests:
         """Write the memory."""
         with output_file(self._memory) as aside:
             write_json(aside, self._known, None)
-
-
-# What a stage was made from and what it wrote.
-RECORD = "stage.json"
-_REMEDY = "choose another output in the project file"
-_ASIDE, _OLD = ".partial", ".old.partial"
 
 
 @contextmanager
@@ -202,9 +202,6 @@ def alone(work: Path) -> Iterator[None]:
         yield
 
 
-_PACKAGES = ("drivers", "acquire", "photocal")
-
-
 def program(function: Callable[..., Any]) -> dict[str, str]:
     """Version of the program and digest of the code that a function may run: another may give other results.
 
@@ -267,9 +264,6 @@ def _modules() -> dict[str, Path]:
             parts = (package, *path.relative_to(root).with_suffix("").parts)
             found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
-
-
-_TOLD_EVERY_S = 1.0
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,10 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_CREW: ContextVar[dict[int, ProcessPoolExecutor] | None] = ContextVar("crew", default=None)
+_TIMEOUT_S = 10
+# So many tasks wait for each thread of a worker: none is idle, and few results are held.
+_AHEAD = 2
 
 
 def run_tasks(
@@ -35,9 +39,6 @@ def run_tasks(
         yield from map(function, tasks)
     else:
         yield from _on_processes(function, tasks, workers)
-
-
-_CREW: ContextVar[dict[int, ProcessPoolExecutor] | None] = ContextVar("crew", default=None)
 
 
 @contextmanager
@@ -121,11 +122,6 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-_TIMEOUT_S = 10
-# So many tasks wait for each thread of a worker: none is idle, and few results are held.
-_AHEAD = 2
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,14 @@ from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, GALILEO, GPS, LIGHT
 from drivers.arrays import Floats
 from drivers.gnsstime import SECOND_NS
 
+# GPS: sets of two hours, valid around their end. Galileo: a set every ten minutes, of a time just past.
+_GPS_SET_S, _GALILEO_SET_S = 7200, 600
+_SLOTS = {
+    # Satellites in each plane, highest satellite number.
+    GPS: ((6, 5, 5, 5, 5, 5), 32),
+    GALILEO: ((8, 8, 8), 36),
+}
+
 
 @dataclass(frozen=True)
 class Orbit:
@@ -78,15 +86,6 @@ def _eccentric(mean: Floats, ecc: float) -> Floats:
     for _ in range(3):
         anomaly = anomaly - (anomaly - ecc * np.sin(anomaly) - mean) / (1 - ecc * np.cos(anomaly))
     return np.asarray(anomaly)
-
-
-# GPS: sets of two hours, valid around their end. Galileo: a set every ten minutes, of a time just past.
-_GPS_SET_S, _GALILEO_SET_S = 7200, 600
-_SLOTS = {
-    # Satellites in each plane, highest satellite number.
-    GPS: ((6, 5, 5, 5, 5, 5), 32),
-    GALILEO: ((8, 8, 8), 36),
-}
 
 
 @dataclass(frozen=True)

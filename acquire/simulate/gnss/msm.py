@@ -20,6 +20,11 @@ _MS_M = LIGHT_M_S * 1e-3
 _NO_FINE_CODE, _NO_FINE_PHASE, _NO_FINE_RATE, _NO_RATE = -(1 << 19), -(1 << 23), -(1 << 14), -(1 << 13)
 # A message carries at most 64 cells.
 _MOST_CELLS = 64
+_STATION_EVERY_S, _EPHEMERIS_EVERY_S = 10, 30
+_STATION_LATENCY_NS = 110_000_000
+_MJD_1970 = 40_587
+# In the order of 1019 and 1046.
+_ORBIT = "crs delta_n m0 cuc e cus sqrt_a toe cic omega0 cis i0 crc omega omega_dot"
 
 
 def observation_messages(observations: Observations) -> Iterator[tuple[int, bytes]]:
@@ -95,13 +100,6 @@ def lock_indicator(milliseconds: int) -> int:
 
 def _mask(numbers: list[int], width: int) -> str:
     return "".join("1" if n + 1 in numbers else "0" for n in range(width))
-
-
-_STATION_EVERY_S, _EPHEMERIS_EVERY_S = 10, 30
-_STATION_LATENCY_NS = 110_000_000
-_MJD_1970 = 40_587
-# In the order of 1019 and 1046.
-_ORBIT = "crs delta_n m0 cuc e cus sqrt_a toe cic omega0 cis i0 crc omega omega_dot"
 
 
 def _times(session: Session, every_s: int) -> range:

@@ -36,6 +36,22 @@ _SUBFRAME_4 = (
     *(57, 25, 26, 27, 28, 57, 29, 30, 31, 32, 57, 62, 52, 53, 54, 57, 55),
     *(56, 58, 59, 57, 60, 61, 62, 63),
 )
+KIND = 0x0213
+# Travel time of the signal and the work of the receiver.
+_LATENCY_NS = 120_000_000
+_NOMINAL_ROOT = 29_600_000.0**0.5
+_NOMINAL_TILT = 56.0 / 180.0
+_ISSUE = (1, 4)
+_SUBFRAME_S = 30
+
+Bits = list[tuple[int, int]]
+_SUBFRAME_PAGES = 15
+# Word types of one subframe of 30 s (tables 42 and 43). 0 is the spare word, which carries the time; in the
+# places of 7 and 8 every other subframe has 9 and 10.
+_E1B = (2, 4, 6, 7, 8, 0, 0, 0, 0, 0, 1, 3, 5, 0, 0)
+_E5B = (1, 3, 5, 7, 8, 0, 0, 0, 0, 0, 2, 4, 6, 0, 0)
+_SEQUENCE = {"E1B": _E1B, "E5b": _E5B}
+_TAIL = "0" * 6
 
 
 def field(value: int, width: int) -> str:
@@ -185,11 +201,6 @@ def _split(bits: str) -> list[str]:
     return [bits[at : at + 24] for at in range(0, 168, 24)] + [bits[168:]]
 
 
-KIND = 0x0213
-# Travel time of the signal and the work of the receiver.
-_LATENCY_NS = 120_000_000
-
-
 @dataclass(frozen=True)
 class _Source:
     """A signal with data: place among those tracked, `sigId`, length of its parts, their shift in time."""
@@ -255,14 +266,6 @@ def _whole(count: Integers, seconds: Floats, begin: float, length: float) -> boo
     return bool(after > first and count[after] - count[first] == after - first)
 
 
-_NOMINAL_ROOT = 29_600_000.0**0.5
-_NOMINAL_TILT = 56.0 / 180.0
-_ISSUE = (1, 4)
-_SUBFRAME_S = 30
-
-Bits = list[tuple[int, int]]
-
-
 def almanac_word(second: bool, tow: int, almanacs: Sequence[Ephemeris]) -> str:
     """Return word 7 or 9 (first of its subframe) or 8 or 10 (second), 128 bits."""
     count = tow // _SUBFRAME_S
@@ -298,15 +301,6 @@ def _clock(e: Ephemeris) -> Bits:
 def _angle(e: Ephemeris, name: str) -> tuple[int, int]:
     number = round(e.value(name) / SEMICIRCLE_RAD * 2**15)
     return (number + 2**15) % 2**16 - 2**15, 16
-
-
-_SUBFRAME_PAGES = 15
-# Word types of one subframe of 30 s (tables 42 and 43). 0 is the spare word, which carries the time; in the
-# places of 7 and 8 every other subframe has 9 and 10.
-_E1B = (2, 4, 6, 7, 8, 0, 0, 0, 0, 0, 1, 3, 5, 0, 0)
-_E5B = (1, 3, 5, 7, 8, 0, 0, 0, 0, 0, 2, 4, 6, 0, 0)
-_SEQUENCE = {"E1B": _E1B, "E5b": _E5B}
-_TAIL = "0" * 6
 
 
 def page(

@@ -17,6 +17,24 @@ _LOCKED_BEFORE_S, _ACQUIRING_S, _RELOCKING_S = (60.0, 900.0), (0.5, 4.0), (0.05,
 # Until the navigation data have shown the sign of the phase.
 _HALF_CYCLE_S = (0.6, 6.0)
 _LARGEST_SLIP = 40
+# A code loop of 0.5 Hz with correlators 0.2 chips apart, a phase loop of 10 Hz over 20 ms.
+_CODE_LOOP_HZ, _SPACING, _PHASE_LOOP_HZ, _INTEGRATION_S = 0.5, 0.2, 10.0, 0.02
+_FADING_DB, _FADING_S = 0.7, 3.0
+_LOW_GAIN_DB = 13.0
+_SIGNAL_ORDER = 2
+# Below this a receiver of this kind holds nothing.
+_WEAKEST_DBHZ = 22.0
+_COARSE_S = 60
+
+ROW = np.dtype(
+    [
+        *((name, "i8") for name in ("epoch", "satellite", "signal")),
+        *((name, "f8") for name in ("code_m", "phase_cycles", "doppler_hz", "cn0_dbhz", "lock_s")),
+        *((name, "f8") for name in ("azimuth", "elevation")),
+        *((name, "f8") for name in ("code_sigma_m", "phase_sigma_cycles", "doppler_sigma_hz")),
+        *((name, "?") for name in ("has_phase", "half_valid", "half_subtracted")),
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -127,12 +145,6 @@ def _arcs(
     )
 
 
-# A code loop of 0.5 Hz with correlators 0.2 chips apart, a phase loop of 10 Hz over 20 ms.
-_CODE_LOOP_HZ, _SPACING, _PHASE_LOOP_HZ, _INTEGRATION_S = 0.5, 0.2, 10.0, 0.02
-_FADING_DB, _FADING_S = 0.7, 3.0
-_LOW_GAIN_DB = 13.0
-
-
 @dataclass(frozen=True)
 class Noise:
     """Signal strength and standard deviations at the epochs, float64 (n,) each."""
@@ -164,22 +176,6 @@ def correlated(count: int, step: float, rows: int, rng: np.random.Generator) -> 
     white = rng.standard_normal((rows, count))
     white[:, 1:] *= np.sqrt(1 - keep**2)
     return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=1))
-
-
-_SIGNAL_ORDER = 2
-# Below this a receiver of this kind holds nothing.
-_WEAKEST_DBHZ = 22.0
-_COARSE_S = 60
-
-ROW = np.dtype(
-    [
-        *((name, "i8") for name in ("epoch", "satellite", "signal")),
-        *((name, "f8") for name in ("code_m", "phase_cycles", "doppler_hz", "cn0_dbhz", "lock_s")),
-        *((name, "f8") for name in ("azimuth", "elevation")),
-        *((name, "f8") for name in ("code_sigma_m", "phase_sigma_cycles", "doppler_sigma_hz")),
-        *((name, "?") for name in ("has_phase", "half_valid", "half_subtracted")),
-    ]
-)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ _SIGNAL = np.dtype(
         *[("phase_sigma", "u1"), ("doppler_sigma", "u1"), ("status", "u1"), ("reserved", "u1")],
     ]
 )
+Timed = tuple[int, bytes]
 
 
 def messages(observations: Observations, leap_s: int) -> Iterator[tuple[int, bytes]]:
@@ -70,9 +71,6 @@ def _records(observations: Observations) -> NDArray[np.void]:
 
 def _power_of_two(sigma: Floats, unit: float) -> Floats:
     return np.clip(np.ceil(np.log2(np.maximum(sigma, unit) / unit)), 0, 15)
-
-
-Timed = tuple[int, bytes]
 
 
 @dataclass(frozen=True)

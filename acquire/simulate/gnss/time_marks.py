@@ -60,7 +60,9 @@ def messages(
             if edge_ns is not None:
                 flags |= bit
                 latest[kind] = _stamp(edge_ns + noise, events, clock, leap_s)
-        (rising_week, *rising), (falling_week, *falling) = map(_split, latest)
+        (rising_week, *rising), (falling_week, *falling) = (
+            (*divmod(stamp // 1_000_000, WEEK_S * 1000), stamp % 1_000_000) for stamp in latest
+        )
         accuracy_ns = max(round(events.accuracy_s * SECOND_NS), 1)
         head = struct.pack("<BBHHH", 0, flags, count % 65_536, rising_week, falling_week)
         body = struct.pack("<5I", *rising, *falling, accuracy_ns)
@@ -92,8 +94,3 @@ def _stamp(gps_ns: int, events: Events, clock: Clock, leap_s: int) -> int:
         at = int(np.searchsorted(clock.tag_gps_ns, gps_ns)) - 1
         return gps_ns + round(float(clock.bias_s[max(at, 0)]) * SECOND_NS)
     return gps_ns
-
-
-def _split(stamp_ns: int) -> tuple[int, int, int]:
-    week, of_week = divmod(stamp_ns, WEEK_S * SECOND_NS)
-    return week, of_week // 1_000_000, of_week % 1_000_000

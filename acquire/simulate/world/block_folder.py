@@ -18,6 +18,10 @@ from acquire.simulate.world.world import World
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
 
+# Format and values of each column, by its name.
+Columns = dict[str, tuple[str, Iterable[Any]]]
+_LEAST_SLIP_M = 0.5
+
 
 def write_block(world: World, observed: Observations, folder: Path) -> None:
     """Write the block folder of a flight; a fault that only shows in streams is refused."""
@@ -155,10 +159,6 @@ def _setup(world: World) -> str:
     )
 
 
-# Format and values of each column, by its name.
-Columns = dict[str, tuple[str, Iterable[Any]]]
-
-
 def write_table(path: Path, columns: Columns) -> None:
     """Write a CSV file; `columns`: format of each value and the values; NaN becomes an empty cell."""
     cells = [
@@ -192,9 +192,6 @@ def _value(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
     return json.dumps(value, ensure_ascii=False)
-
-
-_LEAST_SLIP_M = 0.5
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,11 @@ NonNegative = Annotated[FiniteFloat, Field(ge=0)]
 Sigmas = tuple[NonNegative, NonNegative, NonNegative]
 PositiveSigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 Share = Annotated[float, Field(ge=0, lt=1)]
+# Flights that are known by name.
+FLIGHTS = Path(__file__).parents[1] / "flights"
+# GPS time less UTC, and how long that is known to hold (IERS Bulletin C).
+LEAP_S = 18
+LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2027, 6, 28)
 
 
 class Fault(StrEnum):
@@ -54,13 +59,6 @@ class FaultSizes(Table):
     missing_share: Annotated[float, Field(gt=0, le=0.5)] = 0.1
     gap_s: PositiveFloat = 30.0
     slips_per_hour: PositiveFloat = 360.0
-
-
-# Flights that are known by name.
-FLIGHTS = Path(__file__).parents[1] / "flights"
-# GPS time less UTC, and how long that is known to hold (IERS Bulletin C).
-LEAP_S = 18
-LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2027, 6, 28)
 
 
 class Level(StrEnum):

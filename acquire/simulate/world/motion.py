@@ -12,6 +12,16 @@ from acquire.simulate.world.camera import Camera
 from drivers.arrays import Floats
 
 _CLIMB_M_S = 4.0
+GRAVITY_M_S2 = 9.80665
+# Control points of the way: a spline of degree 5 turns a corner within six of these intervals, its curvature
+# and even the change of its curvature continuous.
+KNOT_S = 1.0
+DEGREE = 5
+# Specific drag of a small multirotor, 1/s: at 10 m/s of air it leans by about 12 degrees.
+_DRAG_PER_S = 0.21
+_AIRBORNE_M = 2.0
+# East, north, up to north, east, down.
+TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
@@ -107,18 +117,6 @@ class _Way:
 
     def wait(self, duration_s: float) -> None:
         self.legs.append(Leg(self.at, duration_s))
-
-
-GRAVITY_M_S2 = 9.80665
-# Control points of the way: a spline of degree 5 turns a corner within six of these intervals, its curvature
-# and even the change of its curvature continuous.
-KNOT_S = 1.0
-DEGREE = 5
-# Specific drag of a small multirotor, 1/s: at 10 m/s of air it leans by about 12 degrees.
-_DRAG_PER_S = 0.21
-_AIRBORNE_M = 2.0
-# East, north, up to north, east, down.
-TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,8 @@ from acquire.simulate.world.motion import Motion
 from acquire.simulate.world.world import World
 from drivers.arrays import Flags, Floats, Integers
 
+MARGIN_PX = 8.0
+
 
 def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
     """Give columns and rows of points, each by its own pose or all by one, shape (n, 2).
@@ -40,9 +42,6 @@ def row_time(exposures: Exposures, number: int, rows: Floats, readout_s: float) 
     """Give the middle of the exposure of rows, s."""
     height = exposures.cameras[number].height
     return np.asarray(exposures.middle_s[number] + (rows / (height - 1) - 0.5) * readout_s)
-
-
-MARGIN_PX = 8.0
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,11 @@ _STONES_PER_M2, _STONE_M = 0.6, (0.03, 0.2)
 _FADE, _CONTRAST = 0.82, 15.0
 _TRACKS = 6
 MEAN_GREY = 128
+# Samples along the side of a pixel.
+SAMPLES = 5
+MARGIN_CELLS = 1
+BLACK, WHITE = 25.0, 225.0
+GRID_PX = 8
 
 
 @dataclass(frozen=True)
@@ -127,12 +132,6 @@ def _colour(terrain: Terrain, half_m: float, random: np.random.Generator) -> Byt
     return np.asarray(np.clip(colour, 0, 255), np.uint8)
 
 
-# Samples along the side of a pixel.
-SAMPLES = 5
-MARGIN_CELLS = 1
-BLACK, WHITE = 25.0, 225.0
-
-
 @dataclass(frozen=True)
 class Plate:
     """A horizontal square plate.
@@ -203,9 +202,6 @@ def dictionary_of(name: str) -> Any:
             f"there is no dictionary {name!r}", where="[targets]", remedy="for example apriltag_36h11"
         )
     return cv2.aruco.getPredefinedDictionary(number)
-
-
-GRID_PX = 8
 
 
 @dataclass(frozen=True)

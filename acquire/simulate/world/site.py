@@ -13,6 +13,8 @@ from acquire.simulate.world.streams import Wire, make_streams, telemetry_log
 from acquire.simulate.world.truth import write_truth
 from acquire.simulate.world.world import World, make_world, picture_stamps
 
+Advance = Callable[[float], None]
+
 
 def write_project(world: World, site: Path) -> None:
     """Write `project.toml`, and but for the level block `control.csv`."""
@@ -137,9 +139,6 @@ def write_particulars(world: World, path: Path) -> None:
         ]
     )
     path.write_text(text, encoding="utf-8")
-
-
-Advance = Callable[[float], None]
 
 
 def simulate_flight(configuration: Configuration, folder: Path, advance: Advance) -> dict[str, Any]:

@@ -16,6 +16,8 @@ from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.world import World
 from drivers.arrays import Floats, Integers
 
+PULSE_S = 0.02
+
 
 @dataclass(frozen=True)
 class Wire:
@@ -75,9 +77,6 @@ def telemetry_log(world: World, wire: Wire) -> bytes:
     stamps = utc_start_us + np.rint(wire.arrival_s * 1e6).astype(np.int64)
     pairs = zip(stamps.tolist(), wire.frames, strict=True)
     return b"".join(stamp.to_bytes(8, "big") + frame for stamp, frame in pairs)
-
-
-PULSE_S = 0.02
 
 
 def make_streams(world: World) -> dict[str, Wire]:

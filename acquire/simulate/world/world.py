@@ -18,6 +18,14 @@ from drivers.errors import ConfigurationError
 # The plate lies on the highest ground beneath it, on stones of this height.
 ABOVE_GROUND_M = 0.03
 _CANDIDATES = 60
+GPS_EPOCH_UNIX_S = 315_964_800
+LEAST_ABOVE_GROUND_M = 5.0
+# Parts of the truth that are drawn one by one, so that a change of one leaves the others as they are.
+STREAMS = (
+    "terrain", "targets", "rig", "motion", "exposures", "sky", "telemetry", "wires", "texture", "pictures",
+    "observations", "faults",
+)  # fmt: skip
+LASTING = ("terrain", "targets", "rig", "texture")
 
 
 @dataclass(frozen=True)
@@ -108,16 +116,6 @@ def _bed(terrain: Terrain, places: Floats, side_m: float) -> Floats:
     east, north = np.meshgrid(steps, steps)
     around = terrain.height(places[:, 0, None] + east.ravel(), places[:, 1, None] + north.ravel())
     return np.asarray(around.max(axis=1) + ABOVE_GROUND_M)
-
-
-GPS_EPOCH_UNIX_S = 315_964_800
-LEAST_ABOVE_GROUND_M = 5.0
-# Parts of the truth that are drawn one by one, so that a change of one leaves the others as they are.
-STREAMS = (
-    "terrain", "targets", "rig", "motion", "exposures", "sky", "telemetry", "wires", "texture", "pictures",
-    "observations", "faults",
-)  # fmt: skip
-LASTING = ("terrain", "targets", "rig", "texture")
 
 
 @dataclass(frozen=True)

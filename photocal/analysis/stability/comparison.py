@@ -21,6 +21,7 @@ from photocal.analysis.stability.methods import (
 from photocal.geometry.camera import Camera
 
 PROBABILITY = 0.95
+Wobble = tuple[View, ...]
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,6 @@ def compare(
         pairs.append(Pair(a.id, b.id, figures))
         done()
     return tuple(pairs)
-
-
-Wobble = tuple[View, ...]
 
 
 def _figure(

@@ -17,6 +17,8 @@ from photocal.results.result import AdjustedHead
 # What a user of the camera feels; distortion is compared over the format.
 PARAMETERS = ("c", "x0", "y0")
 PROBABILITY = 0.95
+# A head that stayed is said to have moved in one of so many comparisons.
+LEVEL = 0.05
 
 
 @dataclass(frozen=True)
@@ -167,10 +169,6 @@ def repeatability_text(found: Sequence[Repeatability]) -> str:
             for t in one.trends
         ]
     return "\n".join(lines)
-
-
-# A head that stayed is said to have moved in one of so many comparisons.
-LEVEL = 0.05
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,11 @@ from photocal.geometry.distortion import undistorted
 PARTS = 3
 # A third has at least so many images; what is left of a field beside the other unknowns, a share squared.
 FEWEST_IMAGES, LEFT = 4, 1e-6
+# Exposures are a flight when this share of the steps from one to the next has the usual length, this nearly.
+REGULAR_SHARE = 0.6
+REGULAR_SPACING = 0.3
+# A drift of c is held against steps at so many places.
+STEPS = 7
 
 
 @dataclass(frozen=True)
@@ -109,13 +114,6 @@ def _within(fit: Fit, name: str, slope: Floats, information: Floats, courses: It
         drifts[key] = -along / own, own**-0.5, statistic(along**2 / own, 1)
     parts = np.vstack([[0.0, 0.0], np.column_stack([amounts, np.sqrt(np.diag(covariance))])])
     return Within(name, parts, drifts, together, float(stats.f.sf(together, count, freedom - count)))
-
-
-# Exposures are a flight when this share of the steps from one to the next has the usual length, this nearly.
-REGULAR_SHARE = 0.6
-REGULAR_SPACING = 0.3
-# A drift of c is held against steps at so many places.
-STEPS = 7
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ VISIBLE_SIGMAS = 2.5
 # Scatter against that of all together: from here on an axis or camera is listed, and no longer called small.
 WORTH_A_LINE = 1.05
 SMALL_RATIO = 1.25
+# The whole family alarms on a clean block in no more than 5 of 1000 cases; places in the flight at which a
+# head is tried to have moved, and exposures that must lie before and after.
+PLACES, FEWEST = 16, 3
 
 
 def of_stated(search: Search) -> list[Finding]:
@@ -128,11 +131,6 @@ def of_maps(search: Search) -> list[Finding]:
         size = Size(effect, "px", px=effect)
         listed.append(Finding("residual-map", _severity(small=small), camera.id, figures, clauses, size))
     return listed
-
-
-# The whole family alarms on a clean block in no more than 5 of 1000 cases; places in the flight at which a
-# head is tried to have moved, and exposures that must lie before and after.
-PLACES, FEWEST = 16, 3
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,11 @@ from photocal.adjustment.state import State, start_state
 from photocal.geometry.camera import PARAMETERS
 
 Observed = TypeVar("Observed", Positions, Attitudes)
+# Below half a pixel and two standard deviations of c an effect is called small.
+SMALL_PX = 0.5
+SMALL_SIGMAS = 2.0
+# Left of each adjustment, see `minimise`: some 3e-4 standard deviations.
+NEAR = 1e-7
 
 
 @dataclass(frozen=True)
@@ -152,11 +157,6 @@ def _of_images(observed: Observed, place: Integers, kept: Flags) -> Observed:
     return replace(observed, **{**columns, "image": place[observed.image[mine]]})
 
 
-# Below half a pixel and two standard deviations of c an effect is called small.
-SMALL_PX = 0.5
-SMALL_SIGMAS = 2.0
-
-
 def mean_distance(fitted: Fit, camera: int) -> float:
     """Give the mean distance of object points from the exposures of a camera."""
     rays, state = fitted.network.rays, fitted.state
@@ -168,10 +168,6 @@ def mean_distance(fitted: Fit, camera: int) -> float:
 def ground_effect(fitted: Fit, camera: int, change_of_c: float) -> float:
     """Give the height error that a wrong c makes at the mean distance of the block."""
     return float(abs(change_of_c) / fitted.solution.cameras[camera, 0] * mean_distance(fitted, camera))
-
-
-# Left of each adjustment, see `minimise`: some 3e-4 standard deviations.
-NEAR = 1e-7
 
 
 @dataclass(frozen=True)

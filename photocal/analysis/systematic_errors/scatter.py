@@ -6,6 +6,8 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
 
+RAYS_PER_CELL = 20
+
 
 @dataclass(frozen=True)
 class VarianceComponent:
@@ -88,9 +90,6 @@ def assumed_sigma(
         r,
         2.0 * min(above, 1.0 - above),
     )
-
-
-RAYS_PER_CELL = 20
 
 
 @dataclass(frozen=True)

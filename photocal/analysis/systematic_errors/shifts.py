@@ -24,6 +24,12 @@ LEAST_OF_STRIP, MOST_STRIPS = 3, 60
 SIGNIFICANCE = 0.001
 # Standard deviations, of 95 %.
 _STATED = 2.0
+# Less of a column than this, beside the exterior orientation, is not determined.
+INDEPENDENT = 1e-2
+# Coordinates of an image that is tested.
+FEWEST_OBSERVED = 12
+# So many images are adjusted with a scale and a principal point of their own.
+MOST_JOINT = 12
 
 
 @dataclass(frozen=True)
@@ -226,14 +232,6 @@ def with_free_shift(network: Network) -> Network:
     sigma = network.mounting.sigma.copy()
     sigma[SHIFT] = np.inf
     return replace(network, mounting=replace(network.mounting, sigma=sigma))
-
-
-# Less of a column than this, beside the exterior orientation, is not determined.
-INDEPENDENT = 1e-2
-# Coordinates of an image that is tested.
-FEWEST_OBSERVED = 12
-# So many images are adjusted with a scale and a principal point of their own.
-MOST_JOINT = 12
 
 
 @dataclass(frozen=True)

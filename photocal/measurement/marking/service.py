@@ -39,6 +39,15 @@ FARTHEST_REACH_PX = 60.0
 _DECIMALS = 4
 # A name has something to see and nothing that breaks a line.
 _NAME = r"^[^\x00-\x1f\x7f]*[^\x00-\x20\x7f][^\x00-\x1f\x7f]*$"
+Question = TypeVar("Question", bound=Table)
+_FILES = {
+    "/": "marking.html",
+    "/marking.css": "marking.css",
+    "/marking.js": "marking.js",
+    "/view.js": "view.js",
+    "/tiles.js": "tiles.js",
+}
+_LONGEST_REQUEST = 10_000
 
 
 class _Place(Table, strict=True):
@@ -246,9 +255,6 @@ class MarkingService:
         return own
 
 
-Question = TypeVar("Question", bound=Table)
-
-
 def _checked(kind: type[Question], body: bytes) -> Question:
     try:
         return kind.model_validate_json(body)
@@ -266,16 +272,6 @@ def _rounded(click: _Click, place: tuple[float, float], sigma: tuple[float, floa
 @lru_cache(maxsize=2)
 def _grey(path: Path, _changed: int, _size: int) -> Grey:
     return measurable(read_grey(path))
-
-
-_FILES = {
-    "/": "marking.html",
-    "/marking.css": "marking.css",
-    "/marking.js": "marking.js",
-    "/view.js": "view.js",
-    "/tiles.js": "tiles.js",
-}
-_LONGEST_REQUEST = 10_000
 
 
 def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
