@@ -329,11 +329,8 @@ def _is_number(cell: str) -> bool:
 def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floats]:
     """Positions by GNSS, their accuracies as stated, and the sigmas that the program promises."""
     count = len(names)
-    given, stated, promised = (
-        np.full((count, 3), np.nan),
-        np.full((count, 3), np.nan),
-        np.full((count, 6), np.nan),
-    )
+    given, stated = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    promised = np.full((count, 6), np.nan)
     row = {name.casefold(): k for k, name in enumerate(names)}
     row |= {Path(name).stem.casefold(): k for k, name in enumerate(names)}
     path = _file(folder, _ERRORS)

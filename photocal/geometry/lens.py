@@ -137,29 +137,21 @@ def polynomial(
 
 @compiled
 def bent(
-    cameras: Floats,
-    optics_of: Floats,
-    k: int,
-    x: float,
-    y: float,
-    u: float,
-    v: float,
-    w: float,
-    room: Scratch,
+    cameras: Floats, optics: Floats, k: int, x: float, y: float, u: float, v: float, w: float, room: Scratch
 ) -> tuple[float, float]:
     """Computed minus measured coordinates of a ray through a lens that is not Brown's, see `ray_residual`."""
     by_q, by_camera = room.by_q, room.by_camera
-    if optics_of[k, 0] == _RATIONAL:
+    if optics[k, 0] == _RATIONAL:
         sx, sy = rational(cameras, k, u, v, w, by_q, by_camera, room.depth)
-    elif optics_of[k, 0] == _EQUIDISTANT:
+    elif optics[k, 0] == _EQUIDISTANT:
         sx, sy = equidistant(cameras, k, u, v, w, by_q, by_camera, room.depth)
     else:
         sx, sy = pix4d_fisheye(cameras, k, u, v, w, by_q, by_camera, room.depth)
     b1, b2 = cameras[k, _B1], cameras[k, _B1 + 1]
-    m00 = 1.0 + b1 * optics_of[k, 3] + b2 * optics_of[k, 7]
-    m01 = b1 * optics_of[k, 4] + b2 * optics_of[k, 8]
-    m10 = b1 * optics_of[k, 5] + b2 * optics_of[k, 9]
-    m11 = 1.0 + b1 * optics_of[k, 6] + b2 * optics_of[k, 10]
+    m00 = 1.0 + b1 * optics[k, 3] + b2 * optics[k, 7]
+    m01 = b1 * optics[k, 4] + b2 * optics[k, 8]
+    m10 = b1 * optics[k, 5] + b2 * optics[k, 9]
+    m11 = 1.0 + b1 * optics[k, 6] + b2 * optics[k, 10]
     for n in range(3):
         gx, gy = by_q[0, n], by_q[1, n]
         by_q[0, n], by_q[1, n] = m00 * gx + m01 * gy, m10 * gx + m11 * gy
@@ -169,48 +161,35 @@ def bent(
     for n in range(2):
         by_camera[0, _X0 + n], by_camera[1, _X0 + n] = 1.0 - n, 1.0 * n
         at = 3 + 4 * n
-        by_camera[0, _B1 + n] = optics_of[k, at] * sx + optics_of[k, at + 1] * sy
-        by_camera[1, _B1 + n] = optics_of[k, at + 2] * sx + optics_of[k, at + 3] * sy
+        by_camera[0, _B1 + n] = optics[k, at] * sx + optics[k, at + 1] * sy
+        by_camera[1, _B1 + n] = optics[k, at + 2] * sx + optics[k, at + 3] * sy
     return m00 * sx + m01 * sy + cameras[k, _X0] - x, m10 * sx + m11 * sy + cameras[k, _X0 + 1] - y
 
 
 @inlined
 def ray_residual(
-    cameras: Floats,
-    optics_of: Floats,
-    k: int,
-    x: float,
-    y: float,
-    u: float,
-    v: float,
-    w: float,
-    room: Scratch,
+    cameras: Floats, optics: Floats, k: int, x: float, y: float, u: float, v: float, w: float, room: Scratch
 ) -> tuple[float, float]:
     """What a ray misses Brown's model by, with derivatives: zero where (x, y) are the computed coordinates.
 
     cameras (cameras, 20): camera parameters.
-    optics_of (cameras, 14): from `optics`.
+    optics (cameras, 14): from `optics`.
     u, v, w: object point in camera axes, m.
     """
     by_q, by_camera, slope, terms = room.by_q, room.by_camera, room.slope, room.terms
-    c, x0, y0, b1, b2 = (
-        cameras[k, _C],
-        cameras[k, _X0],
-        cameras[k, _X0 + 1],
-        cameras[k, _B1],
-        cameras[k, _B1 + 1],
-    )
-    place, r0 = optics_of[k, 1], optics_of[k, 2]
-    f00, f01 = b1 * optics_of[k, 3] + b2 * optics_of[k, 7], b1 * optics_of[k, 4] + b2 * optics_of[k, 8]
-    f10, f11 = b1 * optics_of[k, 5] + b2 * optics_of[k, 9], b1 * optics_of[k, 6] + b2 * optics_of[k, 10]
+    c, x0, y0, b1 = cameras[k, _C], cameras[k, _X0], cameras[k, _X0 + 1], cameras[k, _B1]
+    b2 = cameras[k, _B1 + 1]
+    place, r0 = optics[k, 1], optics[k, 2]
+    f00, f01 = b1 * optics[k, 3] + b2 * optics[k, 7], b1 * optics[k, 4] + b2 * optics[k, 8]
+    f10, f11 = b1 * optics[k, 5] + b2 * optics[k, 9], b1 * optics[k, 6] + b2 * optics[k, 10]
     ux, uy = -u / w, -v / w
     px, py = c * ux, c * uy
     bx, by = x - x0, y - y0
-    focus = optics_of[k, _FOCUS]
+    focus = optics[k, _FOCUS]
     g = 1.0 if focus == 0.0 else (1.0 - c / focus) / (1.0 + c / (MM * w))
     # Each case sets: the residual (vx, vy); a: d/dp; z: d/d(x0, y0); m: what multiplies the polynomial's
     # terms; (sx, sy): the vector that the affinity acts on, t: what multiplies it.
-    if optics_of[k, 0] != _IDEAL:
+    if optics[k, 0] != _IDEAL:
         a00, a01, a10, a11 = 1.0, 0.0, 0.0, 1.0
         if place == _BEFORE:
             sx, sy = bx, by
@@ -271,8 +250,8 @@ def ray_residual(
         by_camera[0, _K1 + n] = m00 * terms[0, n] + m01 * terms[1, n]
         by_camera[1, _K1 + n] = m10 * terms[0, n] + m11 * terms[1, n]
     for n in range(2):
-        gx = optics_of[k, 3 + 4 * n] * sx + optics_of[k, 4 + 4 * n] * sy
-        gy = optics_of[k, 5 + 4 * n] * sx + optics_of[k, 6 + 4 * n] * sy
+        gx = optics[k, 3 + 4 * n] * sx + optics[k, 4 + 4 * n] * sy
+        gy = optics[k, 5 + 4 * n] * sx + optics[k, 6 + 4 * n] * sy
         by_camera[0, _B1 + n] = t00 * gx + t01 * gy
         by_camera[1, _B1 + n] = t10 * gx + t11 * gy
     if focus != 0.0:
@@ -300,15 +279,7 @@ def vary_with_distance(cameras: Floats, k: int, focus: float, g: float, w: float
 
 @inlined
 def image_residual(
-    cameras: Floats,
-    optics_of: Floats,
-    k: int,
-    x: float,
-    y: float,
-    u: float,
-    v: float,
-    w: float,
-    room: Scratch,
+    cameras: Floats, optics: Floats, k: int, x: float, y: float, u: float, v: float, w: float, room: Scratch
 ) -> tuple[float, float]:
     """Residual of one ray in the image, computed minus measured, and its derivatives.
 
@@ -322,15 +293,11 @@ def image_residual(
     vx, vy, steps = 0.0, 0.0, 0
     limit = (_SHORT * cameras[k, _C]) ** 2
     while True:
-        fx, fy = ray_residual(cameras, optics_of, k, x + vx, y + vy, u, v, w, room)
-        if optics_of[k, 0] == _AT_MEASURED or (optics_of[k, 0] == _IDEAL and optics_of[k, 1] != _BEFORE):
+        fx, fy = ray_residual(cameras, optics, k, x + vx, y + vy, u, v, w, room)
+        if optics[k, 0] == _AT_MEASURED or (optics[k, 0] == _IDEAL and optics[k, 1] != _BEFORE):
             return fx, fy
-        z00, z01, z10, z11 = (
-            by_camera[0, _X0],
-            by_camera[0, _X0 + 1],
-            by_camera[1, _X0],
-            by_camera[1, _X0 + 1],
-        )
+        z00, z01, z10 = by_camera[0, _X0], by_camera[0, _X0 + 1], by_camera[1, _X0]
+        z11 = by_camera[1, _X0 + 1]
         determinant = z00 * z11 - z01 * z10
         if not determinant > 0.0:
             if steps == 0 or steps == _STEPS:
@@ -355,20 +322,20 @@ def image_residual(
 
 @inlined
 def recorded(
-    cameras: Floats, optics_of: Floats, k: int, u: float, v: float, w: float, room: Scratch, found: Floats
+    cameras: Floats, optics: Floats, k: int, u: float, v: float, w: float, room: Scratch, found: Floats
 ) -> bool:
     """Find where a camera records a point of camera axes (u, v, w); False where it does not."""
     by_camera = room.by_camera
     c, x, y = cameras[k, _C], cameras[k, _X0], cameras[k, _X0 + 1]
     if w < 0.0:
         x, y = x - c * u / w, y - c * v / w
-    elif optics_of[k, 0] < OTHERS:
+    elif optics[k, 0] < OTHERS:
         return False
     for _ in range(_MOST):
-        if optics_of[k, 0] >= OTHERS:
-            vx, vy = bent(cameras, optics_of, k, x, y, u, v, w, room)
+        if optics[k, 0] >= OTHERS:
+            vx, vy = bent(cameras, optics, k, x, y, u, v, w, room)
         else:
-            vx, vy = ray_residual(cameras, optics_of, k, x, y, u, v, w, room)
+            vx, vy = ray_residual(cameras, optics, k, x, y, u, v, w, room)
         # The residual depends on x - x0 only: its derivative to x is the negative one to x0.
         a, b, d, e = by_camera[0, 1], by_camera[0, 2], by_camera[1, 1], by_camera[1, 2]
         determinant = a * e - b * d
@@ -382,14 +349,7 @@ def recorded(
 
 @inlined
 def direction(
-    cameras: Floats,
-    optics_of: Floats,
-    k: int,
-    angular: bool,
-    x: float,
-    y: float,
-    room: Scratch,
-    found: Floats,
+    cameras: Floats, optics: Floats, k: int, angular: bool, x: float, y: float, room: Scratch, found: Floats
 ) -> bool:
     """Find the direction in camera axes of what is recorded at (x, y); False where there is none.
 
@@ -397,7 +357,7 @@ def direction(
     of their tangents.
     """
     by_q = room.by_q
-    c, focus = cameras[k, _C], optics_of[k, _FOCUS]
+    c, focus = cameras[k, _C], optics[k, _FOCUS]
     far = 1.0 if focus == 0.0 else focus / MM
     e0, e1 = (x - cameras[k, _X0]) / c, (y - cameras[k, _X0 + 1]) / c
     for _ in range(_MOST):
@@ -410,10 +370,10 @@ def direction(
             share = (cosine - sinc) / (angle * angle) if angle > 1e-4 else -1.0 / 3.0
             t00, t01, t11 = sinc + share * e0 * e0, share * e0 * e1, sinc + share * e1 * e1
             w0, w1 = sinc * e0, sinc * e1
-        if optics_of[k, 0] >= OTHERS:
-            vx, vy = bent(cameras, optics_of, k, x, y, u, v, w, room)
+        if optics[k, 0] >= OTHERS:
+            vx, vy = bent(cameras, optics, k, x, y, u, v, w, room)
         else:
-            vx, vy = ray_residual(cameras, optics_of, k, x, y, far * u, far * v, far * w, room)
+            vx, vy = ray_residual(cameras, optics, k, x, y, far * u, far * v, far * w, room)
         a = far * (by_q[0, 0] * t00 + by_q[0, 1] * t01 + by_q[0, 2] * w0)
         b = far * (by_q[0, 0] * t01 + by_q[0, 1] * t11 + by_q[0, 2] * w1)
         d = far * (by_q[1, 0] * t00 + by_q[1, 1] * t01 + by_q[1, 2] * w0)
@@ -429,21 +389,21 @@ def direction(
 
 
 @allocating
-def all_recorded(camera: Floats, optics_of: Floats, q: Floats, plane: Floats) -> None:
+def all_recorded(camera: Floats, optics: Floats, q: Floats, plane: Floats) -> None:
     """Find where one camera records points, NaN where it does not."""
     room, found = kernel_scratch(0), np.zeros(2)
     for n in range(len(q)):
-        seen = recorded(camera, optics_of, 0, q[n, 0], q[n, 1], q[n, 2], room, found)
+        seen = recorded(camera, optics, 0, q[n, 0], q[n, 1], q[n, 2], room, found)
         # One by one: for whole rows the compiler brings a check of shapes that takes it ten seconds.
         for a in range(2):
             plane[n, a] = found[a] if seen else np.nan
 
 
 @allocating
-def all_directions(camera: Floats, optics_of: Floats, angular: bool, plane: Floats, q: Floats) -> None:
+def all_directions(camera: Floats, optics: Floats, angular: bool, plane: Floats, q: Floats) -> None:
     """Find the directions in which one camera sees, NaN where there is none."""
     room, found = kernel_scratch(0), np.zeros(3)
     for n in range(len(q)):
-        seen = direction(camera, optics_of, 0, angular, plane[n, 0], plane[n, 1], room, found)
+        seen = direction(camera, optics, 0, angular, plane[n, 0], plane[n, 1], room, found)
         for a in range(3):
             q[n, a] = found[a] if seen else np.nan

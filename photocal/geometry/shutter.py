@@ -52,7 +52,7 @@ def by_shake(by_camera: Floats, a: int, s: float, d0: float, d1: float, d2: floa
 @compiled
 def rolling_residual(
     lenses: Floats,
-    optics_of: Floats,
+    optics: Floats,
     k: int,
     x: float,
     y: float,
@@ -67,14 +67,14 @@ def rolling_residual(
 
     lenses (lenses, 26 or 41): parameters of the camera, then V (m, object axes) and W (rad, camera axes),
         and where images shake the coefficients of the polynomials.
-    optics_of (lenses, 20 or 35): from `optics`, then the given velocity (m/s) and rate (rad/s), and what a
+    optics (lenses, 20 or 35): from `optics`, then the given velocity (m/s) and rate (rad/s), and what a
         gyroscope has recorded of the polynomials (rad/s).
     u, v, w: object point in camera axes at the middle of the readout, m.
     returns: residual in x and y; the point in camera axes before the turn of its line, to which a small turn
         of the image applies.
     """
     by_q, by_camera = room.by_q, room.by_camera
-    lx, ly = optics_of[k, LINE], optics_of[k, LINE + 1]
+    lx, ly = optics[k, LINE], optics[k, LINE + 1]
     m0, m1, m2 = lenses[k, MOVE], lenses[k, MOVE + 1], lenses[k, MOVE + 2]
     t0, t1, t2 = lenses[k, MOVE + 3], lenses[k, MOVE + 4], lenses[k, MOVE + 5]
     # V in camera axes.
@@ -97,10 +97,10 @@ def rolling_residual(
         qu = pu + first * c0 + second * (r1 * c2 - r2 * c1)
         qv = pv + first * c1 + second * (r2 * c0 - r0 * c2)
         qw = pw + first * c2 + second * (r0 * c1 - r1 * c0)
-        if optics_of[k, 0] >= OTHERS:
-            ex, ey = bent(lenses, optics_of, k, x, y, qu, qv, qw, room)
+        if optics[k, 0] >= OTHERS:
+            ex, ey = bent(lenses, optics, k, x, y, qu, qv, qw, room)
         else:
-            ex, ey = image_residual(lenses, optics_of, k, x, y, qu, qv, qw, room)
+            ex, ey = image_residual(lenses, optics, k, x, y, qu, qv, qw, room)
         steps += 1
         if steps == 2:
             break
@@ -127,7 +127,7 @@ def rolling_residual(
         along = lx * by_q[0, n] + ly * by_q[1, n]
         by_q[0, n] += speed_x * along
         by_q[1, n] += speed_y * along
-    for n in range(READOUT if optics_of[k, 0] >= OTHERS else BROWN):
+    for n in range(READOUT if optics[k, 0] >= OTHERS else BROWN):
         along = lx * by_camera[0, n] + ly * by_camera[1, n]
         by_camera[0, n] += speed_x * along
         by_camera[1, n] += speed_y * along
@@ -138,11 +138,8 @@ def rolling_residual(
         e0, e1, e2 = r2 * d1 - r1 * d2, r0 * d2 - r2 * d0, r1 * d0 - r0 * d1
         f0, f1, f2 = r2 * e1 - r1 * e2, r0 * e2 - r2 * e0, r1 * e0 - r0 * e1
         third = 1.0 / 6.0 - square / 120.0
-        d0, d1, d2 = (
-            d0 + second * e0 + third * f0,
-            d1 + second * e1 + third * f1,
-            d2 + second * e2 + third * f2,
-        )
+        d0, d1 = d0 + second * e0 + third * f0, d1 + second * e1 + third * f1
+        d2 = d2 + second * e2 + third * f2
         # h = exp([s W]x)' g.
         c0, c1, c2 = g1 * r2 - g2 * r1, g2 * r0 - g0 * r2, g0 * r1 - g1 * r0
         h0 = g0 + first * c0 + second * (c1 * r2 - c2 * r1)
@@ -156,7 +153,7 @@ def rolling_residual(
         if shakes:
             by_shake(by_camera, a, s, d0, d1, d2)
         along = 0.0
-        for n in range(optics_of.shape[1] - GIVEN):
-            along += by_camera[a, MOVE + n] * optics_of[k, GIVEN + n]
+        for n in range(optics.shape[1] - GIVEN):
+            along += by_camera[a, MOVE + n] * optics[k, GIVEN + n]
         by_camera[a, READOUT] = along
     return vx, vy, pu, pv, pw

@@ -54,10 +54,8 @@ def footprints(
     size_px (n, 2).
     c_px (n,).
     """
-    yaw, pitch = (
-        np.nan_to_num(yaw_pitch[:, 0]),
-        np.where(np.isnan(yaw_pitch[:, 1]), -np.pi / 2, yaw_pitch[:, 1]),
-    )
+    yaw = np.nan_to_num(yaw_pitch[:, 0])
+    pitch = np.where(np.isnan(yaw_pitch[:, 1]), -np.pi / 2, yaw_pitch[:, 1])
     # Views to the horizon see everything; what is useful of them ends at 60 degrees from the vertical.
     tilt = np.clip(np.pi / 2 + pitch, 0.0, np.radians(60))
     ahead = height_m * np.tan(tilt)

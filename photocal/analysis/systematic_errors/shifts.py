@@ -194,10 +194,8 @@ def _p_of_members(members: list[Member], redundancy: float) -> list[float]:
     """Probability of so large errors, where all others tell how many times the variances are those stated."""
     from scipy import stats
 
-    error, covariance = (
-        np.array([one.error for one in members]),
-        np.array([one.covariance for one in members]),
-    )
+    error = np.array([one.error for one in members])
+    covariance = np.array([one.covariance for one in members])
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     shares, known = error**2 / variance, np.isfinite(variance)
     others = (shares.sum(axis=0) - shares) / max(len(members) - 1, 1)
