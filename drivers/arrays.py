@@ -22,7 +22,7 @@ class Columns:
         """Return some of the rows; what is no column stays."""
         kept: dict[str, Any] = {
             name: value.rows(chosen) if hasattr(value, "rows") else value[chosen]
-            for name, value in vars(self).items()
+            for name, value in ((f.name, getattr(self, f.name)) for f in fields(self))  # type: ignore[arg-type]
             if hasattr(value, "__getitem__") and not isinstance(value, str | tuple)
         }
         return replace(self, **kept)  # type: ignore[type-var]

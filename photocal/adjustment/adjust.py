@@ -11,7 +11,7 @@ from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
 from photocal.adjustment.kernels.residuals import evaluate
-from photocal.adjustment.network import Network, Rays
+from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, chords, minimise, moved_by, reduced_step
@@ -79,8 +79,7 @@ def _where_rays_come_from(problem: Problem, start: State) -> State | None:
     loose = np.asarray(((sigma > 0.0) & np.isfinite(sigma)).all(axis=1))
     if not loose.any():
         return None
-    seen = loose[rays.image]
-    rays = Rays(*(column[seen] for column in vars(rays).values()))
+    rays = rays.rows(loose[rays.image])
     slopes = np.empty(rays.plane.shape)
     camera = exposures.camera[rays.image]
     for k, own in enumerate(network.cameras):

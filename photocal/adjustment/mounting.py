@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Columns, Floats, Integers
 from photocal.adjustment.equations import Equations
 from photocal.geometry.rotation import left_jacobian, skew
 
@@ -49,7 +49,7 @@ class Mounting:
 
 
 @dataclass(frozen=True)
-class Positions:
+class Positions(Columns):
     """Observed antenna positions.
 
     image (n,).
@@ -71,7 +71,7 @@ class Positions:
 
 
 @dataclass(frozen=True)
-class Attitudes:
+class Attitudes(Columns):
     """Observed attitudes of the body.
 
     image (n,).

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Columns, Flags, Floats, Integers
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
     NO_MOUNTING,
@@ -23,7 +23,7 @@ Related = Callable[[Floats], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True)
-class Exposures:
+class Exposures(Columns):
     """Exterior orientation of the images: start values, and observations where a sigma stands.
 
     camera (n,): index of the camera of each image.
@@ -46,7 +46,7 @@ class Exposures:
 
 
 @dataclass(frozen=True)
-class Points:
+class Points(Columns):
     """Object points: start values, and observations where a covariance stands.
 
     values (n, 3): X, Y, Z in m: start values and, where weighted, observed values.
@@ -60,7 +60,7 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Rays:
+class Rays(Columns):
     """Image observations, sorted by point.
 
     image, point (n,): what was seen where.
@@ -75,7 +75,7 @@ class Rays:
 
 
 @dataclass(frozen=True)
-class Relations:
+class Relations(Columns):
     """Observations between two object points.
 
     kind (n,): index into `RELATIONS`: slope distance in m, Z of `second` less Z of `first` in m, azimuth from

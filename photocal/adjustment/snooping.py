@@ -20,7 +20,7 @@ from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
 from photocal.adjustment.kernels.residuals import evaluate
-from photocal.adjustment.network import Network, Points, Rays
+from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, minimise, moved_by, reduced_step
@@ -192,14 +192,13 @@ def subset(network: Network, accepted: Flags) -> tuple[Network, Integers, Intege
     rays = np.flatnonzero(accepted & needed[network.rays.point])
     place = np.full(len(needed), -1)
     place[points] = np.arange(len(points))
-    old, own = network.rays, network.points
     datum = network.datum_points
     if datum is not None and len(datum):
         datum = place[datum][place[datum] >= 0]
     part = replace(
         network,
-        points=Points(own.values[points], own.held[points], own.weight[points]),
-        rays=Rays(old.image[rays], place[old.point[rays]], old.plane[rays], old.sigma[rays]),
+        points=network.points.rows(points),
+        rays=replace(network.rays, point=place[network.rays.point]).rows(rays),
         point_names=tuple(network.point_names[j] for j in points),
         relations=replace(
             network.relations, first=place[network.relations.first], second=place[network.relations.second]

@@ -176,22 +176,14 @@ def _predicted(fitted: Fit, rest: State, out: Flags) -> tuple[float, int]:
     if not kept.any():
         return 0.0, 0
     seen, point = np.unique(rays.point[kept], return_inverse=True)
-    exposures, count = network.exposures, int(out.sum())
-    own = exposures.motion_sigma is not None
+    count = int(out.sum())
     alone = replace(
         network,
         cameras=tuple(
             replace(camera.with_values(values), estimated=np.zeros(len(PARAMETERS), dtype=np.bool_))
             for camera, values in zip(network.cameras, rest.cameras, strict=True)
         ),
-        exposures=replace(
-            exposures,
-            camera=exposures.camera[out],
-            values=exposures.values[out],
-            sigma=np.full((count, 6), np.inf),
-            motion=exposures.motion[out] if exposures.motion is not None else None,
-            motion_sigma=exposures.motion_sigma[out] if own and exposures.motion_sigma is not None else None,
-        ),
+        exposures=replace(network.exposures.rows(out), sigma=np.full((count, 6), np.inf)),
         points=replace(
             network.points,
             values=rest.points[seen],
@@ -199,11 +191,7 @@ def _predicted(fitted: Fit, rest: State, out: Flags) -> tuple[float, int]:
             weight=np.zeros((len(seen), 3, 3)),
         ),
         rays=replace(
-            rays,
-            image=(np.cumsum(out) - 1)[rays.image[kept]],
-            point=point.astype(np.int64),
-            plane=rays.plane[kept],
-            sigma=rays.sigma[kept],
+            rays.rows(kept), image=(np.cumsum(out) - 1)[rays.image[kept]], point=point.astype(np.int64)
         ),
         image_names=tuple(name for name, is_out in zip(network.image_names, out, strict=True) if is_out),
         point_names=tuple(network.point_names[j] for j in seen),

@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Columns, Flags, Floats, Integers
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
     NO_MOUNTING,
@@ -144,7 +144,7 @@ class ObjectPoints:
 
 
 @dataclass(frozen=True)
-class Observations:
+class Observations(Columns):
     """Image observations, in the order of their table.
 
     axes: column and row from the upper-left pixel, or ("photo") x right and y up from the middle of the
@@ -159,11 +159,6 @@ class Observations:
     point: Integers
     values: Floats
     sigma: Floats
-
-    def only(self, chosen: Flags | Integers) -> Self:
-        """Give some of the observations."""
-        columns = ("image", "point", "values", "sigma")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in columns})
 
     def plus(self, image: Integers, point: Integers, values: Floats, sigma: Floats) -> Self:
         """Add observations behind these."""

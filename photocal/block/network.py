@@ -91,7 +91,7 @@ def _intersected(
     some = (missing | surveyed | behind)[rays.point]
     if not some.any():
         return points
-    rays = Rays(*(column[some] for column in vars(rays).values()))
+    rays = rays.rows(some)
     camera = exposures.camera[rays.image]
     slopes = np.empty((len(camera), 2))
     for k, own in enumerate(cameras):

@@ -1,7 +1,7 @@
 """One block georeferenced three ways: direct, as observed or as simulated, integrated, indirect."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from drivers.errors import ConfigurationError, IllPosedError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance as covariance_of
-from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS, Attitudes, Positions
+from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS
 from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.block.model import ROLES, Block
@@ -104,20 +104,14 @@ def without_weak_images(block: Block) -> tuple[Block, Flags]:
     return replace(
         block,
         images=replace(block.images, sigma=sigma),
-        positions=Positions(**_of_images(block.positions, ~weak)),
-        attitudes=Attitudes(**_of_images(block.attitudes, ~weak)),
+        positions=block.positions.rows(~weak[block.positions.image]),
+        attitudes=block.attitudes.rows(~weak[block.attitudes.image]),
     ), weak
-
-
-def _of_images(observed: Positions | Attitudes, keep: Flags) -> dict[str, Any]:
-    """Columns of the observations of some images; those that are not known stay so."""
-    kept = keep[observed.image]
-    return {name: column if column is None else column[kept] for name, column in vars(observed).items()}
 
 
 def _keep(block: Block, keep: Flags) -> Block:
     """Return the block with some of its observations."""
-    return block if keep.all() else replace(block, observations=block.observations.only(keep))
+    return block if keep.all() else replace(block, observations=block.observations.rows(keep))
 
 
 def ground_points(block: Block) -> Integers:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.outputs import output_file
-from drivers.arrays import Bytes, Flags, Integers
+from drivers.arrays import Bytes, Columns, Integers
 
 Arrays = dict[str, NDArray[Any]]
 Floats32 = NDArray[np.float32]
@@ -90,7 +90,7 @@ def _remove(path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Features:
+class Features(Columns):
     """Features of one image.
 
     pixels (n, 2): columns and rows; the centre of the upper-left pixel is (0, 0).
@@ -101,10 +101,6 @@ class Features:
     pixels: Floats32
     scale: Floats32
     descriptors: Bytes
-
-    def some(self, index: Integers | Flags) -> "Features":
-        """Give those features only."""
-        return Features(self.pixels[index], self.scale[index], self.descriptors[index])
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
     distance = -np.sum(normal * local, axis=1)
     depth = np.min(np.column_stack([window.x, window.y]) @ normal.T + distance, axis=1)
     # Inside the border lies the code, beyond the margin anything.
-    window = window.where(np.abs(depth) <= max(0.75 * cell, 1.5))
+    window = window.rows(np.abs(depth) <= max(0.75 * cell, 1.5))
     if len(window.grey) < 20:
         return None
     half = half_contrast(window)

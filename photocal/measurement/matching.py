@@ -105,7 +105,7 @@ def match(first: Features, second: Features, settings: MatchSettings) -> Integer
     windows: Iterable[Window] | None = None
     if large:
         orders = ((own, np.argsort(-own.scale, kind="stable")) for own in (first, second))
-        coarse = [features.some(order[: settings.sketch]) for features, order in orders]
+        coarse = [features.rows(order[: settings.sketch]) for features, order in orders]
         known = _verified(coarse[0], coarse[1], settings)
         if len(known) < settings.sketch_fewest:
             return np.zeros((0, 2), dtype=np.int64)

@@ -30,7 +30,7 @@ def round_centre(
     if window is not None and margin is not None:
         x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
         outline = np.array([x, y, *_extent(semi_axes, direction)])
-        window = window.where(patterns.inside_circle(outline, window.x, window.y) >= -margin)
+        window = window.rows(patterns.inside_circle(outline, window.x, window.y) >= -margin)
     if window is None:
         return None
     filled = (hole, 1.0) if hole else (0.0, 0.6)

@@ -130,7 +130,7 @@ def without_images(block: Block, gone: Flags) -> Block:
         block,
         cameras=tuple(block.cameras[k] for k in cameras),
         images=replace(images.some(keep), camera=camera.astype(np.int64)),
-        observations=replace(seen.only(left), image=place[seen.image[left]]),
+        observations=replace(seen.rows(left), image=place[seen.image[left]]),
     )
 
 
@@ -138,4 +138,4 @@ def without_single_rays(block: Block) -> Block:
     """Take out what is measured in one image only: of a free block it determines nothing."""
     seen = block.observations
     count = np.bincount(seen.point, minlength=len(block.points.names))
-    return replace(block, observations=seen.only(count[seen.point] > 1))
+    return replace(block, observations=seen.rows(count[seen.point] > 1))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
+from drivers.arrays import Columns, Floats
 from photocal.measurement.image_file import Grey
 
 # Grey values at columns and rows, relative to the middle of the window, for a vector of parameters; for
@@ -29,7 +29,7 @@ _FEWEST_FREE = 5
 
 
 @dataclass(frozen=True)
-class Window:
+class Window(Columns):
     """Grey values around a place.
 
     middle: column and row of the pixel to which coordinates are relative.
@@ -41,10 +41,6 @@ class Window:
     x: Floats
     y: Floats
     grey: Floats
-
-    def where(self, mask: Flags) -> "Window":
-        """Keep only some pixels; mask of shape (n,)."""
-        return Window(self.middle, self.x[mask], self.y[mask], self.grey[mask])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Columns, Flags, Floats, Integers
 from photocal.measurement.features import Features
 
 # Features with several directions stand at one place: they are one.
@@ -15,7 +15,7 @@ _SAME_PX = 0.25
 
 
 @dataclass(frozen=True)
-class Tracks:
+class Tracks(Columns):
     """Rays of tie points, sorted by track, then by image.
 
     track, image (n,).
@@ -45,9 +45,7 @@ class Tracks:
         left = np.bincount(self.track[rays], minlength=self.count)
         keep = rays & (left >= fewest)[self.track]
         _, track = np.unique(self.track[keep], return_inverse=True)
-        return Tracks(
-            track.astype(np.int64), self.image[keep], self.pixels[keep], self.scale[keep], self.conflicts
-        )
+        return replace(self.rows(keep), track=track.astype(np.int64))
 
 
 def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence[Integers]) -> Tracks:

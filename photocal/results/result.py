@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Columns, Floats, Integers
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import GlobalTest, Group
@@ -182,7 +182,7 @@ class AdjustedPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class Residuals(Columns):
     """Image observations and their residuals (computed minus measured), in unit and axes of the observations.
 
     measured, residual (n, 2): NaN residuals where an observation took no part.
@@ -205,12 +205,7 @@ class Residuals:
     @cached_property
     def accepted(self) -> Self:
         """Those that took part."""
-        return self.only(np.flatnonzero(np.isfinite(self.residual).all(axis=1)))
-
-    def only(self, chosen: Integers) -> Self:
-        """Give some of the observations."""
-        columns = ("image", "point", "measured", "residual", "redundancy", "standardised")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in columns})
+        return self.rows(np.flatnonzero(np.isfinite(self.residual).all(axis=1)))
 
     def rms(self) -> tuple[Integers, Floats]:
         """Accepted rays of each image, shape (images,), and root mean square residuals, (images, 2)."""
@@ -399,4 +394,4 @@ class Result(Figures):
     def residuals_of(self, camera: str) -> Residuals:
         """Accepted observations in the images of a camera."""
         part = self.residuals.accepted
-        return part.only(np.flatnonzero(np.isin(part.image, self.images_of(camera))))
+        return part.rows(np.flatnonzero(np.isin(part.image, self.images_of(camera))))

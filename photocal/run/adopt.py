@@ -291,7 +291,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     names = block.images.names
     sizes = {name: block.cameras[k].size_px for name, k in zip(names, block.images.camera, strict=True)}
     control = in_map_system(read_control_marks(lists[0], ASSUMED_M, sizes))
-    none = block.observations.only(np.empty(0, dtype=np.int64))
+    none = block.observations.rows(np.empty(0, dtype=np.int64))
     bare = replace(block, points=control.points, observations=none)
     marked, unknown = with_marks(bare, named_after(control.marks, names))
     seen = marked.observations

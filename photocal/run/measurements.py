@@ -57,7 +57,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
         project.cameras,
         images,
         points,
-        seen.only(kept),
+        seen.rows(kept),
         (fingerprint(path),),
     )
     return with_points_on_the_ground(block)

@@ -54,8 +54,7 @@ class Bearings:
 
     def some(self, rays: Flags) -> Self:
         """Keep some of the rays."""
-        own = Rays(*(column[rays] for column in vars(self.rays).values()))
-        return replace(self, rays=own, slopes=self.slopes[rays])
+        return replace(self, rays=self.rays.rows(rays), slopes=self.slopes[rays])
 
     def by(self, cameras: tuple[Camera, ...]) -> Self:
         """Undistort the rays anew by better cameras."""

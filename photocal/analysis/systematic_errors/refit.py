@@ -2,10 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
@@ -93,32 +92,13 @@ def without_images(network: Network, state: State, left_out: Flags) -> tuple[Net
     datum = network.datum_points
     smaller = replace(
         network,
-        exposures=replace(
-            network.exposures,
-            **{name: column[~left_out] for name, column in _columns(network.exposures).items()},
-        ),
-        points=replace(
-            network.points,
-            values=network.points.values[points],
-            held=network.points.held[points],
-            weight=network.points.weight[points],
-        ),
-        rays=replace(
-            rays,
-            image=image_place[rays.image[kept]],
-            point=point_place[rays.point[kept]],
-            plane=rays.plane[kept],
-            sigma=rays.sigma[kept],
-        ),
+        exposures=network.exposures.rows(~left_out),
+        points=network.points.rows(points),
+        rays=replace(rays, image=image_place[rays.image], point=point_place[rays.point]).rows(kept),
         image_names=tuple(name for name, out in zip(network.image_names, left_out, strict=True) if not out),
         relations=replace(
-            relations,
-            kind=relations.kind[related],
-            first=point_place[relations.first[related]],
-            second=point_place[relations.second[related]],
-            values=relations.values[related],
-            sigma=relations.sigma[related],
-        ),
+            relations, first=point_place[relations.first], second=point_place[relations.second]
+        ).rows(related),
         datum_points=None if datum is None else point_place[datum[points[datum]]],
         positions=_of_images(network.positions, image_place, ~left_out),
         attitudes=_of_images(network.attitudes, image_place, ~left_out),
@@ -141,20 +121,12 @@ def without_member(network: Network, member: Member) -> Network:
         weight[member.index] = 0.0
         return replace(network, points=replace(network.points, weight=weight))
     kept = network.positions.image != member.index
-    columns = {name: column[kept] for name, column in _columns(network.positions).items()}
-    return replace(network, positions=replace(network.positions, **columns))
-
-
-def _columns(table: object) -> dict[str, NDArray[Any]]:
-    """Arrays of a table, without those that it does not have."""
-    return {name: column for name, column in vars(table).items() if column is not None}
+    return replace(network, positions=network.positions.rows(kept))
 
 
 def _of_images(observed: Observed, place: Integers, kept: Flags) -> Observed:
     """Return the positions or attitudes of the images that are kept, at the places that these have now."""
-    mine = kept[observed.image]
-    columns = {name: column[mine] for name, column in _columns(observed).items()}
-    return replace(observed, **{**columns, "image": place[observed.image[mine]]})
+    return replace(observed, image=place[observed.image]).rows(kept[observed.image])
 
 
 def mean_distance(fitted: Fit, camera: int) -> float:

@@ -125,7 +125,7 @@ def block_of_marks(
 
 def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
     """Keep some images, points and rays of a block."""
-    i, j, seen = np.cumsum(image) - 1, np.cumsum(point) - 1, block.observations.only(ray)
+    i, j, seen = np.cumsum(image) - 1, np.cumsum(point) - 1, block.observations.rows(ray)
     return replace(
         block,
         images=block.images.some(np.flatnonzero(image)),
