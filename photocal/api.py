@@ -23,24 +23,10 @@ if TYPE_CHECKING:
     from photocal.georeferencing.comparison import BlockCheck
 
 __all__ = [
-    "Block",
-    "Camera",
-    "Images",
-    "ObjectPoints",
-    "Observations",
-    "OrientedImages",
-    "Result",
-    "adjust",
-    "analyse",
-    "block_of_arrays",
-    "camera",
-    "check",
-    "read_block",
-    "read_log",
-    "read_result",
-    "with_relations",
-    "write_result",
-]
+    "Block", "Camera", "Images", "ObjectPoints", "Observations", "OrientedImages", "Result", "adjust",
+    "analyse", "block_of_arrays", "camera", "check", "read_block", "read_log", "read_result",
+    "with_relations", "write_result",
+]  # fmt: skip
 
 # What a calibration estimates unless it is told otherwise.
 USUAL = ("c", "x0", "y0", "K1", "K2", "P1", "P2")

@@ -197,18 +197,11 @@ def _statistics(assessment: Assessment) -> str:
         "Statistics", "", "n", "mean", "std (n-1)", "RMSE", "without trend", "min", "max", "median", "NMAD"
     )
     for c in assessment.components:
-        table.add_row(
-            f"d{c.name}",
-            str(c.moments.n),
-            _metres(c.moments.mean_m, sign=True),
-            _metres(c.moments.std_m),
-            _metres(c.moments.rmse_m),
-            _metres(c.rmse_after_trend_removal_m),
-            _metres(c.spread.minimum_m, sign=True),
-            _metres(c.spread.maximum_m, sign=True),
-            _metres(c.spread.median_m, sign=True),
-            _metres(c.spread.nmad_m),
-        )
+        mean, spreads = c.moments.mean_m, (c.moments.std_m, c.moments.rmse_m, c.rmse_after_trend_removal_m)
+        cells = [_metres(mean, sign=True), *(_metres(value) for value in spreads)]
+        ordered = (c.spread.minimum_m, c.spread.maximum_m, c.spread.median_m)
+        cells += [*(_metres(value, sign=True) for value in ordered), _metres(c.spread.nmad_m)]
+        table.add_row(f"d{c.name}", str(c.moments.n), *cells)
     return _render(table)
 
 
@@ -250,18 +243,8 @@ def _standard(result: TableResult) -> str:
 
 def _decisions(result: TableResult, title: str) -> str:
     at = "" if result.size is None else size_text(result.table.basis, result.size)
-    table = _table(
-        f"{title} at {at}",
-        "class",
-        "PEC",
-        "EP",
-        "chi2",
-        "limit",
-        "precision",
-        "within PEC",
-        "RMSE",
-        "accuracy",
-    )
+    heads = ("class", "PEC", "EP", "chi2", "limit", "precision", "within PEC", "RMSE", "accuracy")
+    table = _table(f"{title} at {at}", *heads)
     for decision in result.decisions:
         table.add_row(
             decision.limit.name,

@@ -144,24 +144,9 @@ class Removals:
         np.copyto(self._room, self._matrix)
         gradient = self._gradient.copy()
         lenses = max(problem.layout.width, problem.structure.lens)
-        remove_images(
-            design,
-            self._values,
-            problem.structure,
-            out,
-            stays,
-            points,
-            lost,
-            kept,
-            left,
-            self._room,
-            gradient,
-            singular,
-            scratch(problem.layout.width),
-            np.zeros((3, 3)),
-            np.zeros((3, lenses)),
-            np.zeros((3, lenses)),
-        )
+        remove_images(design, self._values, problem.structure, out, stays, points, lost, kept, left,
+                      self._room, gradient, singular, scratch(problem.layout.width), np.zeros((3, 3)),
+                      np.zeros((3, lenses)), np.zeros((3, lenses)))  # fmt: skip
         before = [whole[points] for whole in kept[1:]]
         try:
             for whole, own in zip(kept[1:], left[1:], strict=True):

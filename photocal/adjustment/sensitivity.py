@@ -237,20 +237,8 @@ def point_effects(
 
     def work(piece: int) -> None:
         size = width(design) * most_rays(design, piece) + structure.border
-        point_effects_piece(
-            design,
-            values,
-            structure,
-            piece,
-            inverse,
-            kept,
-            covariance,
-            effect,
-            scratch(width(design)),
-            np.zeros((3, size)),
-            np.zeros((3, size)),
-            np.zeros((size, size)),
-            np.zeros((3, 3)),
-        )
+        point_effects_piece(design, values, structure, piece, inverse, kept, covariance, effect,
+                            scratch(width(design)), np.zeros((3, size)), np.zeros((3, size)),
+                            np.zeros((size, size)), np.zeros((3, 3)))  # fmt: skip
 
     each_piece(len(design.pieces) - 1, work)

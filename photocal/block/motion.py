@@ -16,9 +16,9 @@ VELOCITY, RATE = ("vX", "vY", "vZ"), ("wx", "wy", "wz")
 SIGMAS_OF_MOTION = (*(f"s{c}" for c in VELOCITY), *(f"s{c}" for c in RATE))
 MOTION_COLUMNS = (
     *VELOCITY,
-    *(f"s{c}" for c in VELOCITY),
+    *SIGMAS_OF_MOTION[:3],
     *RATE,
-    *(f"s{c}" for c in RATE),
+    *SIGMAS_OF_MOTION[3:],
     "time_s",
     "temperature_c",
     *SHAKE,

@@ -229,6 +229,8 @@ orientations and ODM's lists keep map coordinates and angles.
 One pose belongs to all lines of an image: observations of a rolling shutter are corrected to that of the
 middle line, and the command says so.
 
+| name | format | holds | object space | pixel (0, 0) | camera axes | distortion | units | read |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {table}
 
 `photocal adjust` reads the files of the formats marked "adjust" directly, and PhotoScan projects (.psz);
@@ -249,19 +251,7 @@ IN_PARTS = ("odm", "metashape-csv", "pix4d")
 
 def page() -> str:
     """Give docs/exchange.md."""
-    head = (
-        "name",
-        "format",
-        "holds",
-        "object space",
-        "pixel (0, 0)",
-        "camera axes",
-        "distortion",
-        "units",
-        "read",
-    )
-    rows = [head, ("---",) * len(head)]
-    rows += [
+    rows = [
         (
             f"`{form.name}`",
             form.title,

@@ -35,15 +35,9 @@ _TYPES = {
 _MAX_MEMBER = 256 << 20
 # What a damaged, encrypted or exotic archive makes the reader raise.
 _ARCHIVE_FAILURES = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    NotImplementedError,
-    RuntimeError,
-    EOFError,
-    OSError,
+    zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, RuntimeError, EOFError, OSError,
     UnicodeDecodeError,
-)
+)  # fmt: skip
 
 
 def read_photoscan(path: Path) -> Block:

@@ -28,18 +28,10 @@ _NOT_GIVEN: Triple = (math.nan, math.nan, math.nan)
 # Resolution units of EXIF: inch, cm, and two of other standards.
 _MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _CAMERA_TAGS = (
-    "DewarpData",
-    "DewarpFlag",
-    "CalibratedFocalLength",
-    "PerspectiveFocalLength",
-    "PerspectiveDistortion",
-    "PrincipalPoint",
-    "FisheyeAffineMatrix",
-    "FisheyePolynomial",
-    "RigCameraIndex",
-    "CaptureUUID",
+    "DewarpData", "DewarpFlag", "CalibratedFocalLength", "PerspectiveFocalLength", "PerspectiveDistortion",
+    "PrincipalPoint", "FisheyeAffineMatrix", "FisheyePolynomial", "RigCameraIndex", "CaptureUUID",
     "LineReadoutTime",
-)
+)  # fmt: skip
 # A value as attribute (name="value") or as element (<name>value</name>) of the XMP packet.
 _XMP = re.compile(r"(?<=[\s<])([A-Za-z][\w.-]*):(\w+)(?:=\"([^\"<>]{0,200})\"|>([^<>]{0,200})</)")
 

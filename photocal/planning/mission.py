@@ -135,17 +135,9 @@ def waypoint_file(items: tuple[Item, ...], home: Home) -> str:
     for number, item in enumerate((first, *items)):
         # The text format has no empty value; zero leaves the heading to the autopilot's own setting.
         *orders, latitude, longitude, height = (value or 0.0 for value in item.parameters)
-        fields = [
-            f"{number}",
-            f"{int(number == 0)}",
-            f"{item.frame:d}",
-            f"{item.command:d}",
-            *(f"{value:.8g}" for value in orders),
-            f"{latitude:.8f}",
-            f"{longitude:.8f}",
-            f"{height:.3f}",
-            "1",
-        ]
+        fields = [f"{number:d}", f"{number == 0:d}", f"{item.frame:d}", f"{item.command:d}"]
+        fields += [f"{value:.8g}" for value in orders]
+        fields += [f"{latitude:.8f}", f"{longitude:.8f}", f"{height:.3f}", "1"]
         lines.append("\t".join(fields))
     return "\n".join(lines) + "\n"
 

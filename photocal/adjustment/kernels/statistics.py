@@ -187,22 +187,8 @@ def statistics(
 
     def work(piece: int) -> None:
         size = width(design) * most_rays(design, piece) + structure.border
-        statistics_piece(
-            design,
-            values,
-            structure,
-            piece,
-            inverse,
-            kept,
-            point_covariance,
-            residuals,
-            redundancy,
-            scratch(width(design)),
-            np.zeros((3, size)),
-            np.zeros((3, size)),
-            np.zeros((size, size)),
-            np.zeros(size),
-            np.zeros((3, 3)),
-        )
+        statistics_piece(design, values, structure, piece, inverse, kept, point_covariance, residuals,
+                         redundancy, scratch(width(design)), np.zeros((3, size)), np.zeros((3, size)),
+                         np.zeros((size, size)), np.zeros(size), np.zeros((3, 3)))  # fmt: skip
 
     each_piece(len(design.pieces) - 1, work)
