@@ -13,7 +13,7 @@ from typing import Any
 
 from drivers.arrays import as_plain
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.findings.digits import Number, symbol
+from photocal.findings.digits import Measured, Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
@@ -35,6 +35,22 @@ class Catalogue:
     def __call__(self, key: str, **values: object) -> str:
         """Give one text with its values put in."""
         return self.messages[key].format(**values)
+
+    def fixed(self, value: float, decimals: int) -> str:
+        """Print a number as `digits.fixed` does; so do the others."""
+        return fixed(value, decimals, self.mark)
+
+    def significant(self, value: float, digits: int) -> str:
+        """See `digits.significant`."""
+        return significant(value, digits, self.mark)
+
+    def as_given(self, value: float) -> str:
+        """See `digits.as_given`."""
+        return as_given(value, self.mark)
+
+    def measured(self, value: float, sigma: float) -> Measured:
+        """See `digits.measured`."""
+        return measured(value, sigma, self.mark)
 
     def date(self, day: dt.date) -> str:
         """Write a date in words."""

@@ -3,7 +3,7 @@
 import math
 
 from photocal.analysis.outcome import Analysis, CameraAnalysis, Opinions
-from photocal.findings.digits import fixed, significant, symbol
+from photocal.findings.digits import symbol
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words
 from photocal.geometry.camera import Camera
@@ -45,7 +45,7 @@ def _sigma(run: Run, analysis: Analysis, say: Catalogue) -> str:
     scale, unit = (1e3, "µm") if camera.unit == "mm" else (1.0, "px")
     sigma = analysis.observation_sigma
     figures = {
-        name: significant(scale * getattr(sigma, name), 3, say.mark)
+        name: say.significant(scale * getattr(sigma, name), 3)
         for name in ("assumed", "found", "lower", "upper")
     }
     return say("analysis.sigma", unit=unit, **figures)
@@ -80,26 +80,26 @@ def _tests(record: CameraAnalysis, alpha: float, say: Catalogue) -> Table:
             (
                 " ".join(symbol(name) for name in test.parameters),
                 say(f"test.{test.kind}"),
-                significant(test.statistic, 4, say.mark) if math.isfinite(test.statistic) else "∞",
-                fixed(test.critical, 2, say.mark),
+                say.significant(test.statistic, 4) if math.isfinite(test.statistic) else "∞",
+                say.fixed(test.critical, 2),
                 say("word.yes" if test.significant else "word.no"),
-                *(fixed(v, 2, say.mark) if math.isfinite(v) else blank for v in px),
+                *(say.fixed(v, 2) if math.isfinite(v) else blank for v in px),
             )
         )
-    title = say("analysis.parameters_table", alpha=significant(alpha, 2, say.mark))
-    note = say("analysis.parameters_note", factor=significant(record.variance_factor_of_tests, 4, say.mark))
+    title = say("analysis.parameters_table", alpha=say.significant(alpha, 2))
+    note = say("analysis.parameters_note", factor=say.significant(record.variance_factor_of_tests, 4))
     return Table(title, columns(say, "analysis", *heads), tuple(rows), note, dense=True)
 
 
 def _correlations(record: CameraAnalysis, say: Catalogue) -> list[Table]:
     rows = [
-        (f"{symbol(p.first)}–{symbol(p.second)}", fixed(p.value, 2, say.mark), say(f"cause.{p.cause}"))
+        (f"{symbol(p.first)}–{symbol(p.second)}", say.fixed(p.value, 2), say(f"cause.{p.cause}"))
         for p in record.correlations
     ]
     for p in record.correlations_with_exterior:
         where = say("console.in_images", image=p.image, images=p.images)
         pair = f"{symbol(p.parameter)}–{symbol(p.element)}"
-        rows.append((pair, fixed(p.value, 2, say.mark), f"{where}: {say(f'cause.{p.cause}')}"))
+        rows.append((pair, say.fixed(p.value, 2), f"{where}: {say(f'cause.{p.cause}')}"))
     if not rows:
         return []
     heads = columns(say, "analysis", "pair<", "value", "cause<")
@@ -110,7 +110,7 @@ def _components(record: CameraAnalysis, say: Catalogue) -> list[Piece]:
     final = record.components.final
     heads = columns(say, "analysis", "component<", "eigenvalue", "share [%]", "cumulative [%]")
     rows = tuple(
-        (str(n), fixed(value, 4, say.mark), fixed(share, 2, say.mark), fixed(total, 2, say.mark))
+        (str(n), say.fixed(value, 4), say.fixed(share, 2), say.fixed(total, 2))
         for n, (value, share, total) in enumerate(
             zip(final.eigenvalues, final.percent, final.cumulative_percent, strict=True), start=1
         )
@@ -127,12 +127,12 @@ def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> Table:
     rows = tuple(
         (
             symbol(left.parameter),
-            significant(left.c, 7, say.mark),
-            significant(left.change_of_c, 3, say.mark),
-            significant(left.sigma0_squared, 4, say.mark) if math.isfinite(left.sigma0_squared) else none,
+            say.significant(left.c, 7),
+            say.significant(left.change_of_c, 3),
+            say.significant(left.sigma0_squared, 4) if math.isfinite(left.sigma0_squared) else none,
             none
             if left.check_rmse_m is None
-            else "; ".join(fixed(1e3 * v, 1, say.mark) for v in left.check_rmse_m),
+            else "; ".join(say.fixed(1e3 * v, 1) for v in left.check_rmse_m),
         )
         for left in record.left_out
     )

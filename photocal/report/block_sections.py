@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.block.model import InputFile
-from photocal.findings.digits import decimals_of, fixed, probability, significant, symbol
+from photocal.findings.digits import decimals_of, probability, symbol
 from photocal.findings.texts import Catalogue
 from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table, columns
 from photocal.report.figures import difference_histograms, difference_map
@@ -30,9 +30,9 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
         (
             say(f"group.{g.name}") if f"group.{g.name}" in say.messages else g.name,
             str(g.observations),
-            fixed(g.chi_squared, 2, say.mark),
-            fixed(g.redundancy, 1, say.mark),
-            fixed(g.chi_squared / g.redundancy, 3, say.mark) if g.redundancy > 0.0 else say("word.none"),
+            say.fixed(g.chi_squared, 2),
+            say.fixed(g.redundancy, 1),
+            say.fixed(g.chi_squared / g.redundancy, 3) if g.redundancy > 0.0 else say("word.none"),
         )
         for g in result.groups
     )
@@ -110,21 +110,15 @@ def relative_orientations(title: str, run: Run, say: Catalogue) -> tuple[Section
         places = [head.values[name] for name in CENTRES]
         turns = [head.values[name] for name in TURNS]
         later = head.values["time"]
-        values = [fixed(1e3 * v.value, 2, say.mark) for v in places]
-        values += [fixed(angle, 5, say.mark) for angle in head.rotation_deg]
-        values.append(fixed(1e3 * later.value, 3, say.mark))
+        values = [say.fixed(1e3 * v.value, 2) for v in places]
+        values += [say.fixed(angle, 5) for angle in head.rotation_deg]
+        values.append(say.fixed(1e3 * later.value, 3))
         sigmas = [1e3 * v.sigma for v in places] + [ARCSECONDS * v.sigma for v in turns] + [1e3 * later.sigma]
         row = (f"{head.camera} / {head.of}", str(head.exposures), *values, *(_sigma(s, say) for s in sigmas))
         rows.append(row)
         names, matrix = head.free, np.array(head.correlation)
         strong += [
-            say(
-                "heads.pair",
-                camera=head.camera,
-                a=names[j],
-                b=names[i],
-                r=fixed(float(matrix[i, j]), 2, say.mark),
-            )
+            say("heads.pair", camera=head.camera, a=names[j], b=names[i], r=say.fixed(float(matrix[i, j]), 2))
             for i in range(len(names))
             for j in range(i)
             if abs(matrix[i, j]) > 0.9
@@ -146,7 +140,7 @@ def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
     heads += [Column(f"σ {name}", "mm" if unit == "m" else "(″)") for name, unit in quantities]
     rows = _eop_rows(run, order, say)
     if run.result.scale:
-        remark += say("eop.scaled", factor=fixed(run.result.scale, 3, say.mark))
+        remark += say("eop.scaled", factor=say.fixed(run.result.scale, 3))
     table = Table(caption, tuple(heads), rows, say("eop.note", all=remark).strip(), dense=True)
     return Section(title, (_eop_quality(run, say), table) if n else (table,))
 
@@ -161,7 +155,7 @@ def _eop_rows(run: Run, order: list[int], say: Catalogue) -> tuple[tuple[str, ..
     return tuple(
         (
             images.names[i],
-            *(fixed(float(v), d, say.mark) for v, d in zip(values[i], decimals, strict=True)),
+            *(say.fixed(float(v), d) for v, d in zip(values[i], decimals, strict=True)),
             *(_sigma(float(s), say) for s in small[i]),
         )
         for i in order
@@ -175,7 +169,7 @@ def _decimals(sigma: Floats) -> int:
 
 
 def _sigma(sigma: float, say: Catalogue) -> str:
-    return fixed(sigma, max(decimals_of(sigma), 0), say.mark) if sigma > 0.0 else say("word.held")
+    return say.fixed(sigma, max(decimals_of(sigma), 0)) if sigma > 0.0 else say("word.held")
 
 
 def _eop_quality(run: Run, say: Catalogue) -> Table:
@@ -205,13 +199,13 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
     rows = [
         (
             p.point,
-            *(fixed(1e3 * d, decimals, say.mark) for d in (p.dx, p.dy, p.dz)),
+            *(say.fixed(1e3 * d, decimals) for d in (p.dx, p.dy, p.dz)),
             *(_both(1e3 * s, factor, say) for s in (p.sx, p.sy, p.sz)),
             *(_both(1e3 * u, None, say) if u else say("word.none") for u in (p.ux, p.uy, p.uz)),
         )
         for p in checks.points
     ]
-    rmse = (fixed(1e3 * (checks.rmse_m[axis] or 0.0), decimals, say.mark) for axis in "xyz")
+    rmse = (say.fixed(1e3 * (checks.rmse_m[axis] or 0.0), decimals) for axis in "xyz")
     rows.append((say("checks.rmse"), *rmse, *[""] * 6))
     note = say("checks.note", n=checks.n) + (say("checks.scaled") if factor else "")
     return Section(
@@ -231,17 +225,15 @@ def _check_lengths(run: Run, say: Catalogue) -> Table:
     rows = [
         (
             f"{length.first}–{length.second}",
-            fixed(1e3 * length.known, max(decimals_of(1e3 * length.known_sigma), 0), say.mark),
-            fixed(
-                1e3 * length.error, max(decimals_of(1e3 * max(length.sigma, length.known_sigma)), 0), say.mark
-            ),
+            say.fixed(1e3 * length.known, max(decimals_of(1e3 * length.known_sigma), 0)),
+            say.fixed(1e3 * length.error, max(decimals_of(1e3 * max(length.sigma, length.known_sigma)), 0)),
             _both(1e3 * length.sigma, factor, say),
             _both(1e3 * length.known_sigma, None, say),
         )
         for length in lengths
     ]
     worst = max(lengths, key=lambda one: abs(one.error))
-    largest = significant(1e3 * abs(worst.error), 3, say.mark)
+    largest = say.significant(1e3 * abs(worst.error), 3)
     note = say("checks.lengths_note", n=len(lengths), largest=largest, line=f"{worst.first}–{worst.second}")
     return Table(say("checks.lengths"), columns(say, "checks", "line<", *lengths_of), tuple(rows), note)
 
@@ -280,18 +272,16 @@ def global_test(title: str, run: Run, say: Catalogue) -> Section:
     result, test = run.result, run.result.global_test
     if test is None or result.sigma0_squared is None:
         return Section(title, (Paragraph(say("test.none")),))
-    interval = say(
-        "test.interval_value", lower=fixed(test.lower, 1, say.mark), upper=fixed(test.upper, 1, say.mark)
-    )
-    sigma0 = fixed(result.sigma0_squared, 4, say.mark)
+    interval = say("test.interval_value", lower=say.fixed(test.lower, 1), upper=say.fixed(test.upper, 1))
+    sigma0 = say.fixed(result.sigma0_squared, 4)
     rows = (
-        (say("test.chi2"), fixed(result.chi_squared, 2, say.mark)),
+        (say("test.chi2"), say.fixed(result.chi_squared, 2)),
         (say("method.dof"), str(result.degrees_of_freedom)),
         (say("test.interval", probability=percent(test.probability, say)), interval),
         (say("test.p"), probability(test.p_value, say.mark)),
         (say("test.sigma0"), sigma0),
     )
-    root = fixed(math.sqrt(max(result.sigma0_squared, 0.0)), 4, say.mark)
+    root = say.fixed(math.sqrt(max(result.sigma0_squared, 0.0)), 4)
     return Section(title, (KeyValues(rows), Paragraph(say("test.text", sigma0=sigma0, root=root))))
 
 

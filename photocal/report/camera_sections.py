@@ -3,7 +3,7 @@
 import numpy as np
 
 from photocal.adjustment.readout import Readout
-from photocal.findings.digits import fixed, measured, power_of_ten, significant, symbol, unit_power
+from photocal.findings.digits import power_of_ten, symbol, unit_power
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report import sensor
@@ -38,9 +38,9 @@ def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: C
     size = {"width": str(width), "height": str(height)}
     rows = [(say("camera.id"), camera_id)]
     if camera.unit == "mm":
-        extent = [fixed(n * p, 3, say.mark) for n, p in zip(camera.size_px, camera.pitch, strict=True)]
+        extent = [say.fixed(n * p, 3) for n, p in zip(camera.size_px, camera.pitch, strict=True)]
         rows.append((say("camera.format"), say("camera.format_mm", **size, x=extent[0], y=extent[1])))
-        pitch = [significant(1e3 * p, 6, say.mark) for p in camera.pitch]
+        pitch = [say.significant(1e3 * p, 6) for p in camera.pitch]
         rows.append((say("camera.pitch"), say("camera.pitch_value", x=pitch[0], y=pitch[1])))
     else:
         rows.append((say("camera.format"), say("camera.format_value", **size)))
@@ -49,13 +49,10 @@ def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: C
     rows.append((say("camera.affinity"), _affinity(camera, say)))
     if camera.reference_radius:
         rows.append(
-            (
-                say("camera.reference_radius"),
-                f"{significant(camera.reference_radius, 6, say.mark)} {camera.unit}",
-            )
+            (say("camera.reference_radius"), f"{say.significant(camera.reference_radius, 6)} {camera.unit}")
         )
     if camera.focus_m:
-        distance = f"{significant(camera.focus_m, 4, say.mark)} m"
+        distance = f"{say.significant(camera.focus_m, 4)} m"
         rows.append((say("camera.focus"), say("camera.focus_value", distance=distance)))
     if camera.photo_variant:
         rows.append((say("camera.photo_variant"), ", ".join(camera.photo_variant)))
@@ -67,17 +64,17 @@ def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: C
 
 def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:
     """What was found of the readout, with its effect in the image and on the way flown."""
-    readout_ms = measured(1e3 * readout.value, 1e3 * readout.sigma, say.mark)
+    readout_ms = say.measured(1e3 * readout.value, 1e3 * readout.sigma)
     text = say(
         "camera.shutter_rolling" if readout.estimated else "camera.shutter_global",
         readout=readout_ms.value,
         sigma=readout_ms.sigma,
         unit=power_of_ten(readout_ms.exponent, "ms"),
-        effect=significant(readout.effect / camera.pitch[0], 2, say.mark),
-        way=significant(100 * readout.way, 2, say.mark),
-        p=significant(readout.p_value, 2, say.mark),
+        effect=say.significant(readout.effect / camera.pitch[0], 2),
+        way=say.significant(100 * readout.way, 2),
+        p=say.significant(readout.p_value, 2),
     )
-    shaken = significant(camera.shaken / camera.pitch[0], 2, say.mark)
+    shaken = say.significant(camera.shaken / camera.pitch[0], 2)
     return text + (say("camera.shutter_shakes", effect=shaken) if camera.shake else "")
 
 
@@ -106,7 +103,7 @@ def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -
         beside: dict[str, float | None] = {"scaled": (factor or 1.0) * sigma}
         beside |= dict(zip(OPINIONS, opinions.get(name, (None, None)), strict=True))
         rows.append(_iop_row(name, camera, critical, factor, [beside[key] for key in further], say))
-    note = say("iop.note", critical=fixed(critical, 2, say.mark))
+    note = say("iop.note", critical=say.fixed(critical, 2))
     if len(further) > (factor is not None):
         note += say("iop.robust_note")
     pieces: list[Piece] = [Table(say("iop.table"), columns(say, "iop", *heads), tuple(rows), note)]
@@ -150,16 +147,16 @@ def _iop_row(
     say: Catalogue,
 ) -> tuple[str, ...]:
     value, sigma, none = camera.value(name), camera.sigma_of(name), say("word.none")
-    printed, free = measured(value, sigma, say.mark), name in camera.free
+    printed, free = say.measured(value, sigma), name in camera.free
     own = "s" if name == "readout" else unit_power(camera.unit, camera.lens.power(name))
     unit = power_of_ten(printed.exponent, own) or "1"
-    others = (significant(s / 10.0**printed.exponent, 2, say.mark) if free and s else none for s in beside)
+    others = (say.significant(s / 10.0**printed.exponent, 2) if free and s else none for s in beside)
     head = (symbol(name), say(f"parameter.{name}"), printed.value)
     row = (*head, printed.sigma if free else say("word.held"), *others, unit)
     if not free or name in NOT_TESTED or sigma == 0.0:
         return (*row, none, none)
     t = value / (sigma * (factor or 1.0))
-    return (*row, fixed(t, 1, say.mark), say("word.yes" if abs(t) >= critical else "word.no"))
+    return (*row, say.fixed(t, 1), say("word.yes" if abs(t) >= critical else "word.no"))
 
 
 def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Section:
@@ -168,7 +165,7 @@ def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Secti
     correlation = camera.correlation_of(camera.free)
     shown = (Column("", align="left"), *(Column(head) for head in heads))
     rows = tuple(
-        (heads[i], *(fixed(row[j], 2, say.mark) if j <= i else "" for j in range(len(heads))))
+        (heads[i], *(say.fixed(row[j], 2) if j <= i else "" for j in range(len(heads))))
         for i, row in enumerate(correlation.tolist())
     )
     svg = correlation_picture(camera, say)
@@ -190,19 +187,14 @@ def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Secti
 
 
 def _strong(camera: Camera, say: Catalogue) -> str:
-    limit = fixed(STRONG, 1, say.mark)
+    limit = say.fixed(STRONG, 1)
     names, matrix = camera.free, camera.correlation_of(camera.free)
     pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(matrix[i, j]) > STRONG]
     if not pairs:
         return say("correlation.weak", limit=limit)
     pairs.sort(key=lambda ij: -abs(matrix[ij]))
     texts = [
-        say(
-            "correlation.pair",
-            a=symbol(names[j]),
-            b=symbol(names[i]),
-            r=fixed(float(matrix[i, j]), 2, say.mark),
-        )
+        say("correlation.pair", a=symbol(names[j]), b=symbol(names[i]), r=say.fixed(float(matrix[i, j]), 2))
         for i, j in pairs
     ]
     return say("correlation.strong", limit=limit, pairs=", ".join(texts))
@@ -219,17 +211,16 @@ def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Cata
     curve = sensor.radial_profile(camera, np.linspace(0.0, corner, 241))
     factor, unit = (1e3, "µm") if camera.unit == "mm" else (1.0, "px")
     at = [
-        f"{fixed(factor * float(v), 1, say.mark)} {unit}"
-        for v in (curve.displacement[0], curve.displacement[-1])
+        f"{say.fixed(factor * float(v), 1)} {unit}" for v in (curve.displacement[0], curve.displacement[-1])
     ]
-    radius = fixed(corner, 2, say.mark)
+    radius = say.fixed(corner, 2)
     figure = Figure(
         f"radial-{name}",
         say("distortion.figure"),
         say("distortion.alternative", first=at[0], last=at[1], radius=radius, unit=camera.unit),
         radial_curve(camera, curve, outermost, say),
     )
-    note = say("distortion.note", corner=radius, outermost=fixed(outermost, 2, say.mark), unit=camera.unit)
+    note = say("distortion.note", corner=radius, outermost=say.fixed(outermost, 2), unit=camera.unit)
     return Section(title, (figure, _distortion_table(camera, corner, note, say)))
 
 
@@ -246,11 +237,11 @@ def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) 
     for r, d, s, t in zip(
         profile.radius, profile.displacement, profile.sigma, profile.decentering, strict=True
     ):
-        row = [fixed(float(r), 2 if millimetres else 0, say.mark)]
+        row = [say.fixed(float(r), 2 if millimetres else 0)]
         if millimetres:
-            row += [fixed(1e3 * float(d), 1, say.mark), fixed(1e3 * float(s), 1, say.mark)]
-        row += [fixed(float(d) / pitch, 2, say.mark), fixed(float(s) / pitch, 2, say.mark)]
-        row.append(fixed(1e3 * float(t), 1, say.mark) if millimetres else fixed(float(t), 2, say.mark))
+            row += [say.fixed(1e3 * float(d), 1), say.fixed(1e3 * float(s), 1)]
+        row += [say.fixed(float(d) / pitch, 2), say.fixed(float(s) / pitch, 2)]
+        row.append(say.fixed(1e3 * float(t), 1) if millimetres else say.fixed(float(t), 2))
         rows.append(tuple(row))
     return Table(say("distortion.table"), columns(say, "distortion", *heads), tuple(rows), note)
 
@@ -269,7 +260,7 @@ def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalo
     caption = say("residuals.figure", rays=rays)
     if len(vectors.place) < rays:
         caption = say("residuals.figure_cells", rays=rays, cells=len(vectors.place))
-    x, y = (fixed(v, 3, say.mark) for v in rms_px(residuals))
+    x, y = (say.fixed(v, 3) for v in rms_px(residuals))
     figure = Figure(
         f"residuals-{name}",
         caption,
@@ -298,10 +289,10 @@ def _largest(run: Run, camera_id: str, residuals: sensor.SensorResiduals, say: C
     longest, worst = int(length.argmax()), int(w.argmax())
     return say(
         "residuals.largest",
-        size=fixed(float(length.max()), 2, say.mark),
+        size=say.fixed(float(length.max()), 2),
         point=rays.point_names[rays.point[longest]],
         image=rays.image_names[rays.image[longest]],
-        w=fixed(float(w.max()), 1, say.mark),
+        w=say.fixed(float(w.max()), 1),
         wpoint=rays.point_names[rays.point[worst]],
         wimage=rays.image_names[rays.image[worst]],
     )
@@ -328,7 +319,7 @@ def _rms_table(run: Run, camera_id: str, residuals: sensor.SensorResiduals, say:
 def _rms_row(
     image: str, rays: int, rms: tuple[float, ...], camera: Camera, say: Catalogue
 ) -> tuple[str, ...]:
-    row = [image, str(rays), *(fixed(v, 3, say.mark) for v in rms)]
+    row = [image, str(rays), *(say.fixed(v, 3) for v in rms)]
     if camera.unit == "mm":
-        row += [fixed(1e3 * v * p, 2, say.mark) for v, p in zip(rms, camera.pitch, strict=True)]
+        row += [say.fixed(1e3 * v * p, 2) for v, p in zip(rms, camera.pitch, strict=True)]
     return tuple(row)

@@ -4,7 +4,7 @@ import hashlib
 import math
 
 from drivers.errors import InputMalformedError
-from photocal.findings.digits import fixed, measured, relation, significant
+from photocal.findings.digits import relation
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.texts import Catalogue, finding_text, identity
 from photocal.report import block_sections, camera_sections
@@ -89,10 +89,10 @@ def _highlights(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> tupl
     for camera_id, camera in cameras.items():
         label = say("highlight.c_camera", camera=camera_id) if several else say("highlight.c")
         sigma, whose = run.stated(camera_id)
-        c = measured(camera.value("c"), sigma, say.mark)
+        c = say.measured(camera.value("c"), sigma)
         remark = say("highlight.sigma", sigma=c.sigma, unit=camera.unit) if c.sigma else say("word.held")
         if c.sigma and sigma > camera.sigma_of("c"):
-            formal = significant(camera.sigma_of("c"), 2, say.mark)
+            formal = say.significant(camera.sigma_of("c"), 2)
             remark += say(f"highlight.sigma_{whose}", formal=formal, unit=camera.unit)
         shown.append(Highlight(label, f"{c.value} {camera.unit}", remark))
     if not several:
@@ -109,7 +109,7 @@ def _test(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> Highlight:
         return Highlight(say("highlight.test"), say("highlight.unclaimed"), say("highlight.unclaimed_remark"))
     remark = say(
         "highlight.test_remark",
-        chi2=fixed(run.result.chi_squared, 1, say.mark),
+        chi2=say.fixed(run.result.chi_squared, 1),
         dof=run.result.degrees_of_freedom,
         p=relation(test.p_value, say.mark),
     )
@@ -119,7 +119,7 @@ def _test(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> Highlight:
 
 def _principal_point(run: Run, camera_id: str, say: Catalogue) -> Highlight:
     camera = run.result.cameras[camera_id]
-    x, y = (measured(camera.value(n), run.stated(camera_id, n)[0], say.mark) for n in ("x0", "y0"))
+    x, y = (say.measured(camera.value(n), run.stated(camera_id, n)[0]) for n in ("x0", "y0"))
     remark = say("word.held")
     if x.sigma and y.sigma:
         remark = say("highlight.x0y0_sigma", x=x.sigma, y=y.sigma, unit=camera.unit)
@@ -132,8 +132,8 @@ def _residuals(run: Run, say: Catalogue) -> Highlight:
     squares = [(len(part.place), *camera_sections.rms_px(part)) for part in parts]
     x, y = (math.sqrt(sum(s[0] * s[i] ** 2 for s in squares) / max(rays, 1)) for i in (1, 2))
     both = math.sqrt((x**2 + y**2) / 2)
-    remark = say("highlight.rms_remark", x=fixed(x, 3, say.mark), y=fixed(y, 3, say.mark), rays=rays)
-    return Highlight(say("highlight.rms"), f"{fixed(both, 3, say.mark)} px", remark)
+    remark = say("highlight.rms_remark", x=say.fixed(x, 3), y=say.fixed(y, 3), rays=rays)
+    return Highlight(say("highlight.rms"), f"{say.fixed(both, 3)} px", remark)
 
 
 def _network(run: Run, say: Catalogue) -> Highlight:
@@ -151,11 +151,11 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
     if checks.n == 0:
         return Highlight(label, say("highlight.checks_none"), say("highlight.checks_none_remark"))
     rmse = {axis: 1e3 * (checks.rmse_m[axis] or 0.0) for axis in "xyz"}
-    axes = {axis: fixed(value, 1, say.mark) for axis, value in rmse.items()}
+    axes = {axis: say.fixed(value, 1) for axis, value in rmse.items()}
     both = math.hypot(rmse["x"], rmse["y"])
     return Highlight(
         label,
-        f"XY {fixed(both, 1, say.mark)} mm; Z {axes['z']} mm",
+        f"XY {say.fixed(both, 1)} mm; Z {axes['z']} mm",
         say("highlight.checks_remark", **axes, n=checks.n),
     )
 

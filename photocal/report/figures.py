@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.accuracy.maps import draw_histogram, draw_vectors
-from photocal.findings.digits import MINUS, fixed, significant, symbol
+from photocal.findings.digits import MINUS, symbol
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report.sensor import RadialProfile, SensorResiduals
@@ -150,7 +150,7 @@ def correlation_picture(camera: Camera, say: Catalogue) -> str:
         for k, sample in enumerate((1.0, 0.5, -0.5, -1.0)):
             _disc(ax, n + 0.3, 1.15 * k, sample, clip=False)
             sign = MINUS if sample < 0 else "+"
-            ax.text(n + 1.0, 1.15 * k, f"r = {sign}{fixed(abs(sample), 1, say.mark)}", va="center")
+            ax.text(n + 1.0, 1.15 * k, f"r = {sign}{say.fixed(abs(sample), 1)}", va="center")
         return out()
 
 
@@ -180,9 +180,9 @@ def _disc(ax: Axes, x: float, y: float, r: float, *, clip: bool = True) -> None:
 
 
 def _arrow_label(camera: Camera, arrow: float, say: Catalogue) -> str:
-    text = f"{significant(arrow, 1, say.mark)} px"
+    text = f"{say.significant(arrow, 1)} px"
     if camera.unit == "mm":
-        text += f" = {significant(arrow * float(np.mean(camera.pitch)) * 1e3, 2, say.mark)} µm"
+        text += f" = {say.significant(arrow * float(np.mean(camera.pitch)) * 1e3, 2)} µm"
     return text
 
 
@@ -228,10 +228,10 @@ def difference_map(names: tuple[str, ...], place: Floats, d: Floats, say: Catalo
     """Draw the differences in plane as vectors at their points, those in height beside the names."""
 
     def height(dz: float) -> str:
-        return f"{'+' if dz > 0 else ''}{fixed(1e3 * dz, 0, say.mark)}"
+        return f"{'+' if dz > 0 else ''}{say.fixed(1e3 * dz, 0)}"
 
     def length(unit: float) -> str:
-        return f"{fixed(1e3 * unit, max(0, -math.floor(math.log10(1e3 * unit))), say.mark)} mm"
+        return f"{say.fixed(1e3 * unit, max(0, -math.floor(math.log10(1e3 * unit))))} mm"
 
     with drawing(WIDTH, 4.4) as (figure, out):
         ax = figure.add_axes((0.135, 0.1, 0.845, 0.84))

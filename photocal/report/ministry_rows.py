@@ -7,16 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.errors import ConfigurationError, InputNotFoundError
-from photocal.findings.digits import (
-    MINUS,
-    as_given,
-    fixed,
-    measured,
-    power_of_ten,
-    significant,
-    symbol,
-    unit_power,
-)
+from photocal.findings.digits import MINUS, power_of_ten, symbol, unit_power
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report.certificate_metadata import Metadata
@@ -51,7 +42,7 @@ def _given(text: str) -> Filled:
 def _number(value: float | None, digits: int, origin: Origin, c: Context) -> Filled:
     if value is None:
         return None
-    text = as_given(value, c.say.mark) if origin == "given" else significant(value, digits, c.say.mark)
+    text = c.say.as_given(value) if origin == "given" else c.say.significant(value, digits)
     return text, origin
 
 
@@ -67,10 +58,10 @@ def _verdict(c: Context) -> Filled:
 def _sensor_dimension(c: Context) -> Filled:
     size = c.particulars.camera.sensor_size_mm
     if size is not None:
-        return " × ".join(as_given(side, c.say.mark) for side in size), "given"
+        return " × ".join(c.say.as_given(side) for side in size), "given"
     if c.facts.pixel_mm is None:
         return None
-    return " × ".join(fixed(n * p, 2, c.say.mark) for n, p in _sides(c)), "computed"
+    return " × ".join(c.say.fixed(n * p, 2) for n, p in _sides(c)), "computed"
 
 
 def _sides(c: Context) -> list[tuple[int, float]]:
@@ -81,8 +72,8 @@ def _sides(c: Context) -> list[tuple[int, float]]:
 def _pixels(c: Context) -> Filled:
     given = c.particulars.camera.effective_pixels
     if given is not None:
-        return f"{as_given(given / 1e6, c.say.mark)} M", "given"
-    return f"{fixed(c.camera.size_px[0] * c.camera.size_px[1] / 1e6, 2, c.say.mark)} M", "computed"
+        return f"{c.say.as_given(given / 1e6)} M", "given"
+    return f"{c.say.fixed(c.camera.size_px[0] * c.camera.size_px[1] / 1e6, 2)} M", "computed"
 
 
 def _image_side(axis: int) -> Callable[[Context], Filled]:
@@ -90,7 +81,7 @@ def _image_side(axis: int) -> Callable[[Context], Filled]:
         if c.facts.pixel_mm is None:
             return f"{c.camera.size_px[axis]} px", "computed"
         pixels, pitch = _sides(c)[axis]
-        return f"{fixed(pixels * pitch, 3, c.say.mark)} mm; {pixels} px", "computed"
+        return f"{c.say.fixed(pixels * pitch, 3)} mm; {pixels} px", "computed"
 
     return fill
 
@@ -108,7 +99,7 @@ def _mounting(key: str, unit: str, scale: float, names: str) -> Callable[[Contex
                 return None
             values, sigmas = ([scale * getattr(axis, part) for axis in axes] for part in ("value", "sigma"))
             origin = "computed"
-        printed = [measured(v, s, c.say.mark) for v, s in zip(values, sigmas, strict=True)]
+        printed = [c.say.measured(v, s) for v, s in zip(values, sigmas, strict=True)]
         return "; ".join(f"d{n} {_with_sigma(m)}" for n, m in zip(names, printed, strict=True)), origin
 
     return fill
@@ -131,8 +122,7 @@ def _test_field(c: Context) -> Filled:
     if not campaign.test_field:
         return None
     vertices = [
-        f"{name} ({fixed(lat, 5, c.say.mark)}; {fixed(lon, 5, c.say.mark)})"
-        for name, lat, lon in campaign.vertices
+        f"{name} ({c.say.fixed(lat, 5)}; {c.say.fixed(lon, 5)})" for name, lat, lon in campaign.vertices
     ]
     return "; ".join([campaign.test_field, *vertices]), "given"
 
@@ -151,7 +141,7 @@ def _iop(c: Context) -> Filled:
     for name in c.camera.free:
         power = c.camera.lens.power(name)
         factor = scale**power
-        printed = measured(c.camera.value(name) * factor, c.camera.sigma_of(name) * factor, c.say.mark)
+        printed = c.say.measured(c.camera.value(name) * factor, c.camera.sigma_of(name) * factor)
         parts.append(f"{symbol(name)} {_with_sigma(printed)} {unit_power(unit, power)}".rstrip())
     return ("; ".join(parts), "computed") if parts else None
 
@@ -162,7 +152,7 @@ def _correlation(c: Context) -> Filled:
     if not pairs:
         return None
     _, i, j = max(pairs)
-    pair = f"{symbol(names[j])}–{symbol(names[i])} {fixed(matrix[i][j], 2, c.say.mark)}"
+    pair = f"{symbol(names[j])}–{symbol(names[i])} {c.say.fixed(matrix[i][j], 2)}"
     return c.say("ministry.correlation", section=c.say("correlation.section"), pair=pair), "computed"
 
 
@@ -173,7 +163,7 @@ def _limit(*keys: str) -> Callable[[Context], Filled]:
         if None in values or None in bounds:
             return None
         texts = [
-            "; ".join(significant(v, 4, c.say.mark) for v in column if v is not None)
+            "; ".join(c.say.significant(v, 4) for v in column if v is not None)
             for column in (values, bounds[:1])
         ]
         return f"{texts[0]} ≤ {texts[1]}" if all(
@@ -187,13 +177,13 @@ def _eo_quality(c: Context) -> Filled:
     e = c.particulars.exterior_orientation
     if not (e.rmse_m is None or e.mean_m is None or e.rmse_arcsec is None or e.mean_arcsec is None):
         rows = ((e.rmse_m, e.rmse_arcsec), (e.mean_m, e.mean_arcsec))
-        return _eo_rows([[as_given(v, c.say.mark) for v in (*m, *a)] for m, a in rows], c), "given"
+        return _eo_rows([[c.say.as_given(v) for v in (*m, *a)] for m, a in rows], c), "given"
     d = None if c.run.analysis is None else c.run.analysis.exterior_difference
     if d is None:
         return None
     computed = ((d.rmse_m, d.rmse_arcsec), (d.mean_m, d.mean_arcsec))
     texts = [
-        [*(fixed(v, 4, c.say.mark) for v in metres), *(fixed(v, 1, c.say.mark) for v in seconds)]
+        [*(c.say.fixed(v, 4) for v in metres), *(c.say.fixed(v, 1) for v in seconds)]
         for metres, seconds in computed
     ]
     return _eo_rows(texts, c), "computed"
@@ -280,9 +270,7 @@ def corners(c: Context) -> tuple[tuple[str, ...], ...]:
     for name, column, line in places:
         x, y = (column - width / 2) * px, (height / 2 - line) * py
         known = c.facts.pixel_mm is not None
-        rows.append(
-            (name, str(column), str(line), *(fixed(v, 4, c.say.mark) if known else MINUS for v in (x, y)))
-        )
+        rows.append((name, str(column), str(line), *(c.say.fixed(v, 4) if known else MINUS for v in (x, y))))
     return tuple(rows)
 
 

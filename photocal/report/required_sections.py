@@ -2,7 +2,7 @@
 
 import math
 
-from photocal.findings.digits import as_given, decimals_of, fixed, measured, significant
+from photocal.findings.digits import decimals_of
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text
 from photocal.report.camera_sections import critical_t
@@ -46,7 +46,7 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
         "received": say.date(lab.received) if lab.received else "",
         "measured": say.date(lab.measured) if lab.measured else "",
         "issued": say.date(particulars.date),
-        "temperature": "" if warm is None else f"{significant(warm, 3, say.mark)} °C",
+        "temperature": "" if warm is None else f"{say.significant(warm, 3)} °C",
         "focus": conditions.focus,
         "aperture": conditions.aperture,
         "stabilisation": conditions.stabilisation,
@@ -105,19 +105,19 @@ def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> 
         if u is None:
             return say(f"uncertainty.{key}"), kind, say("laboratory.not_stated"), ""
         share = 100.0 * u**2 / total**2 if total > 0.0 else 0.0
-        return say(f"uncertainty.{key}"), kind, significant(u, 2, say.mark), fixed(share, 1, say.mark)
+        return say(f"uncertainty.{key}"), kind, say.significant(u, 2), say.fixed(share, 1)
 
     rows = [row("adjustment", "A", own), *(row(key, "B", entered.get(key)) for key in ENTERED)]
     rows.append(row("combined", "", total))
-    c = measured(camera.value("c"), k * total, say.mark)
+    c = say.measured(camera.value("c"), k * total)
     note = say(
         "uncertainty.note",
         c=c.value,
         u=c.sigma,
         unit=camera.unit,
-        k=fixed(k, 2, say.mark),
+        k=say.fixed(k, 2),
         nu=f"{math.floor(freedom)}" if math.isfinite(freedom) else "∞",
-        factor=fixed(factor, max(decimals_of(factor), 2), say.mark),
+        factor=say.fixed(factor, max(decimals_of(factor), 2)),
     )
     heads = (source, kind_of, Column("u", camera.unit), share_of)
     return Table(say("uncertainty.table", camera=camera_id), heads, tuple(rows), note)
@@ -156,7 +156,7 @@ def _limit_row(limit: Limit, say: Catalogue) -> tuple[str, ...]:
 
 
 def _maybe(value: float | None, say: Catalogue) -> str:
-    return significant(value, 4, say.mark) if value is not None else say("ministry.not_determined")
+    return say.significant(value, 4) if value is not None else say("ministry.not_determined")
 
 
 def _centimetres(value: float | None, say: Catalogue) -> str:
@@ -204,7 +204,7 @@ def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
         (say("equipment.boresight"), system.boresight_deg or none, system.boresight_sigma_deg or none),
     )
     rows = tuple(
-        (label, *(as_given(v, say.mark) if v is not None else say("word.none") for v in (*values, *sigmas)))
+        (label, *(say.as_given(v) if v is not None else say("word.none") for v in (*values, *sigmas)))
         for label, values, sigmas in table
     )
     return Table(say("equipment.offsets"), tuple(heads), rows)
