@@ -38,7 +38,10 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
     )
     groups = [rays, _control_group(problem, state.points, point_covariance)]
     for name, equations in other_equations(problem, state).items():
-        groups.append(_equation_group(name, equations, structure, inverse))
+        # Observations of the reduced system's unknowns.
+        variance = equation_covariance(equations, structure, inverse, 1)[:, 0, 0]
+        checked = len(variance) - float(np.sum(equations.weight * variance))
+        groups.append(Group(name, len(variance), equations.chi_squared(), checked))
     observations = sum(group.observations for group in groups)
     camera_covariance = _camera_covariance(problem, inverse)
     own = blocks(problem.layout.image_columns, structure, inverse)
@@ -118,13 +121,6 @@ def _control_group(problem: Problem, points: Floats, covariance: Floats) -> Grou
     count = int(np.sum(np.diagonal(weight, axis1=1, axis2=2) > 0))
     chi_squared = float(np.einsum("na,nab,nb->", deviation, weight, deviation))
     return Group("control", count, chi_squared, count - float(np.einsum("nab,nba->", weight, covariance)))
-
-
-def _equation_group(name: str, equations: Equations, structure: Structure, inverse: Floats) -> Group:
-    """Observations of the reduced system's unknowns."""
-    variance = equation_covariance(equations, structure, inverse, 1)[:, 0, 0]
-    redundancy = len(variance) - float(np.sum(equations.weight * variance))
-    return Group(name, len(variance), equations.chi_squared(), redundancy)
 
 
 def equation_covariance(equations: Equations, structure: Structure, inverse: Floats, together: int) -> Floats:

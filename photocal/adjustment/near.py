@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
+from drivers.arrays import Flags
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.envelope import clear, factorise, product, solve
@@ -41,15 +41,11 @@ def with_held(at: Factored, column: int, change: float, near: float) -> Near:
         return chords(at.problem, at.normal, start, near, equations, length, (column, *along))
     except NotConvergedError:
         there = factored(at.problem.network, start)
-        hold = (column, *_column(there, column))
+        # The column of the inverse that belongs to the unknown.
+        right = np.zeros(there.problem.layout.size)
+        right[column] = 1.0
+        hold = (column, *full_solution(there.problem, there.normal, right, np.zeros_like(start.points)))
         return chords(there.problem, there.normal, start, near, equations, length, hold)
-
-
-def _column(at: Factored, column: int) -> tuple[Floats, Floats]:
-    """Column of the inverse that belongs to an unknown of the reduced system."""
-    right = np.zeros(at.problem.layout.size)
-    right[column] = 1.0
-    return full_solution(at.problem, at.normal, right, np.zeros_like(at.state.points))
 
 
 class Removals:

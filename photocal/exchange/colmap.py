@@ -402,16 +402,13 @@ def write_colmap(
         np.column_stack([given.image + 1, place])[by_point],
         np.searchsorted(given.point[by_point], np.arange(1, len(keys))),
     )
-    content = Content(tuple(lenses), tuple(shots), keys, given.xyz, _errors(given), tuple(tracks))
-    (write_binary_model if binary else write_text_model)(folder, content)
-    return tuple(conversion for _, conversion in made)
-
-
-def _errors(given: Reconstruction) -> Floats:
-    """Mean length of each point's residuals, px; -1 when not known."""
+    # Mean length of each point's residuals, px; -1 when not known.
     count = np.bincount(given.point, minlength=len(given.point_names))
     total = np.bincount(given.point, np.hypot(*given.residuals_px.T), minlength=len(count))
-    return np.asarray(np.where((count > 0) & np.isfinite(total), total / np.maximum(count, 1), -1.0))
+    errors = np.where((count > 0) & np.isfinite(total), total / np.maximum(count, 1), -1.0)
+    content = Content(tuple(lenses), tuple(shots), keys, given.xyz, errors, tuple(tracks))
+    (write_binary_model if binary else write_text_model)(folder, content)
+    return tuple(conversion for _, conversion in made)
 
 
 def _camera(lens: Lens, place: object) -> Camera:

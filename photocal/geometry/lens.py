@@ -13,8 +13,7 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.compiled import allocating, compiled, inlined
 from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MM, MODELS, OWN, PARAMETERS, Camera
-from photocal.geometry.fisheye import equidistant, pix4d_fisheye
-from photocal.geometry.rational import rational
+from photocal.geometry.other_lenses import equidistant, pix4d_fisheye, rational
 
 # Parameters of Brown's lens, and of all lenses; those of the shutter follow.
 BROWN, COUNT = PARAMETERS.index("B2") + 1, PARAMETERS.index("readout")

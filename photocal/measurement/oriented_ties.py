@@ -166,7 +166,10 @@ def orient_ties(
     chosen = [sources[k] for k in first.kept]
     left_out, findings = list(first.left_out), [*first.findings, ESTIMATED]
     final, matched = first.adjusted, tracks
-    for level in _levels(float(sizes.max())):
+    # How often images are halved, pass after pass, so that each finds what the one before has left.
+    longest_px = float(sizes.max())
+    levels = (int(np.ceil(np.log2(longest_px / USUAL_PX))), 0) if longest_px > LARGE_PX else (0,)
+    for level in levels:
         views = _views(final)
         tracks, points = _placed(views, tracks, FIRST_MISS_PX * max(1.0, float(sizes.max()) / USUAL_PX))
         with progress("matching tie points precisely", 2 * len(chosen)) as done:
@@ -239,12 +242,6 @@ def _views(adjusted: Adjusted) -> OrientedImages:
         block.images.names, block.cameras, block.images.camera, adjusted.values, movement=movement
     )
     return views.in_local(block_frame(block))
-
-
-def _levels(longest_px: float) -> tuple[int, ...]:
-    """How often images are halved, pass after pass, so that each finds what the one before has left."""
-    coarse = int(np.ceil(np.log2(longest_px / USUAL_PX)))
-    return (coarse, 0) if longest_px > LARGE_PX else (0,)
 
 
 def _placed(views: OrientedImages, tracks: Tracks, most_px: float) -> tuple[Tracks, Floats]:

@@ -13,7 +13,7 @@ from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece
 from photocal.report.figures import difference_histograms, difference_map
 from photocal.report.sensor import RADIAL
 from photocal.report.stored_analysis import Run
-from photocal.results.result import CENTRES, TURNS, CheckPoint
+from photocal.results.result import CENTRES, TURNS
 
 ROWS = 60
 ARCSECONDS = 3600.0
@@ -195,7 +195,8 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
     heads = [(f"Δ{axis}", "mm") for axis in "XYZ"]
     heads += [(say(f"checks.{key}", axis=axis), "mm") for key in ("adjusted", "surveyed") for axis in "XYZ"]
     shown = (*columns(say, "checks", "point<"), *(Column(*head) for head in heads))
-    decimals = _check_decimals(checks.points)
+    stated = np.array([s for p in checks.points for s in (p.sx, p.sy, p.sz) if s > 0.0])
+    decimals = min(_decimals(1e3 * stated), 3) if stated.size else 1
     rows = [
         (
             p.point,
@@ -260,11 +261,6 @@ def _check_figures(run: Run, say: Catalogue) -> list[Figure]:
         Figure("checks-map", say("checks.map"), map_text, difference_map(names, at, d, say)),
         Figure("checks-histograms", say("checks.histograms"), bars_text, difference_histograms(d, say)),
     ]
-
-
-def _check_decimals(points: tuple[CheckPoint, ...]) -> int:
-    sigmas = np.array([s for p in points for s in (p.sx, p.sy, p.sz) if s > 0.0])
-    return min(_decimals(1e3 * sigmas), 3) if sigmas.size else 1
 
 
 def global_test(title: str, run: Run, say: Catalogue) -> Section:
