@@ -1,7 +1,5 @@
 """Outputs that are whole or not there: written aside, then renamed."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -62,7 +60,7 @@ def picture_kind(path: Path) -> str:
 @contextmanager
 def output_picture(
     path: Path, inches: tuple[float, float], font: float = 8.0, dpi: float = 200.0
-) -> Iterator[Figure]:
+) -> "Iterator[Figure]":
     """Give a figure that is written on success; errors as of `output_file` and `picture_kind`."""
     kind = picture_kind(path)
     import matplotlib as mpl

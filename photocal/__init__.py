@@ -3,8 +3,6 @@
 `import photocal` is quick: what it offers (`dir(photocal)`, docs/api.md) is loaded when it is used.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

@@ -1,7 +1,5 @@
 """Commands about a flight log: import, info, replay, recover and export."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -89,7 +87,7 @@ def _named(text: str) -> tuple[str, Path]:
     return name, Path(path)
 
 
-def _sentence(result: Imported) -> str:
+def _sentence(result: "Imported") -> str:
     tally = result.tally
     text = f"{result.link}: {tally.frames} frames from {result.path} ({result.form.name})"
     if tally.damage_bytes:
@@ -115,7 +113,7 @@ def info(log: Log, as_json: AsJson = False) -> None:
     answer(as_json, summary.as_json, lambda: _text(summary))
 
 
-def _text(summary: LogSummary) -> str:
+def _text(summary: "LogSummary") -> str:
     figures = summary.as_json()
     lines = [f"{figures['file']}: {figures['bytes']} bytes"]
     if not figures["complete"]:
@@ -236,7 +234,7 @@ def recover(
     )
 
 
-def _recovered(result: Recovered, log: Path, target: Path) -> str:
+def _recovered(result: "Recovered", log: Path, target: Path) -> str:
     if result.intact:
         return f"{log} was whole, {target} is a copy: {result.messages} messages"
     lines = [f"saved {result.messages} messages in {result.chunks} chunks to {target}"]

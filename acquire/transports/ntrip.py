@@ -3,8 +3,6 @@
 Source: RTCM 10410.1, Networked Transport of RTCM via Internet Protocol, versions 1.0 and 2.0.
 """
 
-from __future__ import annotations
-
 import base64
 import re
 import socket
@@ -82,7 +80,7 @@ class NtripSource(TcpSource):
         address: Address,
         user: str = "",
         password: str = "",
-        context: ssl.SSLContext | None = None,
+        context: "ssl.SSLContext | None" = None,
         position: Callable[[], bytes] | None = None,
     ) -> None:
         super().__init__(address.host, address.port)

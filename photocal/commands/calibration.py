@@ -1,7 +1,5 @@
 """`photocal adjust`, `analyse`, `certificate`: a block adjusted, its calibration judged, and certified."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -202,7 +200,7 @@ def certificate(
     )
 
 
-def _day(date: str | None) -> dt.date:
+def _day(date: str | None) -> "dt.date":
     import datetime as dt
 
     if date is None:

@@ -1,7 +1,5 @@
 """`photocal export`: an adjusted block for other programs."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -64,7 +62,7 @@ def export(
     answer(as_json, lambda: result, lambda: _text(result, output))
 
 
-def _origin_of(given: Reconstruction) -> dict[str, Any] | None:
+def _origin_of(given: "Reconstruction") -> dict[str, Any] | None:
     """Where the frame of a Cartesian format has its origin, for a block in a reference system."""
     if given.frame == "local":
         return None
@@ -74,13 +72,13 @@ def _origin_of(given: Reconstruction) -> dict[str, Any] | None:
     return {"frame": given.frame, "height": given.height, "x": x, "y": y, "z": z}
 
 
-def _angle_unit(text: str) -> Angle | None:
+def _angle_unit(text: str) -> "Angle | None":
     if text in ("", "deg", "gon"):
         return cast("Angle", text) if text else None
     raise ConfigurationError(f"angle unit {text!r} is not known", remedy="use deg or gon")
 
 
-def _origin(text: str) -> Origin | None:
+def _origin(text: str) -> "Origin | None":
     from photocal.exchange.reconstruction import Origin
 
     if text == "":

@@ -1,7 +1,5 @@
 """`photocal ppk`, `exposures`, `survey`: trajectories, exposures and control points from raw observations."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -209,13 +207,13 @@ def exposures(
     answer(as_json, lambda: figures, lambda: exposures_text(figures))
 
 
-def _triple(text: str, option: str) -> Floats:
+def _triple(text: str, option: str) -> "Floats":
     import numpy as np
 
     return np.array(numbers_of(text, option, "A,B,C: three numbers in the unit of the help"))
 
 
-def _of_project(path: Path) -> tuple[Choices, str, str | None]:
+def _of_project(path: Path) -> "tuple[Choices, str, str | None]":
     """Return the choices, the camera's id and the system of a project."""
     from photocal.navigation.exposure_run import choices_of_project
     from photocal.project import read_project

@@ -1,7 +1,5 @@
 """`photocal new`, `adopt`, `run`, `debrief`: commands on a whole project."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -124,7 +122,7 @@ def debrief(
     answer(as_json, lambda: debrief_json(made), lambda: debrief_text(made, say))
 
 
-def _cameras(since: Path) -> tuple[Camera, ...]:
+def _cameras(since: Path) -> "tuple[Camera, ...]":
     """Cameras of a run folder or of a file of cameras."""
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.results.folder import read_result

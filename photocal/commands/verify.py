@@ -1,7 +1,5 @@
 """`photocal keys`, `sign`, `verify`: who signed a certificate, and whether its figures follow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -172,7 +170,7 @@ def verify(
 
 def _repeat(
     certified: dict[str, Any], folder: Path, block: Path | None
-) -> tuple[list[str], list[Difference], list[str]]:
+) -> "tuple[list[str], list[Difference], list[str]]":
     """Compute and print a certificate anew: changed inputs, other figures, pages that say something else."""
     from photocal.report.issue import certified_result
     from photocal.report.verification import (
@@ -235,7 +233,7 @@ def _printed(path: Path, as_json: bool) -> None:
         )
 
 
-def _source(certified: dict[str, Any], folder: Path, block: Path | None) -> Source:
+def _source(certified: dict[str, Any], folder: Path, block: Path | None) -> "Source":
     """What was named, or what the certificate carries."""
     from photocal.report.issue import certified_result
     from photocal.results.origin import CARRIED, Source

@@ -1,7 +1,5 @@
 """Geoid and datum grids of PROJ: which are here, which a reference system needs, and how they come here."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from pathlib import Path
@@ -60,7 +58,7 @@ def fetch_grids(crs: str, area: Area | None = None) -> tuple[str, ...]:
     return tuple(missing)
 
 
-def _ways(crs: str, area: Area | None) -> TransformerGroup:
+def _ways(crs: str, area: Area | None) -> "TransformerGroup":
     from pyproj.aoi import AreaOfInterest
     from pyproj.exceptions import CRSError
     from pyproj.transformer import TransformerGroup

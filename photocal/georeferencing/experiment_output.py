@@ -1,7 +1,5 @@
 """Results of an experiment: JSON, text, tables and plots of the RMSE at the check points."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +20,7 @@ SCHEMA = "photocal.experiment/2"
 _AXES = ("x", "y", "z")
 
 
-def rmse_plot(outcome: Outcome) -> Figure | None:
+def rmse_plot(outcome: Outcome) -> "Figure | None":
     """Draw the RMSE at the check points of every run, with the predicted sigma as a line across each bar."""
     from matplotlib.figure import Figure
 
@@ -45,7 +43,7 @@ def rmse_plot(outcome: Outcome) -> Figure | None:
     return figure
 
 
-def control_plot(outcome: Outcome) -> Figure | None:
+def control_plot(outcome: Outcome) -> "Figure | None":
     """Draw the RMSE at the check points against the number of control points, predicted sigma broken."""
     from matplotlib.figure import Figure
 

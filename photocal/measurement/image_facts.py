@@ -1,7 +1,5 @@
 """What an image says of itself: camera, size, time, position and attitude, from EXIF and XMP."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 import re
@@ -201,7 +199,7 @@ def _pitch_mm(exif: Mapping[int, Any], width: int) -> float:
     return unit / _positive(exif.get(0xA20E)) * (written / width if written > 0 else 1.0)
 
 
-def _tags(image: Image) -> tuple[Mapping[int, Any], Mapping[int, Any], Mapping[int, Any]]:
+def _tags(image: "Image") -> tuple[Mapping[int, Any], Mapping[int, Any], Mapping[int, Any]]:
     """Give the main, EXIF and GPS directories; empty where they are damaged."""
     none: dict[int, Any] = {}
     try:

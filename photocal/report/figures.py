@@ -1,7 +1,5 @@
 """The pictures of a report as SVG: the same bytes for the same figures, readable in grey print."""
 
-from __future__ import annotations
-
 import io
 import math
 import re
@@ -160,7 +158,7 @@ def natural_width(svg: str) -> float:
     return min(float(found[1]) / 72.0 / WIDTH, 1.0) if found else 1.0
 
 
-def _disc(ax: Axes, x: float, y: float, r: float, *, clip: bool = True) -> None:
+def _disc(ax: "Axes", x: float, y: float, r: float, *, clip: bool = True) -> None:
     from matplotlib.patches import Circle
 
     # Area goes with |r|; what is smaller than a hundredth is not drawn.
@@ -206,7 +204,7 @@ def localised(ax: Any, mark: str) -> None:
 
 
 @contextmanager
-def drawing(width: float, height: float) -> Iterator[tuple[Figure, Callable[[], str]]]:
+def drawing(width: float, height: float) -> "Iterator[tuple[Figure, Callable[[], str]]]":
     """Open a figure of so many inches; the second value writes it as SVG."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG

@@ -3,8 +3,6 @@
 A signature covers the digest of every file of the folder. Ed25519: Bernstein et al. (2012), RFC 8032.
 """
 
-from __future__ import annotations
-
 import base64
 import datetime as dt
 import hashlib
@@ -274,7 +272,7 @@ def against_journal(entries: Iterable[Mapping[str, Any]], number: str, digest: s
     )
 
 
-def _private(passphrase: str) -> Ed25519PrivateKey:
+def _private(passphrase: str) -> "Ed25519PrivateKey":
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 

@@ -1,7 +1,5 @@
 """The run folder: the one writer and the one reader of a result."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Hashable, Sequence
@@ -282,7 +280,7 @@ def heads_of_json(content: object, path: Path) -> tuple[AdjustedHead, ...]:
 
 
 @cache
-def _adapter(kind: Hashable) -> TypeAdapter[Any]:
+def _adapter(kind: Hashable) -> "TypeAdapter[Any]":
     """What reads a kind; to make it takes longer than to read."""
     from pydantic import TypeAdapter
 

@@ -1,7 +1,5 @@
 """Calibrations of several flights: their cameras for a comparison, and those of one used in another."""
 
-from __future__ import annotations
-
 import datetime as dt
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -123,7 +121,7 @@ def _certified(path: Path) -> Calibrated:
     )
 
 
-def cameras_of(flights: Sequence[Calibrated]) -> CameraFile:
+def cameras_of(flights: Sequence[Calibrated]) -> "CameraFile":
     """Give the calibrated cameras to the comparison, with sigmas and correlations.
 
     raises ConfigurationError: when a result cannot be compared.

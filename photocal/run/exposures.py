@@ -1,7 +1,5 @@
 """Stage `exposures`: antenna position and attitude of every exposure, matched to its image."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -85,8 +83,8 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
 
 
 def _placed(
-    project: Project, trajectory: Trajectory | None, figures_of_ppk: dict[str, Any] | None
-) -> tuple[ExposureRun, Rig]:
+    project: Project, trajectory: "Trajectory | None", figures_of_ppk: dict[str, Any] | None
+) -> "tuple[ExposureRun, Rig]":
     from photocal.navigation.exposure_run import choices_of_project, place_exposures
 
     choices = choices_of_project(project)
@@ -100,7 +98,7 @@ def _placed(
     return run, choices.rig
 
 
-def exposures_of(project: Project, show: Progress) -> tuple[ExposureRun, Rig, str]:
+def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Rig, str]":
     """Place the exposures of a project that may lack something: by PPK, else by what logs or pictures say.
 
     PPK is a stage of the project: it is not done again. The text says why it was not possible, if so.

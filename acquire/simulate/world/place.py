@@ -1,10 +1,8 @@
 """The local frame of a simulated flight: topocentric at its origin on the ellipsoid GRS 80."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -36,7 +34,7 @@ class Place:
     crs: str
 
     @classmethod
-    def of(cls, given: configuration.Place) -> Place:
+    def of(cls, given: configuration.Place) -> Self:
         """Make the frame of a configuration."""
         return cls(
             float(np.radians(given.latitude_deg)),
@@ -71,7 +69,7 @@ class Place:
         return np.column_stack([east, north, place[:, 2]])
 
     @cached_property
-    def _projection(self) -> Transformer:
+    def _projection(self) -> "Transformer":
         from pyproj import CRS, Transformer
         from pyproj.exceptions import CRSError
 

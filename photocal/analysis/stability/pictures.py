@@ -1,7 +1,5 @@
 """Pictures of calibrations: matrices of pairs, profiles of their distortion, vectors on the sensor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,7 +69,7 @@ def draw_curves(calibrations: tuple[Camera, ...], path: Path) -> None:
             _vectors(axes, first, pixels, field, title)
 
 
-def _profiles(camera: Camera, radial: Axes, decentring: Axes, dashes: object) -> None:
+def _profiles(camera: Camera, radial: "Axes", decentring: "Axes", dashes: object) -> None:
     pitch = float(np.mean(camera.pitch))
     half = np.array(camera.size_px) * camera.pitch / 2.0
     radius = np.linspace(0.0, float(np.hypot(*(half + np.abs(camera.values[1:3])))), 200)
@@ -85,7 +83,7 @@ def _profiles(camera: Camera, radial: Axes, decentring: Axes, dashes: object) ->
     decentring.plot(radius / pitch, largest / pitch, **style)  # type: ignore[arg-type]
 
 
-def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: Axes) -> None:
+def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: "Axes") -> None:
     values, sigmas = [], []
     for one in calibrations:
         pitch = float(np.mean(one.pitch))
@@ -102,7 +100,7 @@ def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: Axes) 
     axes.tick_params(axis="y", labelsize=7)
 
 
-def _vectors(axes: Axes, camera: Camera, pixels: Floats, field: Floats, title: str) -> None:
+def _vectors(axes: "Axes", camera: Camera, pixels: Floats, field: Floats, title: str) -> None:
     width, height = camera.size_px
     longest = max(float(np.linalg.norm(field, axis=1).max()), 1e-12)
     enlarged = _LONGEST * width / longest

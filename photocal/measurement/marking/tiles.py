@@ -4,8 +4,6 @@ A pixel of level k covers 2^k by 2^k stored pixels, beginning with those of the 
 column j has its centre at the stored column 2^k j + (2^k - 1) / 2, in all formats.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import OrderedDict
@@ -123,7 +121,7 @@ class Tiles:
         part.save(written, "JPEG", quality=_QUALITY)
         return written.getvalue()
 
-    def _level(self, picture: Path, key: str, level: int) -> Image:
+    def _level(self, picture: Path, key: str, level: int) -> "Image":
         held = self._levels.get((key, level))
         if held is None:
             finer = [k for name, k in self._levels if name == key and k < level]
@@ -141,7 +139,7 @@ class Tiles:
         return held
 
 
-def _decoded(picture: Path, level: int) -> Image:
+def _decoded(picture: Path, level: int) -> "Image":
     """Decode a level of a picture: colours where there are 8 bits of them, else grey."""
     from PIL import Image
 
@@ -156,7 +154,7 @@ def _decoded(picture: Path, level: int) -> Image:
     return Image.fromarray(as_eight_bit(read_grey(picture))).reduce(1 << level)
 
 
-def _scaled(image: Image, level: int) -> int:
+def _scaled(image: "Image", level: int) -> int:
     """Let a JPEG be decoded at a smaller scale; gives the level that this will be."""
     width, height = image.size
     wanted = min(level, _COARSEST_DECODED)
