@@ -1,7 +1,6 @@
 """Joint covariance of chosen unknowns: the cross-blocks that are not kept for all of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,20 +12,11 @@ from photocal.adjustment.unknowns import XYZ, Unknown, unknowns
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
 
-@dataclass(frozen=True)
-class JointCovariance:
-    """Covariance matrix of chosen unknowns.
-
-    covariance (n, n): in the units of the adjustment (rad, m, unit of the camera); a priori unit variance 1.
-    """
-
-    unknowns: tuple[Unknown, ...]
-    covariance: Floats
-
-
-def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> JointCovariance:
+def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> tuple[tuple[Unknown, ...], Floats]:
     """Covariance of all unknowns of chosen images, cameras, points and of the mounting.
 
+    returns: the unknowns, and their covariance (n, n) in the units of the adjustment (rad, m, unit of the
+        camera), a priori unit variance 1.
     raises ConfigurationError: for what is no unknown of the network.
     """
     named, rows = list[Unknown](), list[tuple[Floats, Floats]]()
@@ -44,7 +34,7 @@ def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> JointCo
     for k, (reduced, points) in enumerate(rows):
         step, moved = covariance_column(at, reduced, points)
         covariance[:, k] = [step @ other + np.sum(moved * place) for other, place in rows]
-    return JointCovariance(tuple(named), (covariance + covariance.T) / 2)
+    return tuple(named), (covariance + covariance.T) / 2
 
 
 def _functions(

@@ -281,7 +281,7 @@ def _by_the_images(block: Block, control: Integers) -> tuple[Integers, Floats, F
     seen = np.flatnonzero(np.isin(assembly.points, control))
     names = [assembly.network.point_names[j] for j in seen]
     at = factored(assembly.network, solution.state)
-    covariance = joint_covariance(at, [("point", name) for name in names]).covariance
+    covariance = joint_covariance(at, [("point", name) for name in names])[1]
     rows = assembly.points[seen]
     computed = solution.points[seen] + local_origin(assembly)
     stated = np.where(np.isfinite(block.points.sigma[rows]), block.points.sigma[rows], 1e3)

@@ -244,7 +244,7 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
     joint = None
     if 0 < len(checks) <= _MOST_JOINT:
         at = factored(assembly.network, solution.state)
-        joint = covariance_of(at, [("point", name) for name in checks]).covariance
+        joint = covariance_of(at, [("point", name) for name in checks])[1]
     labels = {
         "integrated": "integrated: positions, attitudes, control and image observations adjusted together",
         "indirect": "indirect: control and image observations only",

@@ -341,7 +341,7 @@ def _lengths(block: Block, assembly: NetworkOfBlock, solution: Solution) -> tupl
     if not known:
         return ()
     ends = dict.fromkeys(end for k in known for end in names[k])
-    joint = joint_covariance(factored(network, solution.state), [("point", end) for end in ends])
+    unknowns, joint = joint_covariance(factored(network, solution.state), [("point", end) for end in ends])
     lengths = []
     for k in known:
         first, second = names[k]
@@ -349,8 +349,8 @@ def _lengths(block: Block, assembly: NetworkOfBlock, solution: Solution) -> tupl
         length = float(np.linalg.norm(apart))
         along = dict(zip(XYZ, apart / length, strict=True))
         sign = {first: -1.0, second: 1.0}
-        row = np.array([sign.get(unknown.of, 0.0) * along[unknown.parameter] for unknown in joint.unknowns])
-        sigma = float(np.sqrt(max(row @ joint.covariance @ row, 0.0)))
+        row = np.array([sign.get(unknown.of, 0.0) * along[unknown.parameter] for unknown in unknowns])
+        sigma = float(np.sqrt(max(row @ joint @ row, 0.0)))
         given, given_sigma = float(asked.values[k]), float(asked.sigma[k])
         lengths.append(CheckLength(first, second, given, length - given, sigma, given_sigma))
     return tuple(lengths)

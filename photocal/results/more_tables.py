@@ -82,10 +82,10 @@ def write_more(
         for name, table in _reliability(block, assembly, solution).items():
             _write(folder / name, table)
     if wanted.joint:
-        joint = joint_covariance(factored(assembly.network, solution.state), wanted.joint)
-        scale = np.array([one.scale for one in joint.unknowns])
-        names = [f"{one.name} ({one.unit})" if one.unit else one.name for one in joint.unknowns]
-        matrix = joint.covariance * np.outer(scale, scale)
+        unknowns, covariance = joint_covariance(factored(assembly.network, solution.state), wanted.joint)
+        scale = np.array([one.scale for one in unknowns])
+        names = [f"{one.name} ({one.unit})" if one.unit else one.name for one in unknowns]
+        matrix = covariance * np.outer(scale, scale)
         columns = {"unknown": names} | {name: matrix[:, k] for k, name in enumerate(names)}
         _write(folder / "joint_covariance.csv", columns)
 

@@ -37,7 +37,7 @@ def rejected(seed: int) -> list[bool]:
     chosen = free[np.argsort(-rays[free], kind="stable")][:CHECKS]
     names = [network.point_names[j] for j in chosen]
     at = factored(network, solution.state)
-    covariance = joint_covariance(at, [("point", name) for name in names]).covariance
+    covariance = joint_covariance(at, [("point", name) for name in names])[1]
     survey = np.random.default_rng(seed).normal(0.0, SURVEY_M, (CHECKS, 3))
     d = flown.points[chosen] + survey - solution.points[chosen]
     whole = covariance + SURVEY_M**2 * np.eye(3 * CHECKS)
