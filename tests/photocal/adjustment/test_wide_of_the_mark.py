@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def test_steps_that_turn_back_are_shortened(seed: int) -> None:
     the others that stand here.
     """
     rng = np.random.default_rng(seed)
-    zero = dict.fromkeys(("x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1", "B2"), 0.0)
+    zero: dict[str, Any] = dict.fromkeys(("x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1", "B2"), 0.0)
     lens = networks.lens(estimate=(), **zero)
     points = np.column_stack([rng.uniform(-reach, reach, 5) for reach in (8, 6, 3)])
     scene = Scene((lens,), np.zeros(1, np.int64), np.array([[0, 0, 0, 0, 0, 20.0]]), points)
