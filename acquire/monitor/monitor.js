@@ -52,11 +52,9 @@ function debrief(told) {
   const box = $("debrief");
   box.hidden = !told.verdict;
   box.querySelector("p").textContent = told.verdict ?? "";
-  box.querySelector("ul").replaceChildren(...(told.findings ?? []).map((text) => {
-    const item = document.createElement("li");
-    item.textContent = text;
-    return item;
-  }));
+  const lines = (texts) => (texts ?? []).map((text) => make("li", "", text));
+  box.querySelector(".findings").replaceChildren(...lines(told.findings));
+  box.querySelector(".summary").replaceChildren(...lines(told.summary));
 }
 
 $("sound").addEventListener("click", () => sound.toggle());

@@ -72,13 +72,20 @@ class Latest:
                 path.write_text(str(self._heard_ns), encoding="ascii")
 
     def debrief(self) -> dict[str, Any]:
-        """What a debrief has written: verdict and findings in words; empty while there is none."""
+        """What a debrief has written: verdict, figures and findings in words; empty while there is none.
+
+        In flight it holds the pictures that have come against those that the cameras have reported.
+        """
         if self._debrief is None:
             return {}
         try:
             content = json.loads(self._debrief.read_text(encoding="utf-8"))
             told = [one["text"] for one in content["findings"] if one["severity"] not in _PASSED]
-            return {"verdict": content["verdict"]["text"], "findings": told}
+            summary = list(content.get("summary", ()))
+            reported = sum(counted.feedbacks for counted in self.state.exposures.values())
+            if "live" in content and reported:
+                summary.insert(0, f"{len(content['pictures'])} of {reported} reported pictures have come")
+            return {"verdict": content["verdict"]["text"], "summary": summary, "findings": told}
         except (OSError, ValueError, LookupError, TypeError):
             return {}
 

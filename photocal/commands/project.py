@@ -3,9 +3,12 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from acquire.console import AsJson, answer, argument, option, progress
 
 if TYPE_CHECKING:
+    from photocal.debrief.verdict import Debrief
     from photocal.geometry.camera import Camera
 
 
@@ -98,6 +101,9 @@ def debrief(
     ] = None,
     workers: Annotated[int, option("Processes; 0: one for each core.", min=0)] = 0,
     language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    live: Annotated[
+        bool, option("Go on in flight: judge pictures as they come into the folder, until Ctrl-C.", "--live")
+    ] = False,
     as_json: Annotated[bool, option("Print the figures as JSON.", "--json")] = False,
 ) -> None:
     """Judge a flight before the crew drives home: complete, to be looked at, or to be flown again.
@@ -105,7 +111,10 @@ def debrief(
     Exposures without pictures, blurred and badly exposed pictures, another camera or lens setting, positions
     that are not fixed, strips with too little overlap, ground that is not covered, and a quick calibration on
     reduced pictures. Run it again while pictures come in: what was looked at is kept. The answer is also
-    written as debrief.json into the project's work folder.
+    written as debrief.json into the project's work folder: `acquire monitor --page --debrief` shows it.
+
+    With --live it follows the folder that a tethered camera or a picture link writes into, by the positions
+    that pictures state, and leaves the log to the recorder.
 
     Example: `photocal debrief project.toml --since last/calibration`
     """
@@ -113,12 +122,22 @@ def debrief(
 
     from photocal.debrief.verdict import debrief as judged
     from photocal.debrief.verdict import debrief_json, debrief_text
-    from photocal.findings.texts import catalogue
+    from photocal.findings.texts import catalogue, finding_text
     from photocal.project import read_project
 
     file = project / "project.toml" if project.is_dir() else project
     say, last = catalogue(language), () if since is None else _cameras(since)
-    made = judged(read_project(file), workers or os.cpu_count() or 1, progress, last)
+    known, crew = read_project(file), workers or os.cpu_count() or 1
+    if live:
+        from acquire.operating_system import stopped_by_signals
+        from photocal.debrief.live import follow
+
+        def told(so_far: Debrief) -> None:
+            typer.echo(finding_text(so_far.verdict, say), err=True)
+
+        made = follow(known, crew, stopped_by_signals(), told, last)
+    else:
+        made = judged(known, crew, progress, last)
     answer(as_json, lambda: debrief_json(made), lambda: debrief_text(made, say))
 
 

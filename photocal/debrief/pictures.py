@@ -61,13 +61,14 @@ class Look:
 def look_at(paths: Sequence[Path], plan: MatchingPlan, done: Callable[[float], None]) -> list[Look]:
     """Look at each picture once; what was looked at before is kept by its content."""
     looks = []
-    for look in run_tasks(_look, ((path, plan) for path in paths), plan.processes):
-        looks.append(look)
+    for one in run_tasks(look, ((path, plan) for path in paths), plan.processes):
+        looks.append(one)
         done(1)
     return looks
 
 
-def _look(task: tuple[Path, MatchingPlan]) -> Look:
+def look(task: tuple[Path, MatchingPlan]) -> Look:
+    """Look at a picture; one that cannot be read is a `Look` that says why."""
     path, plan = task
 
     def make() -> Arrays:
@@ -186,11 +187,13 @@ class Quick:
     """What reduced pictures say together.
 
     cameras: as `released.camera_figures`: c that the block gives by itself, with its sigma.
+    ground_m: median height of what the pictures show, of the kind of their positions; NaN without these.
     """
 
     joined: int
     left_out: tuple[dict[str, str], ...]
     cameras: list[dict[str, Any]]
+    ground_m: float
 
 
 def with_positions(facts: Sequence[ImageFacts], exposures: Exposures) -> list[ImageFacts]:
@@ -225,10 +228,17 @@ def orient_quickly(
     with progress("matching reduced pictures", len(pairs)) as done:
         tracks, _ = match_all(keys, pairs, plan, done)
     with progress("orienting reduced pictures", None):
-        start = start_block(facts, local_places(facts)[0], "debrief")
+        places, origin = local_places(facts)
+        start = start_block(facts, places, "debrief")
         start = replace(start, cameras=tuple(_known(camera, last) for camera in start.cameras))
         first = first_orientation(start, tracks)
-        return Quick(len(first.kept), first.left_out, camera_figures(first.adjusted))
+        adjusted = first.adjusted
+        # The adjustment has a frame of its own, upright as that of the places.
+        state = adjusted.solution
+        above = float(np.median(state.exposures[:, 5]) - np.median(state.points[:, 2]))
+        height = origin[2] + float(np.median(adjusted.values[:, 5])) - above
+        ground = height if adjusted.start.datum != "free" else np.nan
+        return Quick(len(first.kept), first.left_out, camera_figures(adjusted), ground)
 
 
 def _known(stated: Camera, last: Sequence[Camera]) -> Camera:

@@ -136,6 +136,15 @@ _ORDER = (*AGAIN, *LOOK, "note", "passed", "untested")
 
 
 @dataclass(frozen=True)
+class Together:
+    """What pictures say together, where each alone says nothing."""
+
+    findings: tuple[Finding, ...] = ()
+    flown: Coverage | None = None
+    quick: Quick | None = None
+
+
+@dataclass(frozen=True)
 class Debrief:
     """What is known of a flight, and whether it is complete, to be looked at, or to be flown again."""
 
@@ -143,8 +152,7 @@ class Debrief:
     findings: tuple[Finding, ...]
     looks: tuple[Look, ...]
     exposures: ExposureRun | None
-    flown: Coverage | None
-    quick: Quick | None
+    together: Together
 
 
 def debrief(project: Project, processes: Workers, progress: Progress, last: Sequence[Camera] = ()) -> Debrief:
@@ -155,7 +163,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
     with alone(project.output):
         paths = list_images(project.picture_folder)
         plan = MatchingPlan(cache_folder(), processes, QUICK)
-        findings, run = list[Finding](), None
+        findings, run, rig = list[Finding](), None, Rig()
         try:
             run, rig, refusal_of_ppk = exposures_of(project, progress)
             if refusal_of_ppk:
@@ -164,26 +172,42 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
             findings.append(Finding("exposures-unknown", "grave", figures={"reason": str(refusal)}))
         with progress("looking at pictures", len(paths)) as done:
             looks = look_at(paths, plan, done)
-        findings += picture_findings(looks)
-        bad = {name for finding in findings for name in finding.figures.get("images", ())}
-        good = [look for look in looks if look.path.name not in bad and look.facts is not None]
-        flown = None
         if run is not None:
             findings += _exposure_findings(run, len(paths))
-            flown, told = _covered(run, rig, good)
-            findings += told
-        quick = None
-        if len(good) >= 3:
-            facts = [one.facts for one in good if one.facts is not None]
-            if run is not None:
-                facts = with_positions(facts, run.exposures)
-            quick, told = quick_findings(facts, [one.key for one in good], last, plan, progress)
-            findings += told
-        findings.sort(key=lambda one: _ORDER.index(one.severity))
-        made = Debrief(_verdict(findings), tuple(findings), tuple(looks), run, flown, quick)
+        together = judged_together(looks, run, rig, last, plan, progress)
+        findings = in_order([*findings, *picture_findings(looks), *together.findings])
+        made = Debrief(_verdict(findings), tuple(findings), tuple(looks), run, together)
         with output_file(project.output / FILE) as aside:
             write_json(aside, debrief_json(made))
         return made
+
+
+def in_order(findings: Sequence[Finding]) -> list[Finding]:
+    """Findings, the worst first."""
+    return sorted(findings, key=lambda one: _ORDER.index(one.severity))
+
+
+def judged_together(
+    looks: Sequence[Look],
+    run: ExposureRun | None,
+    rig: Rig,
+    last: Sequence[Camera],
+    plan: MatchingPlan,
+    progress: Progress,
+) -> Together:
+    """Orient good pictures quickly, hold their calibration against the last one, and see what they cover."""
+    bad = {name for finding in picture_findings(looks) for name in finding.figures.get("images", ())}
+    good = [look for look in looks if look.path.name not in bad and look.facts is not None]
+    findings, flown, quick = list[Finding](), None, None
+    if len(good) >= 3:
+        facts = [one.facts for one in good if one.facts is not None]
+        if run is not None:
+            facts = with_positions(facts, run.exposures)
+        quick, findings = quick_findings(facts, [one.key for one in good], last, plan, progress)
+    if run is not None:
+        flown, told = _covered(run, rig, good, quick)
+        findings = [*findings, *told]
+    return Together(tuple(findings), flown, quick)
 
 
 def _exposure_findings(run: ExposureRun, pictures: int) -> list[Finding]:
@@ -205,9 +229,14 @@ def _exposure_findings(run: ExposureRun, pictures: int) -> list[Finding]:
     return findings
 
 
-def _covered(run: ExposureRun, rig: Rig, good: Sequence[Look]) -> tuple[Coverage | None, list[Finding]]:
+def _covered(
+    run: ExposureRun, rig: Rig, good: Sequence[Look], quick: Quick | None
+) -> tuple[Coverage | None, list[Finding]]:
     exposures, facts = run.exposures, next((one.facts for one in good if one.facts is not None), None)
     ground = _ground(run)
+    lowest = np.nanmin(exposures.placed.height_m, initial=np.inf)
+    if ground is None and quick is not None and lowest - quick.ground_m > _LOW_M:
+        ground = quick.ground_m
     if facts is None or ground is None or exposures.placed.placed.sum() < 3:
         return None, [untested("coverage-hole", "no-ground-height")]
     names = {one.path.name for one in good}
@@ -253,22 +282,24 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "verdict": finding_json(made.verdict, say),
+        "summary": _summary(made, say),
         "findings": [finding_json(finding, say) for finding in made.findings],
         "pictures": [_picture(look) for look in made.looks],
-        "exposures": [] if made.exposures is None else _exposures(made.exposures, made.flown),
+        "exposures": [] if made.exposures is None else _exposures(made.exposures, made.together.flown),
         "coverage": None,
         "quick": None,
     }
-    if made.flown is not None:
-        overlap = made.flown.block.forward[np.isfinite(made.flown.block.forward)]
+    flown, quick = made.together.flown, made.together.quick
+    if flown is not None:
+        overlap = _overlap(flown)
         content["coverage"] = {
-            "area_m2": made.flown.area_m2,
-            "hole_m2": made.flown.hole_m2,
-            "holes_deg": made.flown.holes_deg.tolist(),
+            "area_m2": flown.area_m2,
+            "hole_m2": flown.hole_m2,
+            "holes_deg": flown.holes_deg.tolist(),
             "overlap_median": float(np.median(overlap)) if len(overlap) else None,
         }
-    if made.quick is not None:
-        content["quick"] = {"joined": made.quick.joined, "cameras": made.quick.cameras}
+    if quick is not None:
+        content["quick"] = {"joined": quick.joined, "cameras": quick.cameras}
     return content
 
 
@@ -298,11 +329,24 @@ def debrief_text(made: Debrief, say: Catalogue) -> str:
     """A debrief in words."""
     lines = [finding_text(made.verdict, say)]
     lines += [f"- {finding_text(finding, say)}" for finding in made.findings if finding.severity != "passed"]
+    return "\n".join(lines + _summary(made, say))
+
+
+def _summary(made: Debrief, say: Catalogue) -> list[str]:
+    """What was measured, in a few lines: pictures, overlap, and c of each camera."""
+    quick, flown = made.together.quick, made.together.flown
     readable = sum(look.facts is not None for look in made.looks)
-    joined = "" if made.quick is None else say("debrief.joined", n=made.quick.joined)
-    lines.append(say("debrief.pictures", n=readable, all=len(made.looks)) + joined)
-    for own in () if made.quick is None else made.quick.cameras:
+    joined = "" if quick is None else say("debrief.joined", n=quick.joined)
+    lines = [say("debrief.pictures", n=readable, all=len(made.looks)) + joined]
+    if flown is not None and len(overlap := 100.0 * _overlap(flown)):
+        lines.append(say("debrief.overlap", median=np.median(overlap), least=overlap.min()))
+    for own in () if quick is None else quick.cameras:
         if own["released"] is not None:
             c, sigma = own["released"]["c"], own["released"]["sigma"]
             lines.append(say("debrief.camera", camera=own["camera"], c=c, sigma=sigma, unit=own["unit"]))
-    return "\n".join(lines)
+    return lines
+
+
+def _overlap(flown: Coverage) -> Floats:
+    """Shares of good pictures that the next one of their strip shows, too."""
+    return flown.block.forward[np.isfinite(flown.block.forward)]

@@ -370,8 +370,13 @@ def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
 
 
 def _freed(adjusted: Adjusted) -> Solution | None:
+    # Where nobody knows the lens, nobody knows its principal point: held at the middle it takes c along, by
+    # ten times what c would then be said to be uncertain by.
     network = adjusted.assembly.network
-    cameras = tuple(replace(camera, estimated=camera.estimated | among("c")) for camera in network.cameras)
+    cameras = tuple(
+        replace(camera, estimated=camera.estimated | among("c", *(("x0", "y0") if camera.free else ())))
+        for camera in network.cameras
+    )
     try:
         return adjust(replace(network, cameras=cameras))
     except PhotocalError:

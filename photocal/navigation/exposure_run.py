@@ -144,6 +144,14 @@ def place_exposures(
     return _judged(choices, flight, events, others, antenna, later, trajectory, cameras, ppk)
 
 
+def exposures_of_pictures(images: list[ImageMetadata]) -> ExposureRun:
+    """Exposures of images that are their own events, at the positions that they state, without any log.
+
+    raises ConfigurationError: when none states a position, or one no time.
+    """
+    return _without_events(Choices(Sources()), _Flight({}, None, None, images))
+
+
 def _exposures(
     choices: Choices, flight: _Flight, events: Events, trajectory: Trajectory | None, names: list[str]
 ) -> Exposures:

@@ -50,7 +50,11 @@ def read_images(source: Path) -> list[ImageMetadata]:
 
 def read_image(path: Path) -> ImageMetadata:
     """Read the metadata of one image, see `read_images`."""
-    facts = read_facts(path)
+    return image_of(path, read_facts(path))
+
+
+def image_of(path: Path, facts: ImageFacts) -> ImageMetadata:
+    """Metadata of an image that was read."""
     camera = " ".join(part for part in (facts.make, facts.model, facts.serial) if part) or "unknown"
     if facts.taken:
         found = _parsed(facts.taken)

@@ -130,9 +130,9 @@ def flood(pattern: bytes, rate_mb_s: float, *, killed: bool) -> Flooded:
         arguments = [str(ports[0]), str(rate_mb_s * 1e6), pattern.hex()]
         sender = running.enter_context(subprocess.Popen([sys.executable, "-c", SENDER, *arguments]))
         running.callback(sender.kill)
-        sent = _send(ports[1:], FLOOD_S / 4)
+        sent = send_numbered(ports[1:], FLOOD_S / 4)
         early_mb = _memory_mb(recorder.process.pid)
-        sent += _send(ports[1:], FLOOD_S, len(sent))
+        sent += send_numbered(ports[1:], FLOOD_S, len(sent))
         grown_mb = _memory_mb(recorder.process.pid) - early_mb
         ended = time.monotonic()
         if killed:
@@ -149,7 +149,7 @@ def flood(pattern: bytes, rate_mb_s: float, *, killed: bool) -> Flooded:
     return Flooded(lost_s, 4 * len(sent), len(lost), stop_s, grown_mb)
 
 
-def _send(ports: list[int], for_s: float, first: int = 0) -> list[tuple[float, bytes]]:
+def send_numbered(ports: list[int], for_s: float, first: int = 0) -> list[tuple[float, bytes]]:
     sent: list[tuple[float, bytes]] = []
     begin = time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:

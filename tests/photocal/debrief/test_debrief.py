@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,6 @@ import pytest
 from PIL import Image, ImageFilter
 
 from acquire.console import progress
-from acquire.importing.importer import import_recordings
-from acquire.simulate.world.configuration import FLIGHTS, read_configuration
-from acquire.simulate.world.site import simulate_flight
 from photocal.debrief import pictures
 from photocal.debrief.verdict import Debrief, debrief, debrief_json
 from photocal.exchange.pinhole import Pinhole, from_pinhole
@@ -24,36 +21,9 @@ from photocal.geometry.camera import Camera
 from photocal.measurement import match_images
 from photocal.project import read_project
 from tests.conftest import needs_engine
+from tests.photocal.debrief.conftest import FOCAL, SIZE, fly, import_log
 
-SIZE, FOCAL = (640, 480), 471.4
-LENS = {"size_px": SIZE, "pitch_mm": 0.01872, "fx": FOCAL, "fy": FOCAL, "cx": 321.4, "cy": 238.1}
 _FOCAL_MM, _EXIF, _SERIAL, _TAKEN, _BOTH = 0x920A, 0x8769, 0xA431, 0x9003, 0x9004
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What is kept of pictures and pairs is kept for these tests alone."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Site of a flight of ten pictures in two strips."""
-    folder = tmp_path_factory.mktemp("flight")
-    known = read_configuration(FLIGHTS / "small.toml").camera.model_dump(exclude_unset=True)
-    given = read_configuration(FLIGHTS / "small.toml", {"camera": {**known, **LENS}})
-    simulate_flight(given, folder, lambda _: None)
-    site = folder / "site"
-    _import(site, ("vehicle", "rover", "base"))
-    return site
-
-
-def _import(site: Path, links: tuple[str, ...]) -> None:
-    (site / "flight.mcap").unlink(missing_ok=True)
-    found = [(link, path) for link in links for path in site.glob(f"{link}.*")]
-    import_recordings(found, [], site / "flight.mcap", lambda _: None)
 
 
 @pytest.fixture
@@ -193,7 +163,16 @@ def test_a_base_that_did_not_run_and_telemetry_that_ended_are_named(site: Path) 
     needs_engine()
     log = next(site.glob("vehicle.*"))
     log.write_bytes(log.read_bytes()[: int(0.6 * log.stat().st_size)])
-    _import(site, ("vehicle", "rover"))
+    import_log(site, ("vehicle", "rover"))
     found = codes(judged(site))
     assert "no-ppk" in found
     assert found & {"telemetry-gap", "exposure-not-placed"}
+
+
+def test_float_positions_are_named(tmp_path: Path) -> None:
+    """Cycle slips every few seconds leave ambiguities that are not fixed."""
+    needs_engine()
+    made = judged(fly(tmp_path, faults=["cycle_slips"], fault_sizes={"slips_per_hour": 720.0}))
+    (found,) = [one for one in made.findings if one.code == "positions-not-fixed"]
+    assert found.figures["float"] + found.figures["single"] > 0.33 * found.figures["all"]
+    assert made.verdict.code == "fly-again"

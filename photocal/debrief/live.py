@@ -1,0 +1,203 @@
+"""The debrief in flight: pictures are judged as they come into a folder from a camera or a picture link."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from acquire.operating_system import cache_folder
+from acquire.outputs import output_file, write_json
+from drivers.errors import PhotocalError
+from photocal.debrief.pictures import QUICK, Look, look, picture_findings
+from photocal.debrief.verdict import (
+    AGAIN,
+    FILE,
+    LOOK,
+    Debrief,
+    Together,
+    debrief_json,
+    in_order,
+    judged_together,
+)
+from photocal.findings.finding import Finding
+from photocal.geometry.camera import Camera
+from photocal.measurement.image_file import list_images
+from photocal.measurement.match_images import MatchingPlan
+from photocal.navigation.exposure_run import ExposureRun, exposures_of_pictures
+from photocal.navigation.image_metadata import image_of
+from photocal.navigation.rig import Rig
+from photocal.project import Project
+from photocal.run.stage import alone
+
+# How often the folder is looked into. A file that has the same size and time twice is at rest.
+_POLL_S = 0.5
+# A picture that cannot be read may still be on its way when it was written to so lately.
+_PATIENCE_S = 10.0
+# Fewer pictures are not oriented: the first ones of a flight say nothing together.
+_FEWEST = 6
+# The recorder goes first.
+_NICE = 10
+
+_Rest = tuple[int, int]
+
+
+@dataclass
+class _Folder:
+    """Which pictures lie in a folder, and which of them are at rest."""
+
+    path: Path
+    seen: dict[Path, tuple[_Rest, float]] = field(default_factory=dict)
+    taken: dict[Path, _Rest] = field(default_factory=dict)
+
+    def at_rest(self) -> Iterator[tuple[Path, float]]:
+        """Give each picture once when it is at rest, and again when it was written anew, and since when."""
+        seen = {}
+        for path, rest in self._states():
+            before, since = self.seen.get(path, (None, 0.0))
+            seen[path] = (rest, since if rest == before else time.monotonic())
+            if rest == before and rest != self.taken.get(path):
+                self.taken[path] = rest
+                yield path, since
+        self.seen = seen
+
+    def waiting(self) -> int:
+        """Pictures that are not at rest."""
+        return sum(self.taken.get(path) != rest for path, (rest, _) in self.seen.items())
+
+    def _states(self) -> Iterator[tuple[Path, _Rest]]:
+        try:
+            paths = list_images(self.path)
+        except PhotocalError:
+            # Empty, not there yet, or a card that was pulled out: what was judged stays.
+            return
+        for path in paths:
+            try:
+                facts = path.stat()
+            except OSError:
+                continue
+            if facts.st_size:
+                yield path, (facts.st_size, facts.st_mtime_ns)
+
+
+def follow(
+    project: Project,
+    workers: int,
+    stop: threading.Event,
+    told: Callable[[Debrief], None],
+    last: Sequence[Camera] = (),
+) -> Debrief:
+    """Judge the pictures of a project as they come, until `stop`; each is looked at once.
+
+    The verdict so far is written whenever it changes. Positions are those that the pictures state: the log is
+    still being recorded. What all say together is judged anew in the background, and rests as long as that
+    took, so that it never takes more than half of a core.
+
+    told: takes each verdict.
+    last: of the last certificate, to hold the first calibration against.
+    """
+    with alone(project.output), _gently(workers) as (lookers, judge):
+        plan, folder = MatchingPlan(cache_folder(), 1, QUICK), _Folder(project.picture_folder)
+        looks, lag_s, oriented, not_before = dict[Path, Look](), 0.0, 0, 0.0
+        pending = dict[Future[Look], tuple[Path, float]]()
+        judging: Future[tuple[Together, ExposureRun | None, float]] | None = None
+        together, run = Together(), None
+        made, changed = _so_far({}, run, together, 0), True
+        while True:
+            for path, since in folder.at_rest():
+                pending[lookers.submit(look, (path, plan))] = (path, since)
+            for future in [one for one in pending if one.done()]:
+                path, since = pending.pop(future)
+                found = future.result()
+                if found.facts is None and _lately(path):
+                    folder.taken.pop(path)
+                    continue
+                looks[path], lag_s, changed = found, time.monotonic() - since, True
+            if judging is not None and judging.done():
+                together, run, took_s = judging.result()
+                judging, not_before, changed = None, time.monotonic() + took_s, True
+            enough = len(looks) >= _FEWEST and len(looks) > oriented and time.monotonic() >= not_before
+            if judging is None and enough and not stop.is_set():
+                oriented = len(looks)
+                judging = judge.submit(_together, _ordered(looks), last, plan, stop)
+            if changed:
+                made, changed = _so_far(looks, run, together, folder.waiting() + len(pending)), False
+                live = {"waiting": int(made.verdict.figures["waiting"]), "lag_s": lag_s}
+                with output_file(project.output / FILE) as aside:
+                    write_json(aside, {**debrief_json(made), "live": live})
+                told(made)
+            if stop.wait(_POLL_S):
+                return made
+
+
+@contextmanager
+def _gently(workers: int) -> Iterator[tuple[ThreadPoolExecutor, ThreadPoolExecutor]]:
+    """Threads that look and one that judges, behind whatever else the computer does."""
+    import cv2
+
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    if hasattr(os, "nice"):
+        os.nice(_NICE)
+    lookers, judge = ThreadPoolExecutor(workers), ThreadPoolExecutor(1)
+    try:
+        yield lookers, judge
+    finally:
+        for pool in (lookers, judge):
+            pool.shutdown(wait=False, cancel_futures=True)
+        cv2.setNumThreads(threads)
+
+
+def _lately(path: Path) -> bool:
+    try:
+        return time.time() - path.stat().st_mtime < _PATIENCE_S
+    except OSError:
+        return False
+
+
+def _ordered(looks: dict[Path, Look]) -> list[Look]:
+    return [looks[path] for path in sorted(looks, key=lambda path: path.name)]
+
+
+class _StoppedError(Exception):
+    """The debrief was ended while pictures were matched."""
+
+
+def _together(
+    looks: Sequence[Look], last: Sequence[Camera], plan: MatchingPlan, stop: threading.Event
+) -> tuple[Together, ExposureRun | None, float]:
+    """What pictures say together, their exposures, and how long that took, s."""
+
+    @contextmanager
+    def until_stopped(_: str, __: float | None) -> Iterator[Callable[[float], None]]:
+        def done(_: float) -> None:
+            if stop.is_set():
+                raise _StoppedError
+
+        yield done
+
+    begun = time.monotonic()
+    try:
+        run = exposures_of_pictures([image_of(one.path, one.facts) for one in looks if one.facts is not None])
+    except PhotocalError:
+        run = None
+    together = judged_together(looks, run, Rig(), last, plan, until_stopped)
+    return together, run, time.monotonic() - begun
+
+
+def _so_far(looks: dict[Path, Look], run: ExposureRun | None, together: Together, waiting: int) -> Debrief:
+    ordered = _ordered(looks)
+    findings = in_order([*picture_findings(ordered), *together.findings])
+    figures = {
+        "n": float(len(looks)),
+        "waiting": float(waiting),
+        "again": float(sum(one.severity in AGAIN for one in findings)),
+        "look": float(sum(one.severity in LOOK for one in findings)),
+    }
+    verdict = Finding("flight-so-far", "note", figures=figures)
+    return Debrief(verdict, tuple(findings), tuple(ordered), run, together)

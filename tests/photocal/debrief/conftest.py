@@ -1,0 +1,45 @@
+"""A flight of ten small pictures with its logs, simulated once for the tests of the debrief."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from acquire.importing.importer import import_recordings
+from acquire.simulate.world.configuration import FLIGHTS, read_configuration
+from acquire.simulate.world.site import simulate_flight
+
+SIZE, FOCAL = (640, 480), 471.4
+LENS = {"size_px": SIZE, "pitch_mm": 0.01872, "fx": FOCAL, "fy": FOCAL, "cx": 321.4, "cy": 238.1}
+
+
+@pytest.fixture(scope="package", autouse=True)
+def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What is kept of pictures and pairs is kept for these tests alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="package")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Site of a flight of ten pictures in two strips."""
+    return fly(tmp_path_factory.mktemp("flight"))
+
+
+def fly(folder: Path, **changed: object) -> Path:
+    """Simulate the flight and import its log."""
+    known = read_configuration(FLIGHTS / "small.toml").camera.model_dump(exclude_unset=True)
+    given = read_configuration(FLIGHTS / "small.toml", {"camera": {**known, **LENS}, **changed})
+    simulate_flight(given, folder, lambda _: None)
+    site = folder / "site"
+    import_log(site, ("vehicle", "rover", "base"))
+    return site
+
+
+def import_log(site: Path, links: tuple[str, ...]) -> None:
+    (site / "flight.mcap").unlink(missing_ok=True)
+    found = [(link, path) for link in links for path in site.glob(f"{link}.*")]
+    import_recordings(found, [], site / "flight.mcap", lambda _: None)
