@@ -93,13 +93,8 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
         do not fit.
     """
     place, lens = f"{where}, camera {keys.id}", MODELS[keys.model]
-    for section, names in (
-        ("parameters", list(keys.parameters)),
-        ("estimate", list(keys.estimate)),
-        ("prior_sigma", list(keys.prior_sigma)),
-        ("photo_variant", list(keys.photo_variant)),
-    ):
-        unknown = [name for name in names if name not in lens.names]
+    for section in ("parameters", "estimate", "prior_sigma", "photo_variant"):
+        unknown = [name for name in getattr(keys, section) if name not in lens.names]
         if unknown:
             raise ConfigurationError(
                 f"{section} names {unknown[0]}, which is no camera parameter of {keys.model}",

@@ -331,17 +331,9 @@ def _images(check: BlockCheck) -> str:
 def _systematic_csv(check: BlockCheck) -> str:
     header = ["group", "name", "unit", "correction", "value", "sigma", "t", "f", "critical", "significant"]
     rows: list[list[object]] = []
-    for hypothesis in check.systematic.tested if check.systematic else ():
-        rows += [
-            [
-                hypothesis.name,
-                *(getattr(e, key) for key in header[1:7]),
-                hypothesis.f,
-                hypothesis.critical,
-                hypothesis.significant,
-            ]
-            for e in hypothesis.estimates
-        ]
+    for tested in check.systematic.tested if check.systematic else ():
+        judged = (tested.f, tested.critical, tested.significant)
+        rows += [[tested.name, *(getattr(e, key) for key in header[1:7]), *judged] for e in tested.estimates]
     return rows_text(header, rows)
 
 

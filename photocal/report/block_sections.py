@@ -209,14 +209,8 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
     rmse = (say.fixed(1e3 * (checks.rmse_m[axis] or 0.0), decimals) for axis in "xyz")
     rows.append((say("checks.rmse"), *rmse, *[""] * 6))
     note = say("checks.note", n=checks.n) + (say("checks.scaled") if factor else "")
-    return Section(
-        title,
-        (
-            Table(say("checks.table"), shown, tuple(rows), note, dense=True),
-            *lengths,
-            *_check_figures(run, say),
-        ),
-    )
+    table = Table(say("checks.table"), shown, tuple(rows), note, dense=True)
+    return Section(title, (table, *lengths, *_check_figures(run, say)))
 
 
 def _check_lengths(run: Run, say: Catalogue) -> Table:
@@ -289,14 +283,9 @@ def percent(probability: float, say: Catalogue) -> str:
 def inputs(title: str, run: Run, say: Catalogue) -> Section:
     """List the software and every file with its SHA-256."""
     software = run.result.software
-    return Section(
-        title,
-        (
-            Paragraph(say("inputs.text", software=software.name, version=software.version)),
-            _files(say("inputs.table"), run.result.inputs, say),
-            _files(say("inputs.results"), run.files, say),
-        ),
-    )
+    text = Paragraph(say("inputs.text", software=software.name, version=software.version))
+    given = _files(say("inputs.table"), run.result.inputs, say)
+    return Section(title, (text, given, _files(say("inputs.results"), run.files, say)))
 
 
 def _files(caption: str, files: tuple[InputFile, ...], say: Catalogue) -> Table:

@@ -169,21 +169,10 @@ def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Secti
         for i, row in enumerate(correlation.tolist())
     )
     svg = correlation_picture(camera, say)
-    picture = Figure(
-        f"correlation-{name}",
-        say("correlation.figure"),
-        say("correlation.alternative"),
-        svg,
-        width=natural_width(svg),
-    )
-    return Section(
-        title,
-        (
-            Table(say("correlation.table"), shown, rows, dense=len(heads) > 9),
-            Paragraph(_strong(camera, say)),
-            picture,
-        ),
-    )
+    texts = say("correlation.figure"), say("correlation.alternative")
+    picture = Figure(f"correlation-{name}", *texts, svg, width=natural_width(svg))
+    table = Table(say("correlation.table"), shown, rows, dense=len(heads) > 9)
+    return Section(title, (table, Paragraph(_strong(camera, say)), picture))
 
 
 def _strong(camera: Camera, say: Catalogue) -> str:

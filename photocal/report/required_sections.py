@@ -223,14 +223,10 @@ def technical_report(title: str, context: Context) -> Section:
         label = row.labels[say.language] + (f" [{row.unit}]" if row.unit else "")
         rows.append((item, label, entry.value, say(f"ministry.origin_{entry.origin}")))
     corner_heads = columns(say, "ministry", "corner<", "column [px]", "line [px]", "x [mm]", "y [mm]")
-    return Section(
-        title,
-        (
-            Paragraph(say("ministry.text")),
-            Table(say("ministry.table"), heads, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14)),
-            Table(say("ministry.corner_table"), corner_heads, corners(context), say("ministry.corner_note")),
-        ),
-    )
+    table = Table(say("ministry.table"), heads, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14))
+    note = say("ministry.corner_note")
+    of_corners = Table(say("ministry.corner_table"), corner_heads, corners(context), note)
+    return Section(title, (Paragraph(say("ministry.text")), table, of_corners))
 
 
 def signature(title: str, particulars: Metadata, say: Catalogue) -> Section:
