@@ -91,13 +91,8 @@ def decide(product: Sample, limit: ClassLimit, share_required: float, confidence
         else ()
     )
     share = None if product.lengths_m is None else float(np.mean(product.lengths_m <= limit.pec_m))
-    return ClassDecision(
-        limit,
-        precision,
-        product.rmse_m <= limit.ep_m,
-        share,
-        None if share is None else share >= share_required - 1e-9,
-    )
+    passes = None if share is None else share >= share_required - 1e-9
+    return ClassDecision(limit, precision, product.rmse_m <= limit.ep_m, share, passes)
 
 
 def admitted_size(

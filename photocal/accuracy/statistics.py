@@ -93,12 +93,8 @@ def moments(values_m: Floats) -> Moments:
 def spread(values_m: Floats) -> Spread:
     """Compute extremes, median and the robust standard deviation of one component."""
     median = float(np.median(values_m))
-    return Spread(
-        float(np.min(values_m)),
-        float(np.max(values_m)),
-        median,
-        _MAD_TO_STD * float(np.median(np.abs(values_m - median))),
-    )
+    nmad = _MAD_TO_STD * float(np.median(np.abs(values_m - median)))
+    return Spread(float(np.min(values_m)), float(np.max(values_m)), median, nmad)
 
 
 def lengths(vectors_m: Floats) -> Floats:
@@ -113,12 +109,8 @@ def length_statistics(lengths_m: Floats) -> LengthStatistics:
     Silva (tank survey, equation 5) defines Rxyz as the root mean square but prints the mean of the
     lengths, so both are given and named.
     """
-    return LengthStatistics(
-        len(lengths_m),
-        float(np.mean(lengths_m)),
-        math.sqrt(float(np.mean(np.square(lengths_m)))),
-        float(np.max(lengths_m)),
-    )
+    rms = math.sqrt(float(np.mean(np.square(lengths_m))))
+    return LengthStatistics(len(lengths_m), float(np.mean(lengths_m)), rms, float(np.max(lengths_m)))
 
 
 def combined_rmse(*components: Moments) -> float:

@@ -31,14 +31,8 @@ def _network() -> Network:
     lens = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}, estimate=("c",))
     rays = Rays(image, point, plane, np.full(plane.shape, 0.01))
     names = tuple(str(j) for j in range(16))
-    return Network(
-        (lens,),
-        Exposures(np.zeros(2, np.int64), values, sigma),
-        Points(grid, held, weight),
-        rays,
-        ("a", "b"),
-        names,
-    )
+    exposures = Exposures(np.zeros(2, np.int64), values, sigma)
+    return Network((lens,), exposures, Points(grid, held, weight), rays, ("a", "b"), names)
 
 
 def compile_usual() -> None:

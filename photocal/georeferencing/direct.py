@@ -205,10 +205,5 @@ def moved_rays(block: Block, orientation: DirectOrientation) -> MovedRays:
     pixels = observed_pixels(block)
     rotation, centre = views.at_lines(image, pixels)
     late = views.late(image, pixels)
-    return MovedRays(
-        rotation,
-        centre,
-        late,
-        np.hstack([turned(motion[image], late[:, None]), late[:, None] * motion[image][:, :3]]),
-        (sigma * np.abs(readout))[:, np.r_[3:6, :3]],
-    )
+    by_readout = np.hstack([turned(motion[image], late[:, None]), late[:, None] * motion[image][:, :3]])
+    return MovedRays(rotation, centre, late, by_readout, (sigma * np.abs(readout))[:, np.r_[3:6, :3]])

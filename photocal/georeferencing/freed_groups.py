@@ -93,12 +93,8 @@ def separation(block: Block) -> Separation | None:
                 scale.append(float(own.prior_sigma[k]))
     covariance = blocks(np.array([columns]), problem.structure, inverse)[0]
     deviation = np.sqrt(np.diag(covariance))
-    return Separation(
-        tuple(names),
-        deviation,
-        covariance / np.outer(deviation, deviation),
-        _groups(tuple(names), covariance / np.outer(scale, scale)),
-    )
+    groups = _groups(tuple(names), covariance / np.outer(scale, scale))
+    return Separation(tuple(names), deviation, covariance / np.outer(deviation, deviation), groups)
 
 
 def _scales(camera: Camera) -> Floats:

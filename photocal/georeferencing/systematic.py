@@ -256,14 +256,8 @@ def systematic_errors(
         if one.frees and not of_camera(one) and left_free(block, one)
         for e in estimates_of(block, block, _shared(first), one)
     )
-    return SystematicErrors(
-        alone,
-        errors,
-        search.together(accepted),
-        tuple(f"{name}: {reason}" for name, reason in search.refused.items()),
-        own,
-        tuple(sigmas),
-    )
+    untested = tuple(f"{name}: {reason}" for name, reason in search.refused.items())
+    return SystematicErrors(alone, errors, search.together(accepted), untested, own, tuple(sigmas))
 
 
 class _Search:

@@ -100,14 +100,8 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
     sigma[:, 3:] = position_sigma(facts)
     sigma[np.isnan(places).any(axis=1)] = np.inf
     enough = np.isfinite(places).all(axis=1).sum() >= FEWEST_POSITIONS
-    return Block(
-        name,
-        "local",
-        "",
-        "control" if enough else "free",
-        tuple(cameras),
-        Images(tuple(f.name for f in facts), member, poses, sigma, time=clock_seconds(facts)),
-    )
+    images = Images(tuple(f.name for f in facts), member, poses, sigma, time=clock_seconds(facts))
+    return Block(name, "local", "", "control" if enough else "free", tuple(cameras), images)
 
 
 def position_sigma(

@@ -165,12 +165,8 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
     one = np.ones(len(sigma))
     correlation = np.moveaxis(np.array([[one, xy, xz], [xy, one, yz], [xz, yz, one]]), -1, 0)
     covariance = np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
-    refuse(
-        table,
-        np.asarray(np.linalg.eigvalsh(covariance)[:, 0] <= 0),
-        "the correlations are impossible",
-        "correct rXY, rXZ, rYZ",
-    )
+    impossible = np.asarray(np.linalg.eigvalsh(covariance)[:, 0] <= 0)
+    refuse(table, impossible, "the correlations are impossible", "correct rXY, rXZ, rYZ")
     section, names = table.names("section")
     point, points = table.names("point")
     pair = section * len(points) + point
@@ -236,13 +232,8 @@ def _section(points: RingPoints, name: str) -> Section:
     together = np.einsum("ni,ni->", circle.adjusted.influence[2], covariance[:, :2, 2]) / count
     of_height = covariance[:, 2, 2].sum() / count**2
     members = tuple(point for point, row in zip(points.point, rows, strict=True) if row)
-    return Section(
-        name,
-        members,
-        circle,
-        float(values[:, 2].mean()),
-        np.array([[circle.covariance[2, 2], together], [together, of_height]]),
-    )
+    of_both = np.array([[circle.covariance[2, 2], together], [together, of_height]])
+    return Section(name, members, circle, float(values[:, 2].mean()), of_both)
 
 
 def _cylinder(points: RingPoints) -> Cylinder | None:

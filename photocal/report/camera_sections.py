@@ -250,12 +250,8 @@ def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalo
     if len(vectors.place) < rays:
         caption = say("residuals.figure_cells", rays=rays, cells=len(vectors.place))
     x, y = (say.fixed(v, 3) for v in rms_px(residuals))
-    figure = Figure(
-        f"residuals-{name}",
-        caption,
-        say("residuals.alternative", rays=rays, x=x, y=y),
-        residual_map(camera, vectors, say),
-    )
+    alternative = say("residuals.alternative", rays=rays, x=x, y=y)
+    figure = Figure(f"residuals-{name}", caption, alternative, residual_map(camera, vectors, say))
     pieces: list[Piece] = [figure]
     if rays:
         pieces.append(Paragraph(_largest(run, camera_id, residuals, say)))

@@ -228,13 +228,8 @@ def take_notes(world: World, coordinates: Floats) -> FieldBook:
     arm = np.array(given.rig.camera_to_antenna_m)
     if world.has(Fault.LEVER_ARM_AXIS):
         arm = arm[[2, 1, 0]]
-    return FieldBook(
-        tuple((x, y, z) for x, y, z in texts),
-        base,
-        given.gnss.base_antenna_height_m - world.antenna_height_error_m,
-        arm,
-        mistyped,
-    )
+    antenna_height_m = given.gnss.base_antenna_height_m - world.antenna_height_error_m
+    return FieldBook(tuple((x, y, z) for x, y, z in texts), base, antenna_height_m, arm, mistyped)
 
 
 def _swapped(texts: tuple[str, ...]) -> tuple[str, ...]:

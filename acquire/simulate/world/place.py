@@ -36,12 +36,8 @@ class Place:
     @classmethod
     def of(cls, given: configuration.Place) -> Self:
         """Make the frame of a configuration."""
-        return cls(
-            float(np.radians(given.latitude_deg)),
-            float(np.radians(given.longitude_deg)),
-            given.height_m,
-            given.crs,
-        )
+        latitude, longitude = np.radians([given.latitude_deg, given.longitude_deg]).tolist()
+        return cls(latitude, longitude, given.height_m, given.crs)
 
     @cached_property
     def axes(self) -> Floats:
