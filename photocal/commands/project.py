@@ -132,7 +132,7 @@ def debrief(
         from acquire.operating_system import stopped_by_signals
         from photocal.debrief.live import follow
 
-        def told(so_far: Debrief) -> None:
+        def told(so_far: "Debrief") -> None:
             typer.echo(finding_text(so_far.verdict, say), err=True)
 
         made = follow(known, crew, stopped_by_signals(), told, last)
