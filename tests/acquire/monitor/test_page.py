@@ -12,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
@@ -109,10 +110,17 @@ def test_a_debrief_stands_on_the_page_as_soon_as_it_is_written(page: Page, folde
         {"severity": "grave", "text": "Strip 4: <b>fly</b> it again."},
         {"severity": "passed", "text": "c is as in the last certificate."},
     ]
-    content = {"verdict": {"text": "Do not leave."}, "findings": findings}
+    content: dict[str, Any] = {"verdict": {"text": "Do not leave."}, "findings": findings}
     (folder / "debrief.json").write_text(json.dumps(content), encoding="utf-8")
     expect(box.locator("p")).to_have_text("Do not leave.")
     expect(box.locator("li")).to_have_text(["Strip 4: <b>fly</b> it again."])
+    # In flight: what was measured so far, and pictures that were reported and have not come.
+    content |= {"summary": ["c 3654.5 ± 1.8 px"], "pictures": [], "live": {"waiting": 0}}
+    (folder / "debrief.json").write_text(json.dumps(content), encoding="utf-8")
+    expect(box.locator(".summary li").last).to_have_text("c 3654.5 ± 1.8 px")
+    expect(box.locator(".summary li").first).to_have_text(
+        re.compile("0 of [1-9][0-9]* reported pictures have come")
+    )
     (folder / "debrief.json").unlink()
     expect(box).to_be_hidden()
 

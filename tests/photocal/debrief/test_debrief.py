@@ -169,6 +169,7 @@ def test_a_base_that_did_not_run_and_telemetry_that_ended_are_named(site: Path) 
     assert found & {"telemetry-gap", "exposure-not-placed"}
 
 
+@pytest.mark.slow
 def test_float_positions_are_named(tmp_path: Path) -> None:
     """Cycle slips every few seconds leave ambiguities that are not fixed."""
     needs_engine()
