@@ -13,7 +13,7 @@ from acquire.simulate.world.motion import Waves, make_waves
 from photocal.adjustment.mounting import COMMON, NADIR, Attitudes, Mounting, Positions
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
 from photocal.adjustment.solution import Solution
-from photocal.block.motion import velocity_of_neighbours
+from photocal.block.motion import expected_rates, velocity_of_neighbours
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -214,6 +214,8 @@ def case(
     if name == "attitudes":
         motion = np.hstack([truth.velocity, truth.rate]) + rng.normal(0, OF_FLIGHT, (images, 6))
         sigma = np.tile(OF_FLIGHT, (images, 1))
+        # As a block takes them: along rates that were observed a readout comes out too short.
+        motion[:, 3:], sigma[:, 3:] = expected_rates(motion[:, 3:], sigma[:, 3:], np.full(images, GUST[3]))
     else:
         known = network.exposures.values[:, 3:] if name == "pictures" else network.positions.values
         velocity, unsteady = velocity_of_neighbours(network.exposures.camera, truth.time, known)
