@@ -112,7 +112,9 @@ class _Lines:
         line = f"{self._title}: {elapsed:.0f} s"
         if self._total and self._done:
             left = elapsed * (self._total / self._done - 1)
-            line = f"{self._title}: {self._done / self._total:.0%}, {max(left, 0):.0f} s left"
+            # What is not yet done is told neither as whole nor as without time left.
+            share = math.floor(100 * self._done / self._total)
+            line = f"{self._title}: {share}%, {math.ceil(max(left, 0))} s left"
         print(line, file=sys.stderr, flush=True)
 
 
