@@ -4,6 +4,7 @@ The shape of a block comes from its rays; what images say of their positions, wh
 metres, only places it. So a wrong position bends nothing and can be told from the others.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,9 @@ LEVEL = 0.2
 # than was assumed.
 WRONG_POSITION, WORSE_POSITIONS = 6.0, 2.0
 OF_POSITIONS = ("position-off", "positions-worse")
+# Cosine of the angle to within which recorded directions and pictures agree; of so many of them, or the
+# record is none of the pictures. A picture whose upper edge points to the sky has no direction.
+SAME_WAY, MOST, UPRIGHT = 0.87, 0.9, 0.3
 # Median of what positions of the stated sigmas miss by, over these.
 USUAL_RATIO = 0.89
 # Images of a model that is joined to another by positions alone, and how well these turn it (rad).
@@ -254,6 +258,32 @@ def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[F
         sigma[:, 3:] *= factor
     sigma[np.flatnonzero(observed)[wrong], 3:] = np.inf
     return sigma, shift, findings
+
+
+def pictures_turned(names: Sequence[str], values: Floats, gimbal: Floats) -> list[Finding]:
+    """Name pictures that are stored turned by half a turn against the direction recorded with them.
+
+    Who turns a picture afterwards turns its principal point and its readout, too.
+
+    values (images, 6): exterior orientations.
+    gimbal (images, 3): recorded roll, pitch and yaw, rad; NaN where unknown.
+    """
+    # Beyond the nadir a gimbal may write a roll of half a turn, and the yaw from the other side.
+    heading = gimbal[:, 2] + np.where(np.abs(gimbal[:, 0]) > np.pi / 2, np.pi, 0.0)
+    up = matrix_from_angles(values[:, :3])[:, 1]
+    off = np.exp(1j * (np.arctan2(up[:, 0], up[:, 1]) - heading))
+    known = np.isfinite(off) & (np.hypot(up[:, 0], up[:, 1]) > UPRIGHT)
+    if known.sum() < FEWEST_JOINED:
+        return []
+    # Twice the angle is the same for both: the axis first, then the side where most of them are.
+    axis = np.exp(0.5j * np.angle(np.mean(off[known] ** 2)))
+    along = np.where(known, (off * axis.conjugate()).real, 0.0)
+    along *= np.sign(np.sum(np.sign(along))) or np.sign(axis.real)
+    turned = along < -SAME_WAY
+    if not turned.any() or np.mean(np.abs(along[known]) > SAME_WAY) < MOST:
+        return []
+    told = tuple(name for name, own in zip(names, turned, strict=True) if own)
+    return [Finding("pictures-turned", "doubtful", figures={"names": told, "count": len(told)})]
 
 
 def softened(images: Images, values: Floats, *, shifted: bool) -> Images:

@@ -31,7 +31,7 @@ from photocal.measurement.match_images import Footprints, MatchingPlan, footprin
 from photocal.measurement.measure_ties import Sighted, position_figures, sight, stated_footprints, tie_record
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, figures, orient_ties
-from photocal.measurement.placing import OF_POSITIONS, position_sigmas
+from photocal.measurement.placing import OF_POSITIONS, pictures_turned, position_sigmas
 from photocal.measurement.plain_targets import targets_of_project
 from photocal.measurement.position_files import Given, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
@@ -134,6 +134,10 @@ def measure_project(
         more += chosen
     suspects = suspected_marks(released, control)
     measured, of_positions = _restored(oriented.adjusted, released, block)
+    if starts is None:
+        gimbal = {facts.name: facts.gimbal_deg for facts in sighted.facts}
+        recorded = np.radians([gimbal[name] for name in measured.images.names])
+        more += pictures_turned(measured.images.names, released.values, recorded)
     record = {
         **tie_record(sighted, oriented),
         "kind": "project",
