@@ -102,7 +102,8 @@ def rolling_residual(
         else:
             ex, ey = image_residual(lenses, optics, k, x, y, qu, qv, qw, room)
         steps += 1
-        if steps == 2:
+        # Derivatives are those at a line that is still off by as much as images turn while it is found.
+        if steps == (3 if shakes else 2):
             break
         vx, vy = ex, ey
         s = min(max(lx * (x + vx) + ly * (y + vy), -1.0), 1.0)

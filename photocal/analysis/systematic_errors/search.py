@@ -226,7 +226,12 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
     amount, step, after = 0.0, worst.amount, before
     for _ in range(_STEPS):
         plane = before.network.rays.plane + (amount + step) * worst.candidate.displacement
-        trial = fit(with_measurements(before.network, plane), after.state)
+        try:
+            trial = fit(with_measurements(before.network, plane), after.state)
+        except (IllPosedError, NotConvergedError):
+            # What cannot be adjusted with a correction is not corrected so.
+            step /= 2.0
+            continue
         if trial.solution.chi_squared >= after.solution.chi_squared:
             step /= 2.0
             continue
