@@ -34,6 +34,9 @@ BORNE = 2.0
 # and of 30 ms, shares from 0.002 to 1 give the same outcomes.
 LENS_SHARE = 0.05
 _LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
+# What the sides of pixels may differ by, as a share: sensors have square ones, but pictures are resampled.
+# Lines that are read while the camera flies on look much like that.
+SQUARE = 5e-5
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,8 @@ def with_readouts(
 ) -> tuple[Network, Solution, tuple[Readout, ...]]:
     """Test the readout where the shutter is unknown, and let the sigmas of gusts follow estimated readouts.
 
+    It is tested beside a scale of y against x, which no network is free of: what that explains is no readout.
+
     A movement that departs from the given motion has that motion's sigma times the readout. With a readout
     of zero nothing departs, and the test of a global shutter is exact.
     """
@@ -76,11 +81,12 @@ def with_readouts(
     given = network, solution, ()
     try:
         if doubtful and network.exposures.motion is not None:
-            freed = _with(network, {k: _freed(network.cameras[k]) for k in doubtful})
-            tests = _tested(freed, solution, doubtful)
+            freed = {k: _freed(network.cameras[k]) for k in doubtful}
+            beside = {k: with_loose_sides(camera) for k, camera in freed.items()}
+            tests = _tested(_with(network, beside), solution, doubtful)
             # The test tells the readout well enough for the sigmas of gusts to begin with.
             known = {
-                k: _forward(freed.cameras[k].changed(readout=test.value))
+                k: _forward(freed[k].changed(readout=test.value))
                 for k, test in tests.items()
                 if test.p_value < SIGNIFICANCE
             }
@@ -152,7 +158,7 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
     What a wrong principal point does over a flight there and back is much like a readout.
     """
     doubtful = {
-        k: _with_loose_lens(_freed(camera))
+        k: with_loose_sides(_with_loose_lens(_freed(camera)))
         for k, camera in enumerate(network.cameras)
         if camera.shutter == "unknown" and not camera.rolling
     }
@@ -168,6 +174,16 @@ def _with_loose_lens(camera: Camera) -> Camera:
     for k in _LENS:
         if not estimated[k]:
             estimated[k], sigma[k] = True, LENS_SHARE * camera.value("c")
+    return replace(camera, estimated=estimated, prior_sigma=sigma)
+
+
+def with_loose_sides(camera: Camera) -> Camera:
+    """Give a camera a scale of y against x as unknown, observed as one, if it has not."""
+    scale = PARAMETERS.index("B2" if camera.affinity_form == "tank" else "B1")
+    if camera.estimated[scale]:
+        return camera
+    estimated, sigma = camera.estimated.copy(), camera.prior_sigma.copy()
+    estimated[scale], sigma[scale] = True, SQUARE
     return replace(camera, estimated=estimated, prior_sigma=sigma)
 
 

@@ -1,12 +1,15 @@
-"""Which of Brown's two lenses a camera has, and with how many radial terms, where its pictures alone tell."""
+"""Which of Brown's two lenses a camera has, with which terms, where its pictures alone tell."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from drivers.arrays import Flags
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import minimum_of
+from photocal.adjustment.readout import with_loose_sides
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, Model, among
@@ -18,7 +21,8 @@ GAIN = 20.0
 # With an estimated readout the residuals say in the end whether they are smaller.
 NOT_WORSE = 1.001
 _MODELS: tuple[Model, ...] = ("brown-ideal", "brown-observed")
-_K4 = among("K4")
+_K4, _SCALE = among("K4"), among("B1", "B2")
+Chosen = tuple[Camera, dict[str, Figure]]
 _POLYNOMIALS = slice(PARAMETERS.index("K1"), PARAMETERS.index("P4") + 1)
 
 
@@ -33,20 +37,24 @@ def before_the_choice(held: Adjusted) -> Adjusted:
 def with_chosen_lenses(
     adjusted: Adjusted, block: Block, tracks: Tracks
 ) -> tuple[Adjusted, Block, list[Finding]]:
-    """Adjust with the lens that the rays prefer: `brown-ideal` or `brown-observed`, with or without K4.
+    """Adjust with the lens that the rays prefer: `brown-ideal` or `brown-observed`, more terms or not.
 
-    A camera whose coefficients are held, known beforehand or of another kind is left as it is. Shutters are
-    tested now.
+    These are K4, and a scale of y against x. A rolling shutter feigns that one: it is observed as one until
+    it pays beside a readout. Shutters are tested now. A camera whose coefficients are held, known beforehand
+    or of another kind is left as it is.
 
     adjusted: with the cameras of `block`, which are to get the lens, and without readouts not found so far.
     tracks: all that may fit; what one lens refuses may fit the other.
     """
     given, used = {camera.id: camera for camera in block.cameras}, adjusted.assembly.network.cameras
-    chosen = dict[str, tuple[Camera, dict[str, Figure]]]()
-    for place, own in enumerate(adjusted.start.cameras):
-        if _is_open(given[own.id]) and _is_open(used[place]) and (found := _preferred(adjusted, place)):
-            chosen[own.id] = found
-    for lenses in (chosen, {}):
+    choices = {
+        own.id: _preferred(adjusted, place)
+        for place, own in enumerate(adjusted.start.cameras)
+        if _is_open(given[own.id]) and _is_open(used[place])
+    }
+    # What a rolling shutter feigned is taken back: the scale first.
+    for nth in range(1 + max(map(len, choices.values()), default=0)):
+        lenses = {name: lens[nth] for name, lens in choices.items() if nth < len(lens)}
         cameras = [
             lenses[own.id][0] if own.id in lenses else own
             for own in (
@@ -71,7 +79,7 @@ def with_chosen_lenses(
         replace(
             camera,
             model=lenses[camera.id][0].model,
-            estimated=camera.estimated | (_K4 & lenses[camera.id][0].estimated),
+            estimated=camera.estimated | lenses[camera.id][0].estimated & (_K4 | _SCALE),
         )
         if camera.id in lenses
         else camera
@@ -92,8 +100,8 @@ def _is_open(camera: Camera) -> bool:
     return bool(plain and (free & lens).any() and not (lens & ~free & (camera.values != 0.0)).any())
 
 
-def _preferred(adjusted: Adjusted, place: int) -> tuple[Camera, dict[str, Figure]] | None:
-    """The lens of least v'Pv, with what is to be said of it; None where it is the one that the camera has."""
+def _preferred(adjusted: Adjusted, place: int) -> list[Chosen]:
+    """Lenses of least v'Pv and what is to be said of them, with a scale and without; none that is the own."""
     cameras = without_readouts(adjusted.start.cameras, "global")
     own = cameras[place]
     with_k4 = own.estimated | _K4
@@ -110,21 +118,29 @@ def _preferred(adjusted: Adjusted, place: int) -> tuple[Camera, dict[str, Figure
             chi_squared, lens = _least(adjusted, (*cameras[:place], lens, *cameras[place + 1 :]), place)
         except (IllPosedError, NotConvergedError):
             if not fits:
-                return None
+                return []
             continue
         fits.append((chi_squared + _needed(lens, own), chi_squared, lens))
-    _, chi_squared, lens = min(fits, key=lambda fit: fit[0])
-    if lens.model == own.model and (lens.estimated == own.estimated).all():
-        return None
-    names = tuple(name for name in lens.free if name in lens.lens.terms)
-    given = fits[0][1]
-    return lens, {
-        "model": lens.model,
-        "names": names,
-        "given": own.model,
-        "found": given,
-        "fall": given - chi_squared,
-    }
+    given, best = fits[0][1], min(fits, key=lambda fit: fit[0])
+    found = [best[1:]] if best is not fits[0] else []
+    scaled = with_loose_sides(best[2])
+    with suppress(IllPosedError, NotConvergedError):
+        chi_squared, scaled = _least(adjusted, (*cameras[:place], scaled, *cameras[place + 1 :]), place)
+        if chi_squared + _needed(scaled, best[2]) < best[1]:
+            found.insert(0, (chi_squared, scaled))
+    return [
+        (
+            lens,
+            {
+                "model": lens.model,
+                "names": tuple(name for name in lens.free if name in (*lens.lens.terms, "B1", "B2")),
+                "given": own.model,
+                "found": given,
+                "fall": given - chi_squared,
+            },
+        )
+        for chi_squared, lens in found
+    ]
 
 
 def _needed(lens: Camera, given: Camera) -> float:
@@ -141,20 +157,31 @@ def _still_pays(better: Adjusted, before: Adjusted, name: str) -> bool:
     if not lens.rolling:
         return True
     given = next(camera for camera in before.start.cameras if camera.id == name)
-    readout = among("readout")
-    given = replace(
-        lens,
-        model=given.model,
-        estimated=np.where(readout, lens.estimated, given.estimated),
-        values=np.where(readout, lens.values, given.values),
-    )
+    scale = np.where(given.estimated, False, _SCALE & lens.estimated)
+    free = np.where(among("readout"), lens.estimated, given.estimated)
+    kept = np.where(among("readout"), lens.values, given.values)
+    rivals = [replace(lens, model=given.model, estimated=free, values=kept)]
+    if scale.any():
+        rivals.append(
+            replace(lens, estimated=lens.estimated & ~scale, values=np.where(scale, 0.0, lens.values))
+        )
     others = list(better.start.cameras)
     try:
         with_lens = _least(better, others, place)[0]
-        others[place] = given
-        return _least(better, others, place)[0] - with_lens > _needed(lens, given)
+        for rival in rivals:
+            others[place] = rival
+            if not _least(better, others, place)[0] - with_lens > _needed(lens, rival):
+                return False
     except (IllPosedError, NotConvergedError):
         return False
+    return True
+
+
+def _with_terms_of(given: Camera, lens: Camera, terms: Flags, model: Model) -> Camera:
+    """The lens with some of the terms, as they are known or estimated, of the camera that was given."""
+    names = ("estimated", "values", "prior_sigma")
+    taken = {name: np.where(terms, getattr(given, name), getattr(lens, name)) for name in names}
+    return replace(lens, model=model, **taken)
 
 
 def _least(adjusted: Adjusted, cameras: Sequence[Camera], place: int) -> tuple[float, Camera]:

@@ -243,7 +243,7 @@ class _Text:
         elif self.seen.positions:
             names = ", ".join(map(self._beside, self.seen.positions))
             self.missing.append(f"pictures have positions in {names}: name one as positions in [images]")
-        yield 'lens = "unknown"  # the rays choose brown-ideal or -observed, with or without K4; or "given"'
+        yield 'lens = "unknown"  # the rays choose: brown-ideal, brown-observed, K4, B1; or "given"'
         if self.seen.logs or not self.placed or self.crs == "local":
             return
         if stated < len(self.placed):

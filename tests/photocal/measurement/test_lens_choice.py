@@ -57,7 +57,7 @@ def flown(
     sigma[:, 3:] = 0.03
     values = np.hstack([angles, places + rng.normal(0, 0.03, places.shape)])
     images = Images(tuple(f"{k}.jpg" for k in range(count)), np.zeros(count, np.int64), values, sigma)
-    if readout:
+    if unknown:
         images.motion[:, :3], images.motion_sigma[:, :3] = speed, 0.3
     block = Block("b", "local", "", "control", (own,), images)
     return adjust_ties(block, values, tracks), block, tracks
@@ -114,6 +114,23 @@ def test_a_readout_is_no_other_lens(seed: int, readout: float) -> None:
     assert findings == []
     assert (chosen.cameras[0].model, chosen.cameras[0].free) == ("brown-ideal", ESTIMATE)
     assert better.start.cameras[0].rolling
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_pixels_that_are_not_square_are_no_readout(seed: int) -> None:
+    """Sides that differ by 0.04 %, there and back over hills and with a crossing height."""
+    true = lens("brown-ideal", (-0.10, 0.05, -0.02)).changed(B1=4e-4)
+    adjusted, block, tracks = flown(true, seed, unknown=True)
+    better, chosen, findings = with_chosen_lenses(before_the_choice(adjusted), block, tracks)
+    assert chosen.cameras[0].free == (*ESTIMATE, "B1")
+    assert [one.figures["names"][-1] for one in findings] == ["B1"]
+    assert not better.start.cameras[0].rolling
+    scale = PARAMETERS.index("B1")
+    assert np.isinf(chosen.cameras[0].prior_sigma[scale])
+    free = adjust_ties(chosen, better.values, better.tracks).solution
+    assert free.cameras[0, scale] == pytest.approx(
+        4e-4, abs=3.3 * np.sqrt(free.camera_covariance[0, scale, scale])
+    )
 
 
 def test_coefficients_that_are_known_or_held_leave_no_choice() -> None:
