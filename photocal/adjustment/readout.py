@@ -69,7 +69,7 @@ def with_readouts(
 ) -> tuple[Network, Solution, tuple[Readout, ...]]:
     """Test the readout where the shutter is unknown, and let the sigmas of gusts follow estimated readouts.
 
-    It is tested beside a scale of y against x, which no network is free of: what that explains is no readout.
+    One that is significant must be so beside a scale of y against x, too: what that explains is no readout.
 
     A movement that departs from the given motion has that motion's sigma times the readout. With a readout
     of zero nothing departs, and the test of a global shutter is exact.
@@ -82,8 +82,10 @@ def with_readouts(
     try:
         if doubtful and network.exposures.motion is not None:
             freed = {k: _freed(network.cameras[k]) for k in doubtful}
-            beside = {k: with_loose_sides(camera) for k, camera in freed.items()}
-            tests = _tested(_with(network, beside), solution, doubtful)
+            tests = _tested(_with(network, freed), solution, doubtful)
+            rolling = [k for k, test in tests.items() if test.p_value < SIGNIFICANCE]
+            beside = {k: with_loose_sides(freed[k]) for k in rolling}
+            tests |= _tested(_with(network, beside), solution, rolling) if rolling else {}
             # The test tells the readout well enough for the sigmas of gusts to begin with.
             known = {
                 k: _forward(freed[k].changed(readout=test.value))
