@@ -1,6 +1,6 @@
 """The readout of a rolling shutter: whether there is one, and the sigmas of what belongs to it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -172,21 +172,20 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
 
 
 def _with_loose_lens(camera: Camera) -> Camera:
-    estimated, sigma = camera.estimated.copy(), camera.prior_sigma.copy()
-    for k in _LENS:
-        if not estimated[k]:
-            estimated[k], sigma[k] = True, LENS_SHARE * camera.value("c")
-    return replace(camera, estimated=estimated, prior_sigma=sigma)
+    return _loosened(camera, _LENS, LENS_SHARE * camera.value("c"))
 
 
 def with_loose_sides(camera: Camera) -> Camera:
     """Give a camera a scale of y against x as unknown, observed as one, if it has not."""
-    scale = PARAMETERS.index("B2" if camera.affinity_form == "tank" else "B1")
-    if camera.estimated[scale]:
-        return camera
-    estimated, sigma = camera.estimated.copy(), camera.prior_sigma.copy()
-    estimated[scale], sigma[scale] = True, SQUARE
-    return replace(camera, estimated=estimated, prior_sigma=sigma)
+    return _loosened(camera, (PARAMETERS.index("B2" if camera.affinity_form == "tank" else "B1"),), SQUARE)
+
+
+def _loosened(camera: Camera, parameters: Iterable[int], sigma: float) -> Camera:
+    """The camera with these parameters as unknowns, observed as they are where they were held."""
+    held = [k for k in parameters if not camera.estimated[k]]
+    estimated, prior = camera.estimated.copy(), camera.prior_sigma.copy()
+    estimated[held], prior[held] = True, sigma
+    return replace(camera, estimated=estimated, prior_sigma=prior)
 
 
 def _tested(freed: Network, solution: Solution, cameras: list[int]) -> dict[int, Readout]:

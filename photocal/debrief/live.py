@@ -1,7 +1,5 @@
 """The debrief in flight: pictures are judged as they come into a folder from a camera or a picture link."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time
@@ -118,7 +116,8 @@ def follow(
                     folder.taken.pop(path)
                     continue
                 looks[path], lag_s, changed = found, time.monotonic() - since, True
-            if judging is not None and judging.done():
+            # One that was stopped while it matched pictures has no verdict.
+            if judging is not None and judging.done() and not stop.is_set():
                 together, run, took_s = judging.result()
                 judging, not_before, changed = None, time.monotonic() + took_s, True
             enough = len(looks) >= _FEWEST and len(looks) > oriented and time.monotonic() >= not_before

@@ -254,8 +254,7 @@ class _Text:
         known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}
         member = self.member
         for k, name in enumerate(self.cameras):
-            stated = stated_camera(name, self.facts[int(np.flatnonzero(member == k)[0])])
-            taken = int((member == k).sum())
+            stated, taken = self._stated(k), int((member == k).sum())
             if stated.camera.size_px in known:
                 source = f"of {self._beside(self.given.file)}" if self.given is not None else ""
                 yield f"\n[[camera]]  # {taken} pictures; {source}"
@@ -272,15 +271,15 @@ class _Text:
             if stated.guessed:
                 self.missing.append(f"nothing tells the c of camera {name}: it is a guess, to be estimated")
 
+    def _stated(self, camera: int) -> StatedCamera:
+        """What the first picture of a camera says of it."""
+        return stated_camera(self.cameras[camera], self.facts[int(np.argmax(self.member == camera))])
+
     def _heads(self) -> Iterator[str]:
         """Cameras on one frame: the pictures tell how they are turned, nothing how far they are apart."""
         if self.frame is None:
             return
-        member = self.member
-        readouts = [
-            stated_camera(name, self.facts[int(np.flatnonzero(member == k)[0])]).camera.value("readout")
-            for k, name in enumerate(self.cameras)
-        ]
+        readouts = [self._stated(k).camera.value("readout") for k in range(len(self.cameras))]
         for name, readout in zip(self.cameras[1:], readouts[1:], strict=True):
             half = (readout - readouts[0]) / 2
             yield "\n[[head]]  # turned as the pictures tell; rotation_deg and its sigma where it is known"
