@@ -40,6 +40,7 @@ from photocal.accuracy.statistics import (
     similarity_trend,
     spread,
     std_interval_factors,
+    within_gsd,
 )
 from photocal.findings.finding import Figure, Finding
 
@@ -76,11 +77,13 @@ class VectorResult:
 
     probable_m: CE90 (plane) or LE90 (height) from the second moments, m; None in space.
     counted_m: length that 90 % of the points do not exceed, m.
+    within_gsd: points within one, and within two ground sampling distances; None where that is not known.
     """
 
     statistics: LengthStatistics
     probable_m: float | None
     counted_m: float
+    within_gsd: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -173,9 +176,13 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
             for name in COMPONENTS
             if len(discrepancies.component(name)[0])
         ),
-        _vectors(lengths(plane), lambda _: circular_error(plane.T @ plane / len(plane), PROBABLE_ERROR)),
-        _vectors(np.abs(height[:, 0]), lambda rms_m: linear_error(rms_m, PROBABLE_ERROR)),
-        _vectors(lengths(space), lambda _: None),
+        _vectors(
+            lengths(plane),
+            lambda _: circular_error(plane.T @ plane / len(plane), PROBABLE_ERROR),
+            question.gsd_m,
+        ),
+        _vectors(np.abs(height[:, 0]), lambda rms_m: linear_error(rms_m, PROBABLE_ERROR), question.gsd_m),
+        _vectors(lengths(space), lambda _: None, question.gsd_m),
         _similarity(discrepancies),
         tables,
         values,
@@ -198,12 +205,17 @@ def _component(discrepancies: Discrepancies, name: str, confidence: float) -> Co
     )
 
 
-def _vectors(lengths_m: Floats, probable: Callable[[float], float | None]) -> VectorResult | None:
+def _vectors(
+    lengths_m: Floats, probable: Callable[[float], float | None], gsd_m: float | None
+) -> VectorResult | None:
     """Sum up lengths, with the probable error of their root mean square; None without any."""
     if not len(lengths_m):
         return None
     statistics = length_statistics(lengths_m)
-    return VectorResult(statistics, probable(statistics.rms_m), counted_error(lengths_m, PROBABLE_ERROR))
+    within = None if gsd_m is None else within_gsd(lengths_m, gsd_m)
+    return VectorResult(
+        statistics, probable(statistics.rms_m), counted_error(lengths_m, PROBABLE_ERROR), within
+    )
 
 
 def _similarity(discrepancies: Discrepancies) -> SimilarityTrend | None:
@@ -244,6 +256,7 @@ def _require_positive(question: Question) -> None:
         ("survey accuracy", question.survey_vertical_m),
         ("target accuracy", question.target_horizontal_m),
         ("target accuracy", question.target_vertical_m),
+        ("ground sampling distance", question.gsd_m),
     ):
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise ConfigurationError(f"{name} {value} is not a positive number")

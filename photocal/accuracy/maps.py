@@ -13,7 +13,7 @@ from acquire.outputs import output_file, output_folder
 from drivers.arrays import Flags, Floats
 from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
-from photocal.accuracy.statistics import moments
+from photocal.accuracy.statistics import moments, within_gsd
 from photocal.geopackage import LOCAL, Layer, ReferenceSystem, add_layer, geopackage
 
 if TYPE_CHECKING:
@@ -151,6 +151,36 @@ def histograms(discrepancies: Discrepancies) -> Figure:
     return figure
 
 
+def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | None:
+    """Draw planimetric discrepancies about one origin, in circles of one and two ground sampling distances.
+
+    As figure 4 of Alves Junior et al. 2015; None without a ground sampling distance or such discrepancies.
+    """
+    from matplotlib.figure import Figure
+
+    names, plane = discrepancies.planimetric()
+    if gsd_m is None or not names:
+        return None
+    length, angle = np.hypot(*plane.T), np.linspace(0.0, 2.0 * math.pi, 181)
+    figure = Figure(figsize=(4.5, 4.5), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot(plane[:, 0], plane[:, 1], "+", color=_INK)
+    for k, (count, colour) in enumerate(
+        zip(within_gsd(length, gsd_m), ("#1f4e9c", "#b3261e"), strict=True), 1
+    ):
+        text = f"{k} GSD ({k * gsd_m:.3g} m): {count} of {len(names)}"
+        axes.plot(
+            k * gsd_m * np.cos(angle), k * gsd_m * np.sin(angle), color=colour, linewidth=0.9, label=text
+        )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(fontsize=7, loc="upper right")
+    axes.set_xlabel("dE (m)")
+    axes.set_ylabel("dN (m)")
+    axes.set_title(f"Discrepancies, {SIGN}", fontsize=9, loc="left")
+    axes.tick_params(labelsize=7)
+    return figure
+
+
 def _histogram(axes: Axes, name: str, values: Floats) -> None:
     draw_histogram(axes, values, "#9db8d9", _INK)
     figures = moments(values)
@@ -159,15 +189,26 @@ def _histogram(axes: Axes, name: str, values: Floats) -> None:
     axes.tick_params(labelsize=7)
 
 
-def write_figures(discrepancies: Discrepancies, folder: Path) -> tuple[Path, ...]:
+def save_figures(
+    discrepancies: Discrepancies, gsd_m: float | None, folder: Path, prefix: str = ""
+) -> list[str]:
+    """Save the figures of the report section into a folder that is being made, and give their names."""
+    drawn = {
+        "residual_map": residual_map(discrepancies),
+        "histograms": histograms(discrepancies),
+        "gsd_circles": gsd_circles(discrepancies, gsd_m),
+    }
+    made = {f"{prefix}{kind}.pdf": figure for kind, figure in drawn.items() if figure is not None}
+    for name, figure in made.items():
+        # Without the date the same input gives the same bytes.
+        figure.savefig(folder / name, metadata={"CreationDate": None})
+    return list(made)
+
+
+def write_figures(discrepancies: Discrepancies, gsd_m: float | None, folder: Path) -> tuple[Path, ...]:
     """Write the figures of the report section; raises OutputError when the folder cannot be written."""
-    drawn = {"residual_map.pdf": residual_map(discrepancies), "histograms.pdf": histograms(discrepancies)}
-    made = {name: figure for name, figure in drawn.items() if figure is not None}
     with output_folder(folder) as aside:
-        for name, figure in made.items():
-            # Without the date the same input gives the same bytes.
-            figure.savefig(aside / name, metadata={"CreationDate": None})
-    return tuple(folder / name for name in made)
+        return tuple(folder / name for name in save_figures(discrepancies, gsd_m, aside))
 
 
 def reference_system(crs: str | None) -> ReferenceSystem:

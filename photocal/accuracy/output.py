@@ -83,6 +83,8 @@ def _vector(result: VectorResult | None, name: str | None) -> dict[str, Any] | N
     }
     if name is not None:
         figures[f"{name}_m"] = result.probable_m
+    if result.within_gsd is not None:
+        figures["within_1_gsd"], figures["within_2_gsd"] = result.within_gsd
     return figures
 
 
@@ -206,7 +208,11 @@ def _statistics(assessment: Assessment) -> str:
 
 
 def _vectors(assessment: Assessment) -> str:
-    table = _table("Lengths", "", "n", "RMSE", "mean length", "maximum", "90 % normal", "90 % counted")
+    gsd = assessment.question.gsd_m
+    circles = () if gsd is None else (f"in 1 GSD ({gsd:.3f})", "in 2 GSD")
+    table = _table(
+        "Lengths", "", "n", "RMSE", "mean length", "maximum", "90 % normal", "90 % counted", *circles
+    )
     named: tuple[tuple[str, VectorResult | None], ...] = (
         ("planimetry (CE90)", assessment.plane),
         ("height (LE90)", assessment.height),
@@ -216,7 +222,8 @@ def _vectors(assessment: Assessment) -> str:
         if result is not None:
             s = result.statistics
             figures = (s.rms_m, s.mean_m, s.maximum_m, result.probable_m, result.counted_m)
-            table.add_row(name, str(s.n), *(_metres(figure) for figure in figures))
+            counts = (f"{k} of {s.n}" for k in result.within_gsd or ())
+            table.add_row(name, str(s.n), *(_metres(figure) for figure in figures), *counts)
     return _render(table)
 
 

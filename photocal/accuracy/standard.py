@@ -32,6 +32,7 @@ class Question:
     survey_horizontal_m, survey_vertical_m: RMSE of the survey of the check points, m; the horizontal one
         radial.
     target_horizontal_m, target_vertical_m: RMSE that the project asks for, m.
+    gsd_m: ground sampling distance of the product, m.
     """
 
     scale_denominator: float | None = None
@@ -41,6 +42,7 @@ class Question:
     survey_vertical_m: float | None = None
     target_horizontal_m: float | None = None
     target_vertical_m: float | None = None
+    gsd_m: float | None = None
 
 
 @dataclass(frozen=True)

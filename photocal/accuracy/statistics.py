@@ -113,6 +113,11 @@ def length_statistics(lengths_m: Floats) -> LengthStatistics:
     return LengthStatistics(len(lengths_m), float(np.mean(lengths_m)), rms, float(np.max(lengths_m)))
 
 
+def within_gsd(lengths_m: Floats, gsd_m: float) -> tuple[int, int]:
+    """Count the points within one, and within two ground sampling distances (Alves Junior et al. 2015)."""
+    return int(np.sum(lengths_m <= gsd_m)), int(np.sum(lengths_m <= 2.0 * gsd_m))
+
+
 def combined_rmse(*components: Moments) -> float:
     """Join the RMSE of components into the 2D or 3D RMSE."""
     return math.sqrt(sum(component.rmse_m**2 for component in components))

@@ -50,6 +50,9 @@ class MeanPrecision:
     arithmetic, root_mean_square: of the standard deviations of all coordinates together, m; the latter is
         sqrt(tr C / 3 n).
     spread_by_axis (3,): largest less smallest standard deviation: how unlike the points are, m.
+    spread, spread_in_plane: the same over all coordinates together, and over X and Y (Fraser 1984).
+    proportional: largest dimension of the object over the arithmetic mean: one part in that many; 0 for a
+        single point.
     """
 
     arithmetic_by_axis: Floats
@@ -57,6 +60,9 @@ class MeanPrecision:
     arithmetic: float
     root_mean_square: float
     spread_by_axis: Floats
+    spread: float
+    spread_in_plane: float
+    proportional: float
 
 
 def enlargement(probability: float, dimensions: int) -> float:
@@ -94,10 +100,11 @@ def _axes(covariance: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(np.maximum(variances[:, ::-1], 0.0)), np.swapaxes(vectors, 1, 2)[:, ::-1]
 
 
-def mean_precision(covariance: Floats) -> MeanPrecision:
+def mean_precision(covariance: Floats, points: Floats) -> MeanPrecision:
     """Mean precision of points, in both definitions in use.
 
     covariance (n, 3, 3): of at least one point, m^2.
+    points (n, 3): m.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     sigma = np.sqrt(variance)
@@ -107,4 +114,21 @@ def mean_precision(covariance: Floats) -> MeanPrecision:
         float(sigma.mean()),
         float(np.sqrt(variance.mean())),
         np.ptp(sigma, axis=0),
+        float(np.ptp(sigma)),
+        float(np.ptp(sigma[:, :2])),
+        float(np.ptp(points, axis=0).max() / sigma.mean()) if sigma.any() else 0.0,
     )
+
+
+def spheres(space: Ellipsoids) -> Floats:
+    """Radii (n,) of the spheres of the same volume as error ellipsoids: never above their quadratic mean."""
+    return np.asarray(np.cbrt(np.prod(space.semi_axes, axis=1)))
+
+
+def hottier_factor(equations: int, parameters: int) -> float | None:
+    """By what residuals of control points underestimate the error at check points.
+
+    K = sqrt(p n / (p n - r)) (Hottier 1976): p n image coordinates of the control points, r parameters of
+    calibration; None where there are no more equations than parameters.
+    """
+    return float(np.sqrt(equations / (equations - parameters))) if equations > parameters else None

@@ -15,9 +15,11 @@ from photocal.findings.finding import Finding
 CONVERGENCE_DEG = 90.0
 CONVERGENCE_ENOUGH_DEG = 60.0
 ROLL_ENOUGH_DEG = 20.0
-# Mixed ranges: the spread of camera-object distances that separates c from height.
+# Mixed ranges: the relief of the object, or the ratio of known heights, that separates c from height. Where
+# axes converge by more than this, that an object is inclined is part of the convergence and no relief.
 RANGE_SPREAD = 0.10
 HEIGHT_RATIO = 1.2
+PARALLEL_DEG = 20.0
 DATUM_CONSTRAINTS = 7
 CONTROL_POINTS = 5
 COVERED = 0.5
@@ -32,8 +34,10 @@ class Shape:
     convergence_deg: largest angle between two optical axes.
     roll_deg: the roll between two photographs that comes nearest to 90 degrees (or 270), as its distance from
         it.
-    range_spread: camera-object distances along the axes: 95th less 5th percentile over the median.
-    height_ratio: largest over smallest median distance of a photograph.
+    range_spread: relief of the object along parallel axes, or across its own best plane under convergent
+        ones: 95th less 5th percentile over the median distance from the cameras.
+    height_ratio: largest over smallest median distance of a photograph; 1 where projection centres are not
+        observed, since each height is then an unknown that c trades with (Merchant 1972).
     constraints: observed or held coordinates of points and exposures, observations between points, and the
         inner constraints of a free network: what carries the datum.
     quadrants: quarters of the object, seen from its middle, that have control.
@@ -73,7 +77,6 @@ def shape(network: Network, state: State) -> Shape:
     order = np.argsort(rays.image, kind="stable")
     each = np.split(distance[order], np.flatnonzero(np.diff(rays.image[order])) + 1)
     median = np.array([np.median(one) for one in each])
-    low, middle, high = np.percentile(distance, [5, 50, 95])
     known = network.points.held | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0.0)
     control = np.flatnonzero(known.any(axis=1))
     # All pairs of images, or those of 60 evenly chosen ones.
@@ -88,8 +91,8 @@ def shape(network: Network, state: State) -> Shape:
         len(axes),
         float(angles.max(initial=0.0)),
         float(rolls.min(initial=90.0)),
-        float((high - low) / middle),
-        float(median.max() / median.min()),
+        _relief(state.points, axes, float(angles.max(initial=0.0))) / float(np.median(distance)),
+        float(median.max() / median.min()) if _centres_known(network) else 1.0,
         int(known.sum() + np.isfinite(network.exposures.sigma).sum() + len(network.relations.kind) + inner),
         len(control),
         len({(bool(a), bool(b)) for a, b in flat[control] > middle_of_object}),
@@ -153,6 +156,19 @@ def _from_right_angle(between: Floats) -> Floats:
     trace = np.trace(between, axis1=1, axis2=2)
     twist = 2.0 * np.arctan2(between[:, 0, 1] - between[:, 1, 0], 1.0 + trace)
     return np.asarray(np.abs(90.0 - np.abs(np.degrees(np.arctan2(np.sin(twist), np.cos(twist))))))
+
+
+def _centres_known(network: Network) -> bool:
+    return bool(len(network.positions.image) or (network.exposures.sigma[:, 5] < np.inf).any())
+
+
+def _relief(points: Floats, axes: Floats, convergence_deg: float) -> float:
+    """Give how far the object reaches (95th less 5th percentile) along parallel axes, or across its plane."""
+    mean = axes.mean(axis=0)
+    if convergence_deg > PARALLEL_DEG:
+        mean = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
+    low, high = np.percentile(points @ mean, [5, 95]) / np.linalg.norm(mean)
+    return float(high - low)
 
 
 def _across(points: Floats, axes: Floats) -> Floats:

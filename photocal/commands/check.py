@@ -41,18 +41,23 @@ def judge_product(
         likeness, remarks = [finite(v) for v in found.likeness.tolist()], found.remarks
         more, found = {"likeness": likeness, "remarks": list(remarks)}, found.discrepancies
     result = assess(found, standards, question)
-    _files(result.discrepancies, path, figures, geopackage, crs)
+    _files(result.discrepancies, path, question.gsd_m, figures, geopackage, crs)
     answer(as_json, lambda: to_json(result) | more, lambda: "\n".join([to_text(result), *remarks]))
 
 
 def _files(
-    found: Discrepancies, path: Path, figures: Path | None, geopackage: Path | None, crs: str | None
+    found: Discrepancies,
+    path: Path,
+    gsd: float | None,
+    figures: Path | None,
+    geopackage: Path | None,
+    crs: str | None,
 ) -> None:
     """Residual map, histograms and GeoPackage of a product, where they are asked for."""
     if figures is not None:
         from photocal.accuracy.maps import write_figures
 
-        write_figures(found, figures)
+        write_figures(found, gsd, figures)
     if geopackage is not None:
         from photocal.accuracy.maps import reference_system, write_geopackage
         from photocal.geopackage import changed_utc
@@ -250,6 +255,12 @@ def check(
         float | None, option("Horizontal (radial) RMSE that is asked for, metres.")
     ] = None,
     target_vertical: Annotated[float | None, option("Vertical RMSE that is asked for, metres.")] = None,
+    gsd: Annotated[
+        float | None,
+        option(
+            "Ground sampling distance, metres: how many points lie within one and two; a block gives its own."
+        ),
+    ] = None,
     figures: Annotated[
         Path | None, option("With --discrepancies: folder for residual map and histograms (PDF).")
     ] = None,
@@ -301,6 +312,7 @@ def check(
         survey_vertical,
         target_horizontal,
         target_vertical,
+        gsd,
     )
     noise = None if simulate_direct is None else noise_of(simulate_direct, seed)
     if block is not None and block.suffix == ".toml":

@@ -156,8 +156,21 @@ def _judge(
         return replace(one, xyz=places[rows])
 
     check = at_given_places("check")
+    if question.gsd_m is None:
+        question = replace(question, gsd_m=_ground_pixel(block, found))
     assessment = assess(check.discrepancies(), standards, question) if len(check.names) else None
     return Judged(found, at_given_places("control"), check, assessment)
+
+
+def _ground_pixel(block: Block, found: Georeferenced) -> float | None:
+    """Median size of a pixel at the check points, m; None where the method has no exposures."""
+    place = np.full((len(block.points.names), 3), np.nan)
+    place[found.points] = found.xyz
+    place[~block.points.of_role("check")] = np.nan
+    seen, camera = block.observations, block.images.camera[block.observations.image]
+    per_metre = np.array([one.pitch[0] / one.value("c") for one in block.cameras])[camera]
+    size = per_metre * np.linalg.norm(found.exposures[seen.image, 3:] - place[seen.point], axis=1)
+    return float(np.nanmedian(size)) if np.isfinite(size).any() else None
 
 
 def coarsely_placed(block: Block) -> bool:

@@ -10,7 +10,7 @@ from acquire.outputs import output_folder, rows_text, write_json
 from drivers.arrays import Floats, as_plain
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
-from photocal.accuracy.maps import histograms, residual_map, write_geopackage
+from photocal.accuracy.maps import save_figures, write_geopackage
 from photocal.accuracy.output import findings_text, finite
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
@@ -290,12 +290,8 @@ def write_check(
                 names.append(f"{method}.gpkg")
             if not judged.check.names:
                 continue
-            points = judged.check.discrepancies()
-            drawn = {"residual_map": residual_map(points), "histograms": histograms(points)}
-            for kind, figure in drawn.items():
-                if figure is not None:
-                    figure.savefig(aside / f"{method}_{kind}.pdf", metadata={"CreationDate": None})
-                    names.append(f"{method}_{kind}.pdf")
+            gsd = judged.assessment.question.gsd_m if judged.assessment else None
+            names += save_figures(judged.check.discrepancies(), gsd, aside, f"{method}_")
     return tuple(names)
 
 

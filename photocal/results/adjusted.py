@@ -458,7 +458,7 @@ def _adjusted_block(
         components = weighed.components
     timing |= solution.timing_s
     result = result_of(block, assembly, solution, snooping=snooping, components=components, timing_s=timing)
-    result = replace(result, **more_figures(assembly, result.points.covariance, wanted))
+    result = replace(result, **more_figures(block, assembly, result.points, wanted))
     return result, assembly, solution
 
 

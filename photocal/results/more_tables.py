@@ -10,7 +10,7 @@ import pyarrow.csv
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.adjustment.ellipses import ellipses, ellipsoids, mean_precision
+from photocal.adjustment.ellipses import ellipses, ellipsoids, hottier_factor, mean_precision, spheres
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.reliability import POWER, SIGNIFICANCE, reliability
@@ -19,6 +19,7 @@ from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
 from photocal.geometry.camera import OWN
 from photocal.results.folder import write_csv
+from photocal.results.result import AdjustedPoints
 
 
 @dataclass(frozen=True)
@@ -52,16 +53,42 @@ def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
     return tuple(chosen)
 
 
-def more_figures(assembly: NetworkOfBlock, covariance: Floats, wanted: Wanted) -> dict[str, Any]:
+def more_figures(
+    block: Block, assembly: NetworkOfBlock, points: AdjustedPoints, wanted: Wanted
+) -> dict[str, Any]:
     """Figures of the result that go with them."""
     free = ~assembly.network.points.held.any(axis=1)
-    mean = vars(mean_precision(covariance[free])) if free.any() else {}
+    mean = vars(mean_precision(points.covariance[free], points.values[free])) if free.any() else {}
     return {
         "mean_precision_m": {
             name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in mean.items()
         },
+        "control_residuals": _control_residuals(block, assembly, points),
         "reliability": {"significance": SIGNIFICANCE, "power": POWER} if wanted.reliability else None,
         "ellipses": None if wanted.ellipses is None else {"probability": wanted.ellipses},
+    }
+
+
+def _control_residuals(
+    block: Block, assembly: NetworkOfBlock, points: AdjustedPoints
+) -> dict[str, float | None] | None:
+    """Root mean square length of the residuals of control points in space, and what Hottier makes of it."""
+    control = np.array([role == "control" for role in points.role]) & ~assembly.network.points.held.any(
+        axis=1
+    )
+    apart = (points.values - block.points.values[assembly.points])[control]
+    apart = apart[np.isfinite(block.points.sigma[assembly.points][control]).all(axis=1)]
+    if not len(apart):
+        return None
+    rms = float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
+    parameters = sum(len(camera.free) for camera in assembly.network.cameras)
+    factor = hottier_factor(2 * int(points.rays[control].sum()), parameters)
+    expected = None if factor is None else factor * rms
+    return {
+        "n": float(len(apart)),
+        "rmse_m": rms,
+        "hottier_factor": factor,
+        "expected_at_check_points_m": expected,
     }
 
 
@@ -125,7 +152,8 @@ def _ellipses(
         columns["A" + axis] = space.semi_axes[:, k]
         columns["azimuth" + axis] = np.degrees(space.azimuth[:, k])
         columns["elevation" + axis] = np.degrees(space.elevation[:, k])
-    return columns
+    quadratic = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    return {**columns, "sphere": spheres(space), "quadratic_sigma": quadratic}
 
 
 def _reliability(block: Block, assembly: NetworkOfBlock, solution: Solution) -> dict[str, dict[str, Any]]:

@@ -225,8 +225,8 @@ class Figures:
     mounting: lever arm (camera to antenna, body axes, m), boresight (deg), time offset (s), shifts and
         drifts.
     heads: cameras on a frame, but for those that the others refer to.
-    mean_precision_m, fiducials, ellipses, reliability: what was asked for beside the rest, as in
-        `result.json`.
+    mean_precision_m, control_residuals, fiducials, ellipses, reliability: what was asked for beside the
+        rest, as in `result.json`.
     """
 
     software: Software
@@ -252,6 +252,7 @@ class Figures:
     fiducials: tuple[dict[str, Any], ...] = ()
     repetition: Repetition | None = None
     mean_precision_m: dict[str, Any] = field(default_factory=dict)
+    control_residuals: dict[str, float | None] | None = None
     ellipses: dict[str, float] | None = None
     reliability: dict[str, float] | None = None
     timing_s: dict[str, float] = field(default_factory=dict)
@@ -332,6 +333,19 @@ class Result(Figures):
             for component in self.variance_components
             if component.sigma is not None
         ]
+        if self.mean_precision_m.get("proportional"):
+            mean = self.mean_precision_m
+            lines.append(
+                f"points: mean sigma {1e3 * mean['arithmetic']:.3g} mm, range {1e3 * mean['spread']:.3g} mm, "
+                f"1 part in {mean['proportional']:.0f} of the object"
+            )
+        control = self.control_residuals
+        if control is not None and control["rmse_m"] is not None:
+            expected = control["expected_at_check_points_m"]
+            more = "" if expected is None else f", by Hottier's K {1e3 * expected:.3g} mm at check points"
+            lines.append(
+                f"{control['n']:.0f} control points: residuals of {1e3 * control['rmse_m']:.3g} mm{more}"
+            )
         if self.rejected:
             lines.append(f"{len(self.rejected)} observation(s) rejected as gross errors")
         rmse = [(axis, value) for axis, value in self.checks.rmse_m.items() if value is not None]

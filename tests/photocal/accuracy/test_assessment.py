@@ -15,6 +15,7 @@ from drivers.errors import ConfigurationError
 from photocal.accuracy.assessment import Assessment, TableResult, assess, findings
 from photocal.accuracy.classes import Sample, class_cm, sample, value_class
 from photocal.accuracy.discrepancies import Discrepancies, read_discrepancies
+from photocal.accuracy.maps import gsd_circles
 from photocal.accuracy.output import to_json, to_text
 from photocal.accuracy.standard import SHIPPED, Question, ValueStandard, load_standard
 from photocal.findings.finding import Finding
@@ -88,6 +89,23 @@ def test_flight_with_control_is_class_b_in_height_at_1_m(published: Published) -
     assert (heights.precision_class, heights.accuracy_class) == ("A", "B")
     assert "bias" in codes(findings(result))
     assert "small-sample" not in codes(findings(result))
+
+
+def test_points_within_the_circles_of_the_study(published: Published) -> None:
+    """The four printed rows; with control 0.480, 0.211, 0.334 and 0.215 m from their places."""
+    printed = published("ixus220/table4_discrepancies.csv")
+    for suffix in ("no_gcp_m", "gcp_m"):
+        d = np.array([[-float(row[f"d{axis}_{suffix}"]) for axis in "ENh"] for row in printed])
+        result = assess(Discrepancies(tuple("1234"), d), STANDARDS, Question(gsd_m=0.25))
+        assert result.plane is not None
+        # None of those without control lies within a circle, as the study says of all 30.
+        assert result.plane.within_gsd == ((2, 4) if suffix == "gcp_m" else (0, 0))
+    assert to_json(result)["planimetry"]["within_2_gsd"] == 4
+    assert "in 2 GSD" in to_text(result)
+    figure = gsd_circles(result.discrepancies, 0.25)
+    assert figure is not None
+    radii = [np.hypot(*np.array(line.get_data())).max() for line in figure.axes[0].lines[1:]]
+    assert radii == pytest.approx([0.25, 0.5])
 
 
 def test_interval_of_the_scale_is_taken_from_the_standard() -> None:

@@ -10,8 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
-from photocal.adjustment.ellipses import ellipses, ellipsoids, enlargement, mean_precision
+from photocal.adjustment.ellipses import (
+    ellipses,
+    ellipsoids,
+    enlargement,
+    hottier_factor,
+    mean_precision,
+    spheres,
+)
 
 TANK = Path(__file__).parents[2] / "reference" / "tank"
 
@@ -52,7 +60,7 @@ def test_one_station_in_three_systems() -> None:
 def test_mean_precision_of_the_tank_study(row: dict[str, str]) -> None:
     """Its sC is the arithmetic mean, whatever its formula says."""
     sigma = np.array([float(row[k]) for k in ("sX_m", "sY_m", "sZ_m")])
-    found = mean_precision(np.diag(sigma**2)[None])
+    found = mean_precision(np.diag(sigma**2)[None], np.zeros((1, 3)))
     assert found.arithmetic == pytest.approx(float(row["sC_m"]), abs=1.01e-4)
     assert found.root_mean_square >= found.arithmetic
     if row["test"] == "16":
@@ -62,12 +70,41 @@ def test_mean_precision_of_the_tank_study(row: dict[str, str]) -> None:
 def test_mean_precision_of_two_points() -> None:
     """Standard deviations 1, 2, 2 and 3, 4, 5: means 17/6, and sqrt(59/6)."""
     sigma = np.array([[1.0, 2.0, 2.0], [3.0, 4.0, 5.0]])
-    found = mean_precision(np.array([np.diag(s**2) for s in sigma]))
+    found = mean_precision(np.array([np.diag(s**2) for s in sigma]), np.array([[0.0, 0, 0], [3.0, 17, 1]]))
     assert found.arithmetic == pytest.approx(17 / 6)
     assert found.root_mean_square == pytest.approx((59 / 6) ** 0.5)
     assert found.arithmetic_by_axis == pytest.approx([2.0, 3.0, 3.5])
     assert found.root_mean_square_by_axis == pytest.approx([5**0.5, 10**0.5, 14.5**0.5])
     assert found.spread_by_axis == pytest.approx([2.0, 2.0, 3.0])
+    assert (found.spread, found.spread_in_plane) == pytest.approx((4.0, 3.0))
+    assert found.proportional == pytest.approx(17 / (17 / 6))
+
+
+def test_proportional_precision_of_the_tank_study() -> None:
+    """Precision of 13 m to 0.001 m: 1 part in 13 000."""
+    tank = np.array([[0.0, 0.0, 0.0], [13.0, 9.5, 13.0]])
+    assert mean_precision(np.array([np.eye(3) * 0.001**2] * 2), tank).proportional == pytest.approx(13_000.0)
+
+
+def test_error_sphere_has_the_volume_of_the_ellipsoid() -> None:
+    """Of one sigma always below the quadratic standard deviation, as the tank study says."""
+    one_sigma = float(chi2.cdf(1.0, 3))
+    covariance = np.array([np.diag([0.04, 0.01, 0.0025]), np.eye(3)])
+    radius = spheres(ellipsoids(covariance, one_sigma))
+    assert radius == pytest.approx([(0.2 * 0.1 * 0.05) ** (1 / 3), 1.0])
+    assert (radius < np.sqrt(np.trace(covariance, axis1=1, axis2=2))).all()
+
+
+def test_hottier_factor_by_simulation() -> None:
+    """Residuals of a fit of r parameters to p n values are too small by K, which fresh values show."""
+    rng = np.random.default_rng(5)
+    design = rng.standard_normal((24, 8))
+    noise = rng.standard_normal((20_000, 24))
+    left = noise - noise @ np.linalg.pinv(design).T @ design.T
+    factor = hottier_factor(24, 8)
+    assert factor == pytest.approx(1.5**0.5)
+    assert factor * np.sqrt(np.mean(left**2)) == pytest.approx(1.0, abs=0.005)
+    assert hottier_factor(8, 8) is None
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.95])

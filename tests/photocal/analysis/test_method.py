@@ -46,8 +46,16 @@ GROUND = np.column_stack([np.tile([0.0, 50.0, 100.0], 3), np.repeat([0.0, 50.0, 
 KNOWN, FREE = np.full((9, 3), 0.02), np.full((9, 3), np.inf)
 
 
-def shape_of(angles: list[list[float]], centres: list[list[float]], points: Floats, sigma: Floats) -> Shape:
+def shape_of(
+    angles: list[list[float]],
+    centres: list[list[float]],
+    points: Floats,
+    sigma: Floats,
+    centre_sigma: float = np.inf,
+) -> Shape:
     network = network_of(angles, centres, points, sigma)
+    observed = np.tile([np.inf] * 3 + [centre_sigma] * 3, (len(centres), 1))
+    network = replace(network, exposures=replace(network.exposures, sigma=observed))
     return shape(network, start_state(network))
 
 
@@ -91,7 +99,7 @@ def test_a_photograph_upside_down_is_no_roll_by_a_right_angle() -> None:
 
 def test_two_heights_or_relief_make_mixed_ranges() -> None:
     heights = shape_of(
-        [[0, 0, 0], [0, 0, 90], [0, 0, 0]], [[0, 0, 100], [50, 0, 100], [50, 50, 130]], GROUND, FREE
+        [[0, 0, 0], [0, 0, 90], [0, 0, 0]], [[0, 0, 100], [50, 0, 100], [50, 50, 130]], GROUND, FREE, 0.05
     )
     assert heights.height_ratio == pytest.approx(1.3)
     assert check_method("mixed-ranges", heights).met
@@ -103,10 +111,38 @@ def test_two_heights_or_relief_make_mixed_ranges() -> None:
     assert check_method("mixed-ranges", relief).met
 
 
+def test_two_heights_that_are_unknown_separate_nothing() -> None:
+    """The design of c and the heights is singular over flat ground, and regular with one height observed."""
+    centres = np.array([[0.0, 0, 100], [50, 0, 100], [50, 50, 130]])
+    # x = -c u / w: by c, and by the height of each centre.
+    design = [
+        [-along / w, *(-3000.0 * along / w**2 * (k == i) for i in range(3))]
+        for k, centre in enumerate(centres)
+        for u, v, w in GROUND - centre
+        for along in (u, v)
+    ]
+    # The column of c is made of the others: only what is known of the heights tells them apart.
+    assert np.linalg.matrix_rank(design / np.linalg.norm(design, axis=0), tol=1e-9) == 3
+    free = shape_of([[0, 0, 0], [0, 0, 90], [0, 0, 0]], centres.tolist(), GROUND, KNOWN)
+    assert free.height_ratio == pytest.approx(1.0)
+    assert not check_method("mixed-ranges", free).met
+    assert not check_method("on-the-job", free).met
+
+
+def test_a_flat_wall_has_no_mixed_ranges() -> None:
+    """Seen from both sides its distances vary by a third; that is convergence."""
+    wall = shape_of(
+        [[0, 45, 0], [0, -45, 0], [0, 0, 90]], [[150, 50, 100], [-50, 50, 100], [50, 50, 140]], GROUND, KNOWN
+    )
+    assert wall.range_spread == pytest.approx(0.0, abs=1e-9)
+    assert not check_method("mixed-ranges", wall).met
+    assert check_method("self-calibration", wall).met
+
+
 def test_control_on_one_side_is_not_around_the_object() -> None:
     one_side = np.where(GROUND[:, :1] < 60.0, 0.02, np.inf) * np.ones(3)
-    all_over = shape_of([[0, 0, 0]] * 3, [[0, 0, 100], [50, 0, 100], [50, 50, 130]], GROUND, KNOWN)
-    half = shape_of([[0, 0, 0]] * 3, [[0, 0, 100], [50, 0, 100], [50, 50, 130]], GROUND, one_side)
+    all_over = shape_of([[0, 0, 0]] * 3, [[0, 0, 100], [50, 0, 100], [50, 50, 130]], GROUND, KNOWN, 0.05)
+    half = shape_of([[0, 0, 0]] * 3, [[0, 0, 100], [50, 0, 100], [50, 50, 130]], GROUND, one_side, 0.05)
     assert (all_over.quadrants, half.quadrants) == (4, 2)
     assert all_over.control_share == pytest.approx(1.0)
     assert half.control_share == pytest.approx(0.5)
@@ -148,3 +184,6 @@ def test_the_convergent_camera_study_satisfies_its_method(dcs460_block: Path) ->
     assert check_method("convergent", found).met
     assert found.images == 12
     assert found.control_points == 40
+    # More than 60 targets on a wall, Z from -0.007 to 0.007 m.
+    assert found.range_spread < 0.005
+    assert not check_method("mixed-ranges", found).met

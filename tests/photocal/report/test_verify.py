@@ -154,7 +154,7 @@ def change(folder: Path, *steps: Any, to: Any) -> None:
         (("technical_reports", "dcs460", 24, "value"), "12", "technical_reports.dcs460"),
         (("analysis", "findings", 0, "figures", "f"), 2100.0, "analysis.findings[y-scale].figures.f"),
         (("analysis", "cameras", "dcs460", "left_out", 0, "change_of_c"), -0.0097, "change_of_c"),
-        (("analysis", "methods", 1, "met"), False, "analysis.methods[mixed-ranges].met"),
+        (("analysis", "methods", 1, "met"), True, "analysis.methods[mixed-ranges].met"),
         (("number",), "PC-20261121-00000000", "number"),
     ],
 )
