@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.errors import ConfigurationError
-from photocal.adjustment.network import Related, Relations
+from photocal.adjustment.network import RELATIONS, Related, Relations
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.oriented_images import OrientedImages
@@ -85,12 +85,13 @@ def block_of_arrays(
 
 
 def with_relations(
-    block: Block, kind: str, rows: Iterable[tuple[str, str, float, float]], related: Related | None = None
+    block: Block, kind: str, rows: Iterable[tuple[Any, ...]], related: Related | None = None
 ) -> Block:
-    """Add observations between points: scale bars, levelled height differences, azimuths, your own kinds.
+    """Add observations between points: scale bars, height differences, angles, lines, your own kinds.
 
-    kind: "distance", "height_difference", "azimuth", or the name of a kind of your own.
-    rows: first and second point, value and standard deviation: m, radians for azimuths.
+    kind: "distance", "height_difference", "azimuth", "vertical_angle", "horizontal_angle" (at, from, to),
+        "line" (from, to, and a point of it, which deviates by the value 0), or a kind of your own.
+    rows: two points, or three, value and standard deviation: m, radians for angles.
     related: for a kind of your own: from the differences (n, 3) of the points, second less first, the values
         (n,) and their derivatives (n, 3) with respect to the second point.
     """
@@ -103,19 +104,22 @@ def with_relations(
             remedy=f"use {', '.join(old.names)}, or give a function of your own",
         )
     given, number = list(rows), {name: k for k, name in enumerate(block.points.names)}
-    for name in (name for row in given for name in row[:2]):
+    for name in (name for row in given for name in row[:-2]):
         if name not in number:
             raise ConfigurationError(
                 f"point {name} is not in the block", where=kind, remedy="correct the name"
             )
-    more = (
-        np.full(len(given), old.names.index(kind)),
-        np.array([number[first] for first, *_ in given], dtype=np.int64),
-        np.array([number[second] for _, second, *_ in given], dtype=np.int64),
-        np.array([value for *_, value, _ in given], dtype=float),
-        np.array([sigma for *_, sigma in given], dtype=float),
-    )
-    columns = zip((old.kind, old.first, old.second, old.values, old.sigma), more, strict=True)
+    count = len(RELATIONS.get(kind, ("from", "to")))
+    if any(len(row) != count + 2 for row in given):
+        raise ConfigurationError(
+            f"an observation of the kind {kind} has another number of cells",
+            remedy=f"give {count} points, value and standard deviation",
+        )
+    ends = np.array([[number[name] for name in row[:-2]] for row in given], dtype=np.int64).reshape(-1, count)
+    figures = np.array([row[-2:] for row in given], dtype=float).reshape(-1, 2)
+    third = ends[:, 2] if count == 3 else np.full(len(given), -1)
+    more = (np.full(len(given), old.names.index(kind)), ends[:, 0], ends[:, 1], *figures.T, third)
+    columns = zip((old.kind, *old.ends.T[:2], old.values, old.sigma, old.ends[:, 2]), more, strict=True)
     return replace(block, relations=Relations(*(np.concatenate(pair) for pair in columns), own=old.own))
 
 

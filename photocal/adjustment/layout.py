@@ -77,8 +77,7 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     common_columns = np.full(len(common[0]) + len(common[1]), -1)
     common_columns[unknown] = column + np.arange(len(unknown))
     column += len(unknown)
-    relations = network.relations
-    kept_points = np.unique(np.concatenate([relations.first, relations.second]))
+    kept_points = network.relations.points
     point_columns = column + np.arange(3 * len(kept_points)).reshape(-1, 3)
     column += point_columns.size
     reach, border = width * (last + 1), column - width * count

@@ -1,7 +1,7 @@
 """The network: what is adjusted and what was observed, as arrays."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,7 +17,16 @@ from photocal.adjustment.mounting import (
 from photocal.adjustment.rig import NO_RIG, Rig
 from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES, Camera
 
-RELATIONS = ("distance", "height_difference", "azimuth")
+# Kinds of observations between points, and which points a row of each names, in the order of its columns.
+RELATIONS = {
+    "distance": ("from", "to"),
+    "height_difference": ("from", "to"),
+    "azimuth": ("from", "to"),
+    "vertical_angle": ("from", "to"),
+    "horizontal_angle": ("at", "from", "to"),
+    "line": ("from", "to", "point"),
+}
+ANGLES = ("azimuth", "vertical_angle", "horizontal_angle")
 # From differences of points, shape (n, 3): the values, and their derivatives with respect to the second.
 Related = Callable[[Floats], tuple[Floats, Floats]]
 
@@ -76,12 +85,15 @@ class Rays(Columns):
 
 @dataclass(frozen=True)
 class Relations(Columns):
-    """Observations between two object points.
+    """Observations between two or three object points.
 
     kind (n,): index into `RELATIONS`: slope distance in m, Z of `second` less Z of `first` in m, azimuth from
-        the Y axis towards X in radians.
+        the Y axis towards X in radians, angle of the line from `first` to `second` above the X, Y plane,
+        angle at `first` from `second` to `third` in the sense of azimuths, and the distance (0) of `third`
+        from the straight line through the others, which counts as two observations.
     first, second (n,): points.
     values, sigma (n,).
+    third (n,): a third point, -1 where a kind has none; None where no kind has.
     own: further kinds, numbered behind `RELATIONS`: name and function of each.
     """
 
@@ -90,7 +102,25 @@ class Relations(Columns):
     second: Integers
     values: Floats
     sigma: Floats
+    third: Integers | None = None
     own: tuple[tuple[str, Related], ...] = field(default=(), kw_only=True)
+
+    @property
+    def ends(self) -> Integers:
+        """Points of each row, shape (n, 3); -1 where there is no third."""
+        third = np.full(len(self.kind), -1) if self.third is None else self.third
+        return np.column_stack([self.first, self.second, third]).astype(np.int64)
+
+    @property
+    def points(self) -> Integers:
+        """All points that are named, sorted."""
+        named = np.unique(self.ends)
+        return np.asarray(named[named >= 0])
+
+    def moved(self, place: Integers) -> "Relations":
+        """Name points by their new places."""
+        first, second, third = np.append(place, -1)[self.ends].T
+        return replace(self, first=first, second=second, third=None if self.third is None else third)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ from drivers.arrays import Floats
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import attitude_equations, common_equations, position_equations
-from photocal.adjustment.network import Network, own_parameters, own_sigma
+from photocal.adjustment.network import ANGLES, RELATIONS, Network, own_parameters, own_sigma
 from photocal.adjustment.rig import rig_equations
 from photocal.adjustment.state import State, head_values, turn_basis
 from photocal.geometry.camera import PARAMETERS
@@ -93,25 +93,32 @@ def exposure_equations(network: Network, layout: Layout, state: State) -> Equati
 def relation_equations(network: Network, layout: Layout, state: State) -> dict[str, Equations]:
     """Observations between points, by kind."""
     relations = network.relations
-    place = {int(j): k for k, j in enumerate(layout.kept_points)}
     result = {}
     own = dict(relations.own)
     for code, kind in enumerate(relations.names):
         mine = relations.kind == code
         if not mine.any():
             continue
-        first, second = relations.first[mine], relations.second[mine]
-        difference = state.points[second] - state.points[first]
-        computed, by_second = own[kind](difference) if kind in own else related(kind, difference)
-        residual = computed - relations.values[mine]
-        if kind == "azimuth":
+        count = 2 if kind in own else len(RELATIONS[kind])
+        ends = relations.ends[mine, :count]
+        points = state.points[ends]
+        if count == 2:
+            difference = points[:, 1] - points[:, 0]
+            value, by_second = own[kind](difference) if kind in own else related(kind, difference)
+            computed, by_end = value[:, None], np.stack([-by_second, by_second], axis=1)[:, None]
+        else:
+            computed, by_end = among_three(kind, points)
+        residual = computed - relations.values[mine, None]
+        if kind in ANGLES:
             residual = (residual + np.pi) % (2 * np.pi) - np.pi
-        columns = [layout.point_columns[[place[int(j)] for j in points]] for points in (first, second)]
-        free = [~network.points.held[points] for points in (first, second)]
-        coefficient = np.hstack([-by_second * free[0], by_second * free[1]])
-        start = 6 * np.arange(len(first) + 1)
-        weight = relations.sigma[mine] ** -2.0
-        result[kind] = Equations(start, np.hstack(columns).ravel(), coefficient.ravel(), residual, weight)
+        # A point across a line has two components, any other kind one value.
+        rows, width = residual.size, 3 * count
+        columns = layout.point_columns[np.searchsorted(layout.kept_points, ends)].reshape(-1, 1, width)
+        columns = np.broadcast_to(columns, (len(ends), residual.shape[1], width))
+        coefficient = by_end * ~network.points.held[ends][:, None]
+        weight = np.repeat(relations.sigma[mine] ** -2.0, residual.shape[1])
+        start = width * np.arange(rows + 1)
+        result[kind] = Equations(start, columns.ravel(), coefficient.ravel(), residual.ravel(), weight)
     return result
 
 
@@ -152,6 +159,28 @@ def related(kind: str, difference: Floats) -> tuple[Floats, Floats]:
         return length, difference / length[:, None]
     if kind == "height_difference":
         return difference[:, 2], np.broadcast_to([0.0, 0.0, 1.0], difference.shape)
-    dx, dy = difference[:, 0], difference[:, 1]
+    dx, dy, dz = difference.T
     square = dx**2 + dy**2
+    if kind == "vertical_angle":
+        level = np.sqrt(square)
+        by_level = -dz / (level * (square + dz**2))
+        by_second = np.column_stack([dx * by_level, dy * by_level, level / (square + dz**2)])
+        return np.arctan2(dz, level), by_second
     return np.arctan2(dx, dy), np.column_stack([dy / square, -dx / square, np.zeros_like(dx)])
+
+
+def among_three(kind: str, points: Floats) -> tuple[Floats, Floats]:
+    """Values (n, m) of a relation of three points (n, 3, 3), and derivatives (n, m, 3, 3) by each of them.
+
+    The components of a point across a line are about axes that turn with the line, so that the line's own
+    turn, about the point's foot, is all there is to differentiate.
+    """
+    if kind == "horizontal_angle":
+        (back, by_back), (on, by_on) = (related("azimuth", points[:, k] - points[:, 0]) for k in (1, 2))
+        return (on - back)[:, None], np.stack([by_back - by_on, -by_back, by_on], axis=1)[:, None]
+    along = points[:, 1] - points[:, 0]
+    axes = np.linalg.svd(along[:, None])[2][:, 1:]
+    apart = points[:, 2] - points[:, 0]
+    share = np.sum(apart * along, axis=1) / np.sum(along**2, axis=1)
+    by_point = np.column_stack([share - 1.0, -share, np.ones_like(share)])
+    return np.einsum("nmi,ni->nm", axes, apart), by_point[:, None, :, None] * axes[:, :, None]

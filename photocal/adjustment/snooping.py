@@ -185,9 +185,8 @@ def subset(network: Network, accepted: Flags) -> tuple[Network, Integers, Intege
     known = network.points.held.all(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(
         axis=1
     )
-    bound = np.concatenate([network.relations.first, network.relations.second])
     needed = count >= np.where(known, 1, 2)
-    needed[bound] = True
+    needed[network.relations.points] = True
     points = np.flatnonzero(needed)
     rays = np.flatnonzero(accepted & needed[network.rays.point])
     place = np.full(len(needed), -1)
@@ -200,9 +199,7 @@ def subset(network: Network, accepted: Flags) -> tuple[Network, Integers, Intege
         points=network.points.rows(points),
         rays=replace(network.rays, point=place[network.rays.point]).rows(rays),
         point_names=tuple(network.point_names[j] for j in points),
-        relations=replace(
-            network.relations, first=place[network.relations.first], second=place[network.relations.second]
-        ),
+        relations=network.relations.moved(place),
         datum_points=datum,
     )
     return part, rays, points

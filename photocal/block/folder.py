@@ -8,7 +8,7 @@ import numpy as np
 from acquire.checked_toml import read_toml
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, InputNotFoundError
-from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Relations, covariance_matrices
+from photocal.adjustment.network import ANGLES, NO_RELATIONS, RELATIONS, Relations, covariance_matrices
 from photocal.block.camera_setup import make_camera
 from photocal.block.model import (
     ROLES,
@@ -37,7 +37,7 @@ POINT_SIGMAS = ("sX", "sY", "sZ")
 POINT_CROSS = ("sXY", "sXZ", "sYZ")
 OBSERVATION_COLUMNS = ("image", "point", "x", "y")
 # Observations between points stand in tables of their plural: distances.csv (m), height_differences.csv (m),
-# azimuths.csv (degrees, from the Y axis towards X).
+# angles (degrees, azimuths from the Y axis towards X), lines.csv (m).
 CHECK_DISTANCES = "check_distances.csv"
 
 
@@ -264,15 +264,19 @@ def read_observations(
 
 def read_relations(path: Path, kind: str, points: tuple[str, ...], known: str = "points.csv") -> Relations:
     """Read a table of observations between points; errors as for `read_block`."""
-    table = read_table(path, ("from", "to", "value", "sigma"))
-    first, second = (known_rows(table, end, points, known) for end in ("from", "to"))
-    value, sigma = table.numbers("value"), table.numbers("sigma")
-    refuse(table, first == second, "both ends are the same point", "name two points")
+    columns = RELATIONS[kind]
+    table = read_table(path, (*columns, *(() if kind == "line" else ("value",)), "sigma"))
+    ends = np.array([known_rows(table, column, points, known) for column in columns])
+    sigma = table.numbers("sigma")
+    value = np.zeros(len(sigma)) if kind == "line" else table.numbers("value")
+    same = (np.diff(np.sort(ends, axis=0), axis=0) == 0).any(axis=0)
+    refuse(table, same, "the same point stands there twice", f"name {len(columns)} points")
     refuse(table, sigma <= 0, "sigma is not positive", "give a standard deviation")
     refuse(table, (value <= 0) & (kind == "distance"), "the distance is not positive", "correct it")
-    code = np.full(len(value), RELATIONS.index(kind))
-    scale = np.pi / 180 if kind == "azimuth" else 1.0
-    return Relations(code, first, second, value * scale, sigma * scale)
+    code = np.full(len(value), list(RELATIONS).index(kind))
+    scale = np.pi / 180 if kind in ANGLES else 1.0
+    third = ends[2] if len(ends) == 3 else np.full(len(value), -1)
+    return Relations(code, ends[0], ends[1], value * scale, sigma * scale, third)
 
 
 def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
@@ -280,7 +284,7 @@ def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
     parts = [read_relations(path, name, points) for name, path in paths.items() if path.exists()]
     if not parts:
         return NO_RELATIONS
-    columns = ("kind", "first", "second", "values", "sigma")
+    columns = ("kind", "first", "second", "values", "sigma", "third")
     return Relations(*(np.concatenate([getattr(part, column) for part in parts]) for column in columns))
 
 

@@ -333,17 +333,16 @@ def plane_per_unit(block: Block) -> Floats:
 
 def _relations(block: Block, position: Integers) -> Relations:
     """Observations between points, with the points' places in the network."""
-    relations = block.relations
-    ends = np.concatenate([relations.first, relations.second])
-    lost = np.flatnonzero(position[ends] < 0)
+    named = block.relations.points
+    lost = named[position[named] < 0]
     if len(lost):
-        name = block.points.names[ends[lost[0]]]
+        name = block.points.names[lost[0]]
         raise InputMalformedError(
-            f"point {name} has a distance or height difference but no ray",
+            f"point {name} has a distance, an angle or the like but no ray",
             where=f"point {name}",
             remedy="measure it in the images or remove the observation",
         )
-    return replace(relations, first=position[relations.first], second=position[relations.second])
+    return block.relations.moved(position)
 
 
 def _datum_points(block: Block, position: Integers) -> Integers | None:

@@ -91,7 +91,7 @@ def _distances(bars: tuple[Bar, ...], points: list[str], place: Path) -> Relatio
         if not (length > 0 and sigma > 0):
             raise InputMalformedError("a scale bar has no length or no sigma", where=place)
     return Relations(
-        np.full(len(bars), RELATIONS.index("distance")),
+        np.full(len(bars), list(RELATIONS).index("distance")),
         np.array([position[one] for one, _, _, _ in bars], dtype=np.int64),
         np.array([position[other] for _, other, _, _ in bars], dtype=np.int64),
         np.array([length for _, _, length, _ in bars]),

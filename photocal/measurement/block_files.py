@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from acquire.outputs import write_json, write_rows
-from photocal.adjustment.network import RELATIONS
+from photocal.adjustment.network import ANGLES, RELATIONS
 from photocal.block.folder import EXPOSURE, POINT_CROSS
 from photocal.block.model import ROLES, Block, Images
 from photocal.block.motion import RATE, SIGMAS_OF_MOTION, VELOCITY
@@ -82,12 +82,14 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
     for code, kind in enumerate(RELATIONS):
         mine = np.flatnonzero(relations.kind == code)
         if len(mine):
-            scale = 180 / np.pi if kind == "azimuth" else 1.0
-            ends = ((points.names[relations.first[k]], points.names[relations.second[k]]) for k in mine)
-            numbers = (relations.values[mine] * scale, relations.sigma[mine] * scale)
-            rows = zip(ends, *numbers, strict=True)
-            cells = ([*pair, _cell(v, 8), _cell(s, 8)] for pair, v, s in rows)
-            write_rows(folder / f"{kind}s.csv", ("from", "to", "value", "sigma"), cells)
+            scale = 180 / np.pi if kind in ANGLES else 1.0
+            named = ([points.names[j] for j in ends if j >= 0] for ends in relations.ends[mine])
+            figures = {"value": relations.values[mine] * scale, "sigma": relations.sigma[mine] * scale}
+            if kind == "line":
+                del figures["value"]
+            rows = zip(named, np.column_stack(list(figures.values())), strict=True)
+            cells = ([*names, *(_cell(v, 8) for v in numbers)] for names, numbers in rows)
+            write_rows(folder / f"{kind}s.csv", (*RELATIONS[kind], *figures), cells)
     write_json(folder / "measurement.json", record, 2)
 
 

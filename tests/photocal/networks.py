@@ -185,16 +185,27 @@ def _started(own: Camera, rng: np.random.Generator | None) -> Camera:
 def related(
     network: Network, scene: Scene, rng: np.random.Generator | None, kinds: list[int], sigma: Floats
 ) -> Network:
-    """Add relations of the given kinds (distance, height difference, azimuth) between points 0-1, 1-2, ..."""
-    first = np.arange(len(kinds)) % (len(scene.points) - 1)
+    """Add relations of the given kinds (numbers of `RELATIONS`) between points 0-1(-2), 1-2(-3), ..."""
+    first = np.arange(len(kinds)) % (len(scene.points) - 2)
     d = scene.points[first + 1] - scene.points[first]
-    by_kind = np.array([np.linalg.norm(d, axis=1), d[:, 2], np.arctan2(d[:, 0], d[:, 1])])
-    values = by_kind[kinds, np.arange(len(kinds))]
-    if rng is not None:
-        values = values + rng.normal(0.0, sigma)
-    return replace(
-        network, relations=Relations(np.array(kinds, dtype=np.int64), first, first + 1, values, sigma)
+    other = scene.points[first + 2] - scene.points[first]
+    azimuth, level = np.arctan2(d[:, 0], d[:, 1]), np.hypot(d[:, 0], d[:, 1])
+    by_kind = np.array(
+        [
+            np.linalg.norm(d, axis=1),
+            d[:, 2],
+            azimuth,
+            np.arctan2(d[:, 2], level),
+            np.arctan2(other[:, 0], other[:, 1]) - azimuth,
+            np.zeros(len(d)),
+        ]
     )
+    values, kind = by_kind[kinds, np.arange(len(kinds))], np.array(kinds, dtype=np.int64)
+    if rng is not None:
+        # A point is somewhere about its line, but never observed to be elsewhere.
+        values = values + rng.normal(0.0, sigma) * (kind != 5)
+    third = np.where(kind > 3, first + 2, -1)
+    return replace(network, relations=Relations(kind, first, first + 1, values, sigma, third))
 
 
 def navigated(

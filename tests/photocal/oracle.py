@@ -307,11 +307,22 @@ def _residuals(network: Network, values: dict[str, Numbers], helmert: Helmert) -
 def _relations(network: Network, values: dict[str, Numbers]) -> list[Any]:
     out = []
     r = network.relations
-    for kind, a, b, value, sigma in zip(r.kind, r.first, r.second, r.values, r.sigma, strict=True):
-        d = values["point"][b] - values["point"][a]
+    for kind, ends, value, sigma in zip(r.kind, r.ends, r.values, r.sigma, strict=True):
+        a, b, c = (values["point"][j] for j in ends)
+        d, e = b - a, c - a
+        if kind == 5:
+            # Across the line about constant axes: only what a point moves across it counts.
+            real = np.real(d)
+            first = np.cross(real, [0.3, 0.5, -0.8])
+            axes = np.array([first, np.cross(real, first)])
+            axes /= np.linalg.norm(axes, axis=1)[:, None]
+            out += list(axes @ (e - d * (e @ d) / (d @ d)) / sigma)
+            continue
         # The arc tangent of two complex numbers, by the angle that is left from the observed direction.
-        left = (d[0] * np.cos(value) - d[1] * np.sin(value)) / (d[0] * np.sin(value) + d[1] * np.cos(value))
-        out.append((np.sqrt(d @ d) - value, d[2] - value, np.arctan(left))[kind] / sigma)
+        turn = {3: (d[2], np.sqrt(d[0] ** 2 + d[1] ** 2)), 4: (e[0] * d[1] - e[1] * d[0], e[:2] @ d[:2])}
+        x, y = turn.get(int(kind), (d[0], d[1]))
+        left = np.arctan((x * np.cos(value) - y * np.sin(value)) / (x * np.sin(value) + y * np.cos(value)))
+        out.append((np.sqrt(d @ d) - value, d[2] - value, left, left, left)[kind] / sigma)
     return out
 
 

@@ -13,7 +13,7 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import Similarity, robust_similarity
 
-DISTANCE = RELATIONS.index("distance")
+DISTANCE = list(RELATIONS).index("distance")
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ def without_images(network: Network, state: State, left_out: Flags) -> tuple[Net
     point_place = np.cumsum(points) - 1
     rays = network.rays
     relations = network.relations
-    related = points[relations.first] & points[relations.second]
+    related = np.append(points, True)[relations.ends].all(axis=1)
     datum = network.datum_points
     smaller = replace(
         network,
@@ -96,9 +96,7 @@ def without_images(network: Network, state: State, left_out: Flags) -> tuple[Net
         points=network.points.rows(points),
         rays=replace(rays, image=image_place[rays.image], point=point_place[rays.point]).rows(kept),
         image_names=tuple(name for name, out in zip(network.image_names, left_out, strict=True) if not out),
-        relations=replace(
-            relations, first=point_place[relations.first], second=point_place[relations.second]
-        ).rows(related),
+        relations=relations.moved(point_place).rows(related),
         datum_points=None if datum is None else point_place[datum[points[datum]]],
         positions=_of_images(network.positions, image_place, ~left_out),
         attitudes=_of_images(network.attitudes, image_place, ~left_out),

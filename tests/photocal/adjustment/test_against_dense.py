@@ -241,12 +241,24 @@ def test_distances_height_differences_and_azimuths() -> None:
     same(networks.related(network, scene, rng, [0, 1, 2, 0, 1, 2, 0], sigma))
 
 
+def test_angles_and_straight_lines() -> None:
+    """Points 4 and 10 lie on lines through two others; the rays have them a few mm beside."""
+    scene, rng = networks.convergent(images=5, points=14), np.random.default_rng(19)
+    for k in (4, 10):
+        scene.points[k + 2] = 0.4 * scene.points[k] + 0.6 * scene.points[k + 1]
+    network = networks.observe(scene, rng, point_sigma=0.01, missing=0.1)
+    kinds = [3, 4, 3, 4, 5, 4, 3, 0, 4, 2, 5]
+    sigma = np.where(np.array(kinds) == 5, 0.001, 0.0005)
+    same(networks.related(network, scene, rng, kinds, sigma))
+
+
 def test_relations_with_held_points() -> None:
     scene, rng = networks.convergent(images=5, points=14), np.random.default_rng(12)
     sigma = np.full((14, 3), INF)
     sigma[:4], sigma[0], sigma[1, 2] = 0.01, 0.0, 0.0
     network = networks.observe(scene, rng, point_sigma=sigma)
     same(networks.related(network, scene, rng, [0, 1, 2, 0, 1, 2], np.full(6, 0.001)))
+    same(networks.related(network, scene, rng, [3, 4, 4, 3], np.full(4, 0.001)))
 
 
 LEVER = [0.3, -0.1, -0.4]

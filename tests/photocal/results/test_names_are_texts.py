@@ -72,6 +72,9 @@ def test_a_block_folder_keeps_them(tmp_path: Path) -> None:
     block = replace(simulated(), points=replace(simulated().points, cross=cross))
     for kind, value in (("distance", 2.5), ("azimuth", 0.1), ("height_difference", -0.25)):
         block = photocal.with_relations(block, kind, [(NAMES[0], NAMES[-1], value, 0.001)])
+    for kind, value in (("vertical_angle", -0.2), ("horizontal_angle", 1.5), ("line", 0.0)):
+        ends = (NAMES[0], NAMES[-1]) if kind == "vertical_angle" else (NAMES[0], NAMES[-1], NAMES[1])
+        block = photocal.with_relations(block, kind, [(*ends, value, 0.001)])
     write_block(tmp_path, block, {})
     for again in (photocal.read_block(tmp_path), _of_parquet(tmp_path)):
         assert again.images.names == again.points.names == NAMES
@@ -81,9 +84,9 @@ def test_a_block_folder_keeps_them(tmp_path: Path) -> None:
         assert again.points.cross is not None
         assert np.array_equal(again.points.cross, cross)
         order = np.argsort(again.relations.kind)
-        for name in ("first", "second", "values", "sigma"):
+        for name in ("ends", "values", "sigma"):
             ours = getattr(block.relations, name)[np.argsort(block.relations.kind)]
-            # Tables have eight decimals, azimuths in degrees.
+            # Tables have eight decimals, angles in degrees.
             np.testing.assert_allclose(getattr(again.relations, name)[order], ours, atol=1e-9)
 
 
