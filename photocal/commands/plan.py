@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from photocal.planning.flight import Flight, Layout
     from photocal.planning.mission import Home
     from photocal.planning.simulated_adjustment import Survey
+    from photocal.planning.wind import Wind
 
 
 _SIZE = re.compile(r"^(?P<columns>[0-9]+)\s*[xX]\s*(?P<rows>[0-9]+)$")
@@ -37,7 +38,15 @@ def plan(
     second_height: Annotated[
         float | None, option("Fly the cross strips at this height above ground, m (calibration).")
     ] = None,
-    speed: Annotated[float, option("Speed over ground, m/s.")] = 10.0,
+    speed: Annotated[
+        float, option("Speed over ground, m/s; of a fixed wing in a given wind, through the air.")
+    ] = 10.0,
+    border: Annotated[float, option("Cover so much about the area as well, m.")] = 0.0,
+    wind: Annotated[
+        str | None,
+        option("SPEED,FROM: m/s, and the direction it comes from, degrees: what the strips become."),
+    ] = None,
+    radio_range: Annotated[float | None, option("Range of the radio link, m, to check from --home.")] = None,
     scale: Annotated[str | None, option("Map scale of the product, such as 1:1000.")] = None,
     map_class: Annotated[str, option("Class that the product shall reach.", "--class")] = "A",
     standard: Annotated[str, option("Standard of that class.")] = "pec-pcd",
@@ -75,12 +84,16 @@ def plan(
     Example: `photocal plan field.kml -o plan --focal-mm 8.8 --pixel-um 2.41 --image-px 5472x3648
     --gsd-cm 3 --second-height 140 --home -28.853,-51.294,700 --ground-height 705`
     """
+    from drivers.arrays import as_plain
     from photocal.accuracy.standard import load_standard, parse_scale
+    from photocal.findings.finding import Finding
     from photocal.planning.area import read_area
     from photocal.planning.flight import Wish, plan_flight, suggest_layout
     from photocal.planning.frame import Frame, flying_height, scale_denominator
     from photocal.planning.mission import write_plan
     from photocal.planning.summary import remarks, targets_of, to_json, to_text
+    from photocal.planning.wind import farthest_m, fastest, in_wind
+    from photocal.planning.wind import text as wind_text
 
     size = _SIZE.match(image_px.strip())
     if size is None:
@@ -102,27 +115,39 @@ def plan(
         azimuth_rad=None if azimuth_deg is None else math.radians(azimuth_deg),
         cross_strips=cross,
         second_height_m=second_height,
+        border_m=border,
     )
     if (home is None) != (ground_height is None):
         raise ConfigurationError("a mission needs both --home and --ground-height")
     flight = plan_flight(read_area(area), wish)
     targets = () if scale is None else targets_of(load_standard(standard), parse_scale(scale), map_class)
-    notes = remarks(flight, targets, None if exposure_ms is None else exposure_ms * 1e-3, shortest_interval)
+    takeoff = None if home is None or ground_height is None else (_home(home), ground_height)
+    if radio_range is not None and takeoff is None:
+        raise ConfigurationError("--radio-range needs --home and --ground-height")
+    blown = None if wind is None else in_wind(flight, _wind(wind), vehicle)
+    fast = flight if blown is None else fastest(flight, blown)
+    notes = remarks(fast, targets, None if exposure_ms is None else exposure_ms * 1e-3, shortest_interval)
+    away = None if takeoff is None else farthest_m(flight, *takeoff)
+    if away is not None and radio_range is not None and away > radio_range:
+        notes = (*notes, Finding("radio-range", "doubtful", figures={"far_m": away, "range_m": radio_range}))
     # Half a base keeps the points on several photos without leaving the corners.
     layout = suggest_layout(flight.corners_m, control, check, flight.levels[0].base_m / 2.0)
-    takeoff = None if home is None or ground_height is None else (_home(home), ground_height)
-    figures = to_json(flight, targets, notes)
+    figures = to_json(flight, targets, notes) | {"farthest_m": away, "wind": as_plain(blown)}
     simulated = ""
     if simulation:
         survey = _survey(image_sigma_px, control_sigma_m, gnss_sigma_m, calibrate, relief_m)
         figures["simulated"], simulated = _simulated(flight, layout, survey)
     names = write_plan(output, flight, layout, takeoff, autopilot, vehicle, figures)
+    in_the_wind = "" if blown is None else f"\n{wind_text(blown)}"
+    if away is not None:
+        in_the_wind += f"\nfarthest photo {away:.0f} m from the take-off place"
     missing = "" if takeoff else "\nno mission written: give --home LAT,LON,HEIGHT and --ground-height"
     answer(
         as_json,
         lambda: figures,
         lambda: (
-            f"{to_text(flight, targets, notes)}{simulated}\nwritten to {output}: {', '.join(names)}{missing}"
+            f"{to_text(flight, targets, notes)}{in_the_wind}{simulated}\n"
+            f"written to {output}: {', '.join(names)}{missing}"
         ),
     )
 
@@ -149,6 +174,15 @@ def _pair(text: str) -> tuple[float, float]:
     if not (plane > 0.0 and height > 0.0):
         raise ConfigurationError(f"a precision of {text} m is not positive", remedy="write 0.02,0.03")
     return plane, height
+
+
+def _wind(text: str) -> Wind:
+    from photocal.planning.wind import Wind
+
+    speed, direction = numbers_of(text, "--wind", "SPEED,FROM: m/s and degrees, such as 6,220")
+    if speed < 0.0:
+        raise ConfigurationError(f"a wind of {speed:g} m/s is none", remedy="write 6,220")
+    return Wind(speed, math.radians(direction))
 
 
 def _home(text: str) -> Home:

@@ -59,21 +59,28 @@ def best_azimuth(corners_m: Floats) -> float:
 
 
 def plan_strips(
-    corners_m: Floats, azimuth_rad: float, spacing_m: float, base_m: float, run_out_m: float, height_m: float
+    corners_m: Floats,
+    azimuth_rad: float,
+    spacing_m: float,
+    base_m: float,
+    run_out_m: float,
+    height_m: float,
+    border_m: float = 0.0,
 ) -> tuple[Strip, ...]:
-    """Cover a polygon with parallel strips, flown to and fro."""
-    if not (spacing_m > 0.0 and base_m > 0.0 and run_out_m >= 0.0):
+    """Cover a polygon, and a border about it, with parallel strips, flown to and fro."""
+    if not (spacing_m > 0.0 and base_m > 0.0 and run_out_m >= 0.0 and border_m >= 0.0):
         raise ConfigurationError("the distances of strips and exposures must be positive")
     along, across = _along(corners_m, azimuth_rad), _across(corners_m, azimuth_rad)
-    width, length = float(np.ptp(across)), float(np.ptp(along))
+    width, length = float(np.ptp(across)) + 2.0 * border_m, float(np.ptp(along))
+    run_out_m += border_m
     count = max(1, math.ceil(width / spacing_m - 1e-9)) + 1
     if count * ((length + 2.0 * run_out_m) / base_m + 2.0) > _MOST_EXPOSURES:
         raise ConfigurationError(
             f"the plan would need more than {_MOST_EXPOSURES} exposures",
             remedy="look at height, overlap and area",
         )
-    lines = np.linspace(across.min(), across.max(), count)
-    half = (lines[1] - lines[0]) / 2.0
+    lines = np.linspace(across.min() - border_m, across.max() + border_m, count)
+    half = (lines[1] - lines[0]) / 2.0 + border_m
     rotated = np.column_stack((along, across))
     strips = []
     for number, line in enumerate(lines):
@@ -121,6 +128,7 @@ class Wish:
     azimuth_rad: flying direction, clockwise from north, rad; None takes the one with the fewest strips.
     second_height_m: height above ground of the cross strips, m; it separates principal distance and flying
         height.
+    border_m: how far beyond the area is covered as well: distortion and control are weakest at the edge.
     """
 
     frame: Frame
@@ -132,6 +140,7 @@ class Wish:
     azimuth_rad: float | None = None
     cross_strips: bool = False
     second_height_m: float | None = None
+    border_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -223,21 +232,20 @@ def plan_flight(area: Area, wish: Wish) -> Flight:
     azimuth = best_azimuth(corners) if wish.azimuth_rad is None else wish.azimuth_rad
     main = level_geometry(wish, wish.height_m)
     levels = [main]
-    strips = _strips(corners, azimuth, main, wish.along)
+    strips = _strips(corners, azimuth, main, wish)
     if wish.cross_strips or wish.second_height_m is not None:
         cross = main
         if wish.second_height_m is not None:
             cross = level_geometry(wish, wish.second_height_m)
             levels.append(cross)
-        strips += _strips(corners, azimuth + math.pi / 2.0, cross, wish.along)
+        strips += _strips(corners, azimuth + math.pi / 2.0, cross, wish)
     return Flight(area, plane, corners, wish, azimuth, tuple(levels), strips)
 
 
-def _strips(corners: Floats, azimuth: float, level: LevelGeometry, along: Side) -> tuple[Strip, ...]:
-    ground_along = level.footprint_m[0 if along == "columns" else 1]
-    return plan_strips(
-        corners, azimuth, level.strip_spacing_m, level.base_m, ground_along / 2.0, level.height_m
-    )
+def _strips(corners: Floats, azimuth: float, level: LevelGeometry, wish: Wish) -> tuple[Strip, ...]:
+    run_out = level.footprint_m[0 if wish.along == "columns" else 1] / 2.0
+    spacing, base = level.strip_spacing_m, level.base_m
+    return plan_strips(corners, azimuth, spacing, base, run_out, level.height_m, wish.border_m)
 
 
 def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float) -> Layout:
