@@ -82,7 +82,13 @@ else:
 
     def pseudo_terminal() -> tuple[int, int, str]:
         """Open one in raw mode: our end, that of the reader, and its path."""
-        ours, theirs = os.openpty()
+        try:
+            ours, theirs = os.openpty()
+        except OSError as refusal:
+            raise DeviceError(
+                f"this system gives no pseudo terminal ({refusal.strerror})",
+                remedy="mount devpts on /dev/pts, as containers and systems do on their own",
+            ) from refusal
         tty.setraw(theirs)
         return ours, theirs, os.ttyname(theirs)
 

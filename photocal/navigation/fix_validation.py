@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import label
 
 from drivers.arrays import Flags, Floats, Integers
 from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
@@ -59,10 +60,19 @@ def judge(
     directions = np.column_stack([_quality(forward, fore), _quality(backward, back)])
     both = (directions == FIXED).all(axis=1)
     velocity, sigma = _velocity(combined.time, here, fixed, code)
+    steps = np.column_stack(
+        [
+            np.linalg.norm(
+                _steps(combined.time, solution.offsets(origin)[row], row >= 0, velocity)[0], axis=1
+            )
+            for solution, row in ((forward, fore), (backward, back))
+        ]
+    )
     disagree = both & (np.abs(separation) > _SAME_FIX_M).any(axis=1)
     demoted = {
         "ratio below the threshold": fixed & (combined.ratio < ratio),
-        "forward and backward fixes differ": fixed & disagree,
+        "forward and backward fixes differ": fixed
+        & (disagree | _carried_on(directions == FIXED, disagree, steps)),
         "jump against the Doppler velocity": fixed & _jumps(combined.time, here, fixed, velocity, sigma),
         "off the code position": fixed & _off_code(here, combined, code, origin),
     }
@@ -74,6 +84,27 @@ def judge(
     covariance = _covariance(combined, quality, factor, separation)
     judged = combined.with_quality(quality, covariance)
     return Judgement(judged, demoted, factor, separation, directions, sigma)
+
+
+def _carried_on(fixed: Flags, disagree: Flags, steps_m: Floats) -> Flags:
+    """Tell which fixes of one direction go on, unconfirmed, from where the other refuted them.
+
+    fixed (n, 2) and steps_m (n - 1, 2), movement that the Doppler velocity does not know, of both directions.
+    """
+    both = fixed.all(axis=1)
+    unconfirmed = fixed & ~(both & ~disagree)[:, None]
+    # What leads to an epoch and away from it.
+    rough = np.nan_to_num(np.vstack([np.zeros(2), steps_m]) ** 2 + np.vstack([steps_m, np.zeros(2)]) ** 2)
+    doubtful = np.zeros(len(fixed), bool)
+    for direction in range(2):
+        run, number = label(unconfirmed[:, direction])
+        for k in range(1, number + 1):
+            refuted = (run == k) & disagree
+            own, other = rough[refuted].sum(axis=0)[[direction, 1 - direction]]
+            # The direction that keeps to the Doppler velocity where the other leaps is the right one.
+            if refuted.any() and not own < other / 4:
+                doubtful |= run == k
+    return doubtful & ~both
 
 
 def _quality(solution: EngineSolution, row: Integers) -> Integers:

@@ -61,6 +61,36 @@ def test_a_pause_ends_a_run() -> None:
     assert (judged.solution.quality == FLOAT).all()
 
 
+_CODE = replace(still(1.0, 60, FLOAT), covariance_m2=np.broadcast_to(np.eye(3), (60, 3, 3)))
+
+
+@pytest.mark.parametrize("wrong", ["forward", "backward"])
+def test_a_refuted_fix_that_goes_on_alone_stays_refuted(wrong: str) -> None:
+    """One direction stands 0.3 m too high from second 20 on; the other has no fix in seconds 25 to 29."""
+    right = still(1.0, 60, FIXED)
+    at = np.arange(60)
+    high = (at >= 20) & (at < 30)
+    alone = (at >= 25) & (at < 30)
+    leaps = replace(right, height_m=right.height_m + 0.3 * high)
+    pauses = replace(right, quality=np.where(alone, FLOAT, FIXED))
+    both = (leaps, pauses) if wrong == "forward" else (pauses, leaps)
+    judged = judge(replace(right, height_m=right.height_m + 0.3 * alone), *both, _CODE, 3.0)
+    assert (judged.solution.quality[high] == FLOAT).all()
+    assert (judged.solution.quality[~high] == FIXED).all()
+
+
+def test_who_keeps_to_the_way_while_the_other_leaps_keeps_its_fix() -> None:
+    right = still(1.0, 60, FIXED)
+    at = np.arange(60)
+    leaps = replace(
+        right,
+        height_m=right.height_m + 0.3 * ((at >= 20) & (at < 25)),
+        quality=np.where((at >= 25) & (at < 30), FLOAT, FIXED),
+    )
+    judged = judge(right, right, leaps, _CODE, 3.0)
+    assert (judged.solution.quality[25:30] == FIXED).all()
+
+
 def test_it_is_told_which_direction_had_the_fix() -> None:
     fixed, floating = still(1.0, 60, FIXED), still(1.0, 60, FLOAT)
     judged = judge(fixed, floating, fixed.rows(np.arange(5, 60)), floating, 3.0)
