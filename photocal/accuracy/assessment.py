@@ -1,50 +1,18 @@
 """The whole judgement of a product at its check points: statistics, tests and classes."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
-from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.accuracy.classes import (
-    AdmittedSize,
-    ClassDecision,
-    Sample,
-    ValueClass,
-    admitted_size,
-    decide,
-    sample,
-    value_class,
-)
+from photocal.accuracy import classes, statistics
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
 from photocal.accuracy.standard import LimitTable, Question, ScaleStandard, Standard, ValueStandard, size_text
-from photocal.accuracy.statistics import (
-    BiasTest,
-    LengthStatistics,
-    Moments,
-    NormalityTest,
-    SimilarityTrend,
-    Spread,
-    bias_test,
-    circular_error,
-    counted_error,
-    length_statistics,
-    lengths,
-    linear_error,
-    moments,
-    normality_test,
-    outliers,
-    rmse_after_trend_removal,
-    similarity_trend,
-    spread,
-    std_interval_factors,
-    within_gsd,
-)
+from photocal.accuracy.statistics import PROBABLE_ERROR, LengthStatistics
 from photocal.findings.finding import Figure, Finding
 
-PROBABLE_ERROR = 0.90
 # Below this number the standard deviation is known to worse than about a quarter of itself (95 %).
 SMALL_SAMPLE = 30
 _INTERVAL_CONFIDENCE = 0.95
@@ -63,27 +31,12 @@ class ComponentResult:
 
     name: str
     points: tuple[str, ...]
-    moments: Moments
-    spread: Spread
-    bias: BiasTest | None
-    normality: NormalityTest | None
+    moments: statistics.Moments
+    spread: statistics.Spread
+    bias: statistics.BiasTest | None
+    normality: statistics.NormalityTest | None
     outliers: tuple[str, ...]
     rmse_after_trend_removal_m: float | None
-
-
-@dataclass(frozen=True)
-class VectorResult:
-    """Plane or space vectors, or absolute height differences, summed up.
-
-    probable_m: CE90 (plane) or LE90 (height) from the second moments, m; None in space.
-    counted_m: length that 90 % of the points do not exceed, m.
-    within_gsd: points within one, and within two ground sampling distances; None where that is not known.
-    """
-
-    statistics: LengthStatistics
-    probable_m: float | None
-    counted_m: float
-    within_gsd: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -99,8 +52,8 @@ class TableResult:
     standard_title: str
     table: LimitTable
     size: float | None
-    decisions: tuple[ClassDecision, ...]
-    admitted: tuple[AdmittedSize, ...]
+    decisions: tuple[classes.ClassDecision, ...]
+    admitted: tuple[classes.AdmittedSize, ...]
 
     @property
     def precision_class(self) -> str | None:
@@ -125,12 +78,12 @@ class Assessment:
     discrepancies: Discrepancies
     question: Question
     components: tuple[ComponentResult, ...]
-    plane: VectorResult | None
-    height: VectorResult | None
-    space: VectorResult | None
-    similarity: SimilarityTrend | None
+    plane: LengthStatistics | None
+    height: LengthStatistics | None
+    space: LengthStatistics | None
+    similarity: statistics.SimilarityTrend | None
     tables: tuple[TableResult, ...]
-    values: tuple[ValueClass, ...]
+    values: tuple[classes.ValueClass, ...]
 
 
 def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], question: Question) -> Assessment:
@@ -141,11 +94,8 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
     _require_positive(question)
     plane = discrepancies.planimetric()[1]
     height = discrepancies.component("h")[1][:, np.newaxis]
-    products: dict[str, Sample] = {}
-    if len(plane):
-        products["planimetry"] = sample(plane)
-    if len(height):
-        products["height"] = sample(height)
+    given = {"planimetry": plane, "height": height}
+    products = {name: classes.sample(vectors) for name, vectors in given.items() if len(vectors)}
     tables = tuple(
         _apply(standard, table, products[table.component], question)
         for standard in standards
@@ -156,18 +106,25 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
     ground = discrepancies.of_ground("open"), discrepancies.of_ground("vegetated")
     heights = [part.component("h")[1][:, np.newaxis] for part in ground]
     values = tuple(
-        value_class(
+        classes.value_class(
             standard,
             products.get("planimetry"),
-            sample(heights[0]) if len(heights[0]) else None,
+            classes.sample(heights[0]) if len(heights[0]) else None,
             question,
             {name: (ground[0] if name == "h" else discrepancies).component(name) for name in COMPONENTS},
-            sample(heights[1]) if len(heights[1]) else None,
+            classes.sample(heights[1]) if len(heights[1]) else None,
         )
         for standard in standards
         if isinstance(standard, ValueStandard)
     )
-    space = discrepancies.spatial()[1]
+    space, gsd_m = discrepancies.spatial()[1], question.gsd_m
+
+    def circle(_: float) -> float:
+        return statistics.circular_error(plane.T @ plane / len(plane), PROBABLE_ERROR)
+
+    def line(rms_m: float) -> float:
+        return statistics.linear_error(rms_m, PROBABLE_ERROR)
+
     return Assessment(
         discrepancies,
         question,
@@ -176,13 +133,9 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
             for name in COMPONENTS
             if len(discrepancies.component(name)[0])
         ),
-        _vectors(
-            lengths(plane),
-            lambda _: circular_error(plane.T @ plane / len(plane), PROBABLE_ERROR),
-            question.gsd_m,
-        ),
-        _vectors(np.abs(height[:, 0]), lambda rms_m: linear_error(rms_m, PROBABLE_ERROR), question.gsd_m),
-        _vectors(lengths(space), lambda _: None, question.gsd_m),
+        statistics.length_statistics(statistics.lengths(plane), gsd_m, circle) if len(plane) else None,
+        statistics.length_statistics(np.abs(height[:, 0]), gsd_m, line) if len(height) else None,
+        statistics.length_statistics(statistics.lengths(space), gsd_m) if len(space) else None,
         _similarity(discrepancies),
         tables,
         values,
@@ -191,61 +144,42 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
 
 def _component(discrepancies: Discrepancies, name: str, confidence: float) -> ComponentResult:
     points, values = discrepancies.component(name)
-    figures = moments(values)
+    figures = statistics.moments(values)
     enough = figures.n > 1
     return ComponentResult(
         name,
         points,
         figures,
-        spread(values),
-        bias_test(figures, confidence) if enough else None,
-        normality_test(values, confidence),
-        tuple(points[row] for row in outliers(values, confidence)),
-        rmse_after_trend_removal(figures, confidence) if enough else None,
+        statistics.spread(values),
+        statistics.bias_test(figures, confidence) if enough else None,
+        statistics.normality_test(values, confidence),
+        tuple(points[row] for row in statistics.outliers(values, confidence)),
+        statistics.rmse_after_trend_removal(figures, confidence) if enough else None,
     )
 
 
-def _vectors(
-    lengths_m: Floats, probable: Callable[[float], float | None], gsd_m: float | None
-) -> VectorResult | None:
-    """Sum up lengths, with the probable error of their root mean square; None without any."""
-    if not len(lengths_m):
-        return None
-    statistics = length_statistics(lengths_m)
-    within = None if gsd_m is None else within_gsd(lengths_m, gsd_m)
-    return VectorResult(
-        statistics, probable(statistics.rms_m), counted_error(lengths_m, PROBABLE_ERROR), within
-    )
-
-
-def _similarity(discrepancies: Discrepancies) -> SimilarityTrend | None:
+def _similarity(discrepancies: Discrepancies) -> statistics.SimilarityTrend | None:
     if discrepancies.positions_m is None:
         return None
     both = np.column_stack((discrepancies.positions_m[:, :2], discrepancies.d_m[:, :2]))
     both = both[np.isfinite(both).all(axis=1)]
     if len(both) < 3 or not np.ptp(both[:, :2], axis=0).any():
         return None
-    return similarity_trend(both[:, :2], both[:, 2:])
+    return statistics.similarity_trend(both[:, :2], both[:, 2:])
 
 
-def _apply(standard: ScaleStandard, table: LimitTable, product: Sample, question: Question) -> TableResult:
+def _apply(
+    standard: ScaleStandard, table: LimitTable, product: classes.Sample, question: Question
+) -> TableResult:
     size = question.scale_denominator if table.basis == "scale" else question.interval_m
     if size is None and table.basis == "interval" and question.scale_denominator is not None:
         size = table.interval_at(question.scale_denominator)
-    share = standard.fraction_within_pec
-    return TableResult(
-        standard.id,
-        standard.title,
-        table,
-        size,
-        ()
-        if size is None
-        else tuple(decide(product, limit, share, question.confidence) for limit in table.limits_at(size)),
-        tuple(
-            admitted_size(product, table, limit.name, share, question.confidence)
-            for limit in table.unit_limits
-        ),
-    )
+    share, confidence = standard.fraction_within_pec, question.confidence
+    limits = () if size is None else table.limits_at(size)
+    decisions = tuple(classes.decide(product, limit, share, confidence) for limit in limits)
+    names = (limit.name for limit in table.unit_limits)
+    admitted = tuple(classes.admitted_size(product, table, name, share, confidence) for name in names)
+    return TableResult(standard.id, standard.title, table, size, decisions, admitted)
 
 
 def _require_positive(question: Question) -> None:
@@ -264,16 +198,9 @@ def _require_positive(question: Question) -> None:
 
 def findings(assessment: Assessment) -> tuple[Finding, ...]:
     """Say what an assessment found."""
-    listed = _sample_sizes(assessment.components)
-    for component in assessment.components:
-        listed += _bias(component)
-    for component in assessment.components:
-        listed += _shape(component)
-    for table in assessment.tables:
-        listed += _classes(table)
-    for value in assessment.values:
-        listed += _value_class(value)
-    return tuple(listed)
+    components = assessment.components
+    listed = [_sample_sizes(components), *map(_bias, components), *map(_shape, components)]
+    return tuple(chain(*listed, *map(_classes, assessment.tables), *map(_value_class, assessment.values)))
 
 
 def _sample_sizes(components: tuple[ComponentResult, ...]) -> list[Finding]:
@@ -287,7 +214,7 @@ def _sample_sizes(components: tuple[ComponentResult, ...]) -> list[Finding]:
         if n == 1:
             listed.append(Finding("single-check-point", "note", which))
         elif n < SMALL_SAMPLE:
-            low, high = std_interval_factors(n, _INTERVAL_CONFIDENCE)
+            low, high = statistics.std_interval_factors(n, _INTERVAL_CONFIDENCE)
             listed.append(Finding("small-sample", "note", which, {"n": float(n), "low": low, "high": high}))
     return listed
 
@@ -340,7 +267,7 @@ def _classes(table: TableResult) -> list[Finding]:
     return [Finding("class-differs", "note", table.standard_id, figures, cause=cause)]
 
 
-def _value_class(value: ValueClass) -> list[Finding]:
+def _value_class(value: classes.ValueClass) -> list[Finding]:
     standard, listed = value.standard, []
     if not value.enough_points:
         figures = {"n": float(min(value.counts)), "required": standard.minimum_points.value}
@@ -369,13 +296,12 @@ def _value_class(value: ValueClass) -> list[Finding]:
         listed.append(Finding("beyond-target", "doubtful", standard.id, times))
     if value.vegetated_m is not None:
         grown = {"rmse_m": value.vegetated_m, "n": float(value.points_vegetated)}
-        listed.append(
-            Finding("vva", "note", standard.id, {**grown, "required": standard.minimum_points.value})
-        )
+        grown |= {"required": standard.minimum_points.value}
+        listed.append(Finding("vva", "note", standard.id, grown))
     return listed + _tested(value)
 
 
-def _tested(value: ValueClass) -> list[Finding]:
+def _tested(value: classes.ValueClass) -> list[Finding]:
     """Give the standard's statement of what was tested, for each component."""
     listed = []
     required = value.standard.minimum_points.value

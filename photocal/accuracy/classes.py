@@ -24,7 +24,7 @@ class Sample:
     @property
     def rmse_m(self) -> float:
         """Planimetric or height RMSE, m."""
-        return statistics.combined_rmse(*self.components)
+        return math.sqrt(sum(component.rmse_m**2 for component in self.components))
 
 
 @dataclass(frozen=True)
@@ -85,11 +85,8 @@ def decide(product: Sample, limit: ClassLimit, share_required: float, confidence
     """Decide whether a product reaches a class."""
     sigma = component_sigma(limit.ep_m, len(product.components))
     testable = all(component.n > 1 for component in product.components)
-    precision = (
-        tuple(statistics.precision_test(component, sigma, confidence) for component in product.components)
-        if testable
-        else ()
-    )
+    tests = (statistics.precision_test(component, sigma, confidence) for component in product.components)
+    precision = tuple(tests) if testable else ()
     share = None if product.lengths_m is None else float(np.mean(product.lengths_m <= limit.pec_m))
     passes = None if share is None else share >= share_required - 1e-9
     return ClassDecision(limit, precision, product.rmse_m <= limit.ep_m, share, passes)
@@ -110,11 +107,9 @@ def admitted_size(
             for component in product.components
         )
         precision = sigma / component_sigma(unit.ep_m, len(product.components))
-    share = (
-        None
-        if product.lengths_m is None
-        else statistics.counted_error(product.lengths_m, share_required) / unit.pec_m
-    )
+    share = None
+    if product.lengths_m is not None:
+        share = statistics.counted_error(product.lengths_m, share_required) / unit.pec_m
     return AdmittedSize(name, precision, product.rmse_m / unit.ep_m, share)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from acquire.outputs import output_file, output_folder
+from acquire.outputs import output_file
 from drivers.arrays import Flags, Floats
 from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
@@ -189,26 +189,24 @@ def _histogram(axes: Axes, name: str, values: Floats) -> None:
     axes.tick_params(labelsize=7)
 
 
-def save_figures(
-    discrepancies: Discrepancies, gsd_m: float | None, folder: Path, prefix: str = ""
-) -> list[str]:
-    """Save the figures of the report section into a folder that is being made, and give their names."""
-    drawn = {
-        "residual_map": residual_map(discrepancies),
-        "histograms": histograms(discrepancies),
-        "gsd_circles": gsd_circles(discrepancies, gsd_m),
-    }
-    made = {f"{prefix}{kind}.pdf": figure for kind, figure in drawn.items() if figure is not None}
-    for name, figure in made.items():
+def save_figures(folder: Path, drawn: Mapping[str, Figure | None]) -> tuple[str, ...]:
+    """Write the figures that could be drawn, and give their names."""
+    figures = {name: figure for name, figure in drawn.items() if figure is not None}
+    for name, figure in figures.items():
         # Without the date the same input gives the same bytes.
         figure.savefig(folder / name, metadata={"CreationDate": None})
-    return list(made)
+    return tuple(figures)
 
 
-def write_figures(discrepancies: Discrepancies, gsd_m: float | None, folder: Path) -> tuple[Path, ...]:
-    """Write the figures of the report section; raises OutputError when the folder cannot be written."""
-    with output_folder(folder) as aside:
-        return tuple(folder / name for name in save_figures(discrepancies, gsd_m, aside))
+def check_figures(
+    discrepancies: Discrepancies, gsd_m: float | None, prefix: str = ""
+) -> dict[str, Figure | None]:
+    """Draw the figures of the report section, by the names of their files."""
+    return {
+        f"{prefix}residual_map.pdf": residual_map(discrepancies),
+        f"{prefix}histograms.pdf": histograms(discrepancies),
+        f"{prefix}gsd_circles.pdf": gsd_circles(discrepancies, gsd_m),
+    }
 
 
 def reference_system(crs: str | None) -> ReferenceSystem:

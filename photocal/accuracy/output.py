@@ -10,9 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from photocal.accuracy import classes
-from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult, VectorResult, findings
+from photocal.accuracy.assessment import Assessment, ComponentResult, TableResult, findings
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN
 from photocal.accuracy.standard import scale_text, size_text
+from photocal.accuracy.statistics import LengthStatistics
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, plain
 
@@ -44,8 +45,7 @@ def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, A
             "rotation_mrad": similarity.rotation_rad * 1e3,
             "rmse_left_m": similarity.rmse_left_m,
         },
-        "standards": [_standard_record(table) for table in assessment.tables]
-        + [_value(value) for value in assessment.values],
+        "standards": [*map(_standard_record, assessment.tables), *map(_value, assessment.values)],
         "findings": [finding_json(one, say or catalogue("en")) for one in findings(assessment)],
     }
 
@@ -70,21 +70,20 @@ def _component(component: ComponentResult) -> dict[str, Any]:
     }
 
 
-def _vector(result: VectorResult | None, name: str | None) -> dict[str, Any] | None:
-    if result is None:
+def _vector(lengths: LengthStatistics | None, name: str | None) -> dict[str, Any] | None:
+    if lengths is None:
         return None
-    statistics = result.statistics
     figures: dict[str, Any] = {
-        "n": statistics.n,
-        "rmse_m": statistics.rms_m,
-        "mean_length_m": statistics.mean_m,
-        "maximum_m": statistics.maximum_m,
-        "counted_90_m": result.counted_m,
+        "n": lengths.n,
+        "rmse_m": lengths.rms_m,
+        "mean_length_m": lengths.mean_m,
+        "maximum_m": lengths.maximum_m,
+        "counted_90_m": lengths.counted_m,
     }
     if name is not None:
-        figures[f"{name}_m"] = result.probable_m
-    if result.within_gsd is not None:
-        figures["within_1_gsd"], figures["within_2_gsd"] = result.within_gsd
+        figures[f"{name}_m"] = lengths.probable_m
+    if lengths.within_gsd is not None:
+        figures["within_1_gsd"], figures["within_2_gsd"] = lengths.within_gsd
     return figures
 
 
@@ -176,12 +175,12 @@ def to_text(assessment: Assessment) -> str:
     return "\n".join(parts)
 
 
-def findings_text(said: tuple[Finding, ...]) -> str:
+def findings_text(findings: tuple[Finding, ...]) -> str:
     """Write findings one below the other."""
-    if not said:
+    if not findings:
         return "Nothing to remark."
     say = catalogue("en")
-    texts = [finding_text(finding, say, plain) for finding in said]
+    texts = [finding_text(finding, say, plain) for finding in findings]
     return "\n".join(textwrap.fill(t, _WIDTH, initial_indent="* ", subsequent_indent="  ") for t in texts)
 
 
@@ -213,17 +212,12 @@ def _vectors(assessment: Assessment) -> str:
     table = _table(
         "Lengths", "", "n", "RMSE", "mean length", "maximum", "90 % normal", "90 % counted", *circles
     )
-    named: tuple[tuple[str, VectorResult | None], ...] = (
-        ("planimetry (CE90)", assessment.plane),
-        ("height (LE90)", assessment.height),
-        ("3D", assessment.space),
-    )
-    for name, result in named:
-        if result is not None:
-            s = result.statistics
-            figures = (s.rms_m, s.mean_m, s.maximum_m, result.probable_m, result.counted_m)
-            counts = (f"{k} of {s.n}" for k in result.within_gsd or ())
-            table.add_row(name, str(s.n), *(_metres(figure) for figure in figures), *counts)
+    lengths = assessment.plane, assessment.height, assessment.space
+    for name, s in zip(("planimetry (CE90)", "height (LE90)", "3D"), lengths, strict=True):
+        if s is not None:
+            figures = (s.rms_m, s.mean_m, s.maximum_m, s.probable_m, s.counted_m)
+            counts = (f"{k} of {s.n}" for k in s.within_gsd or ())
+            table.add_row(name, str(s.n), *map(_metres, figures), *counts)
     return _render(table)
 
 

@@ -1,6 +1,7 @@
 """Moments of discrepancies, and tests on them: bias, precision, normality, outliers, trends."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ _NO_RANGE_M = 1e-9
 SMALLEST_SAMPLE = 5
 # More outliers than this are no outliers any more but another distribution.
 MOST_TESTED = 100
+PROBABLE_ERROR = 0.90
 
 
 @dataclass(frozen=True)
@@ -64,19 +66,6 @@ class Spread:
     nmad_m: float
 
 
-@dataclass(frozen=True)
-class LengthStatistics:
-    """Lengths of residual vectors (2D or 3D) summed up in the two ways that the literature mixes.
-
-    mean_m: arithmetic mean of the lengths, m. Smaller than, or equal to, the root mean square.
-    """
-
-    n: int
-    mean_m: float
-    rms_m: float
-    maximum_m: float
-
-
 def moments(values_m: Floats) -> Moments:
     """Compute number, mean and standard deviation of one component.
 
@@ -103,24 +92,42 @@ def lengths(vectors_m: Floats) -> Floats:
     return np.sqrt(squares)
 
 
-def length_statistics(lengths_m: Floats) -> LengthStatistics:
-    """Sum up lengths of residual vectors by mean and by root mean square.
+@dataclass(frozen=True)
+class LengthStatistics:
+    """Lengths of residual vectors summed up in the two ways that the literature mixes.
+
+    mean_m: arithmetic mean of the lengths, m. Smaller than, or equal to, the root mean square.
+    probable_m: CE90 (plane) or LE90 (height) from the second moments, m; None in space.
+    counted_m: length that 90 % of the points do not exceed, m.
+    within_gsd: points within one, and within two ground sampling distances; None where that is not known.
+    """
+
+    n: int
+    mean_m: float
+    rms_m: float
+    maximum_m: float
+    probable_m: float | None
+    counted_m: float
+    within_gsd: tuple[int, int] | None
+
+
+def length_statistics(
+    lengths_m: Floats, gsd_m: float | None = None, probable: Callable[[float], float | None] = lambda _: None
+) -> LengthStatistics:
+    """Sum up lengths of residual vectors by mean and by root mean square, with its probable error.
 
     Silva (tank survey, equation 5) defines Rxyz as the root mean square but prints the mean of the
     lengths, so both are given and named.
     """
-    rms = math.sqrt(float(np.mean(np.square(lengths_m))))
-    return LengthStatistics(len(lengths_m), float(np.mean(lengths_m)), rms, float(np.max(lengths_m)))
+    n, mean, rms = len(lengths_m), float(np.mean(lengths_m)), math.sqrt(float(np.mean(np.square(lengths_m))))
+    counted = counted_error(lengths_m, PROBABLE_ERROR)
+    within = None if gsd_m is None else within_gsd(lengths_m, gsd_m)
+    return LengthStatistics(n, mean, rms, float(np.max(lengths_m)), probable(rms), counted, within)
 
 
 def within_gsd(lengths_m: Floats, gsd_m: float) -> tuple[int, int]:
     """Count the points within one, and within two ground sampling distances (Alves Junior et al. 2015)."""
     return int(np.sum(lengths_m <= gsd_m)), int(np.sum(lengths_m <= 2.0 * gsd_m))
-
-
-def combined_rmse(*components: Moments) -> float:
-    """Join the RMSE of components into the 2D or 3D RMSE."""
-    return math.sqrt(sum(component.rmse_m**2 for component in components))
 
 
 def counted_error(lengths_m: Floats, share: float) -> float:

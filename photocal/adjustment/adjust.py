@@ -16,7 +16,7 @@ from photocal.adjustment.normal import Problem, normal_equations, other_equation
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, chords, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
-from photocal.geometry.distortion import undistorted
+from photocal.geometry.distortion import slopes_of
 
 # Squared distance, in units of the standard deviations, at which the movements of images are freed.
 NEAR = 1.0
@@ -80,10 +80,7 @@ def _where_rays_come_from(problem: Problem, start: State) -> State | None:
     if not loose.any():
         return None
     rays = rays.rows(loose[rays.image])
-    slopes = np.empty(rays.plane.shape)
-    camera = exposures.camera[rays.image]
-    for k, own in enumerate(network.cameras):
-        slopes[camera == k] = undistorted(own, rays.plane[camera == k]) / own.value("c")
+    slopes = slopes_of(network.cameras, exposures.camera[rays.image], rays.plane)
     towards = np.column_stack([slopes, -np.ones(len(slopes))])
     towards = np.einsum("nba,nb->na", start.rotation[rays.image], towards)
     towards /= np.linalg.norm(towards, axis=1)[:, None]

@@ -22,7 +22,7 @@ from photocal.block.model import Block
 from photocal.block.motion import motion_of
 from photocal.block.rig import rig_of
 from photocal.geometry.camera import Camera, among, pixel_to_plane, plane_to_pixel
-from photocal.geometry.distortion import undistorted
+from photocal.geometry.distortion import slopes_of
 from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
 from photocal.geometry.resection import intersect, ray_residuals
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -93,10 +93,7 @@ def _intersected(
         return points
     rays = rays.rows(some)
     camera = exposures.camera[rays.image]
-    slopes = np.empty((len(camera), 2))
-    for k, own in enumerate(cameras):
-        mine = camera == k
-        slopes[mine] = undistorted(own, rays.plane[mine]) / own.value("c")
+    slopes = slopes_of(cameras, camera, rays.plane)
     rotation = matrix_from_angles(exposures.values[:, :3])[rays.image]
     centre = exposures.values[rays.image, 3:]
     start = intersect(rays.point, len(points), centre, rotation, slopes, np.ones(len(slopes)))

@@ -41,28 +41,18 @@ def judge_product(
         likeness, remarks = [finite(v) for v in found.likeness.tolist()], found.remarks
         more, found = {"likeness": likeness, "remarks": list(remarks)}, found.discrepancies
     result = assess(found, standards, question)
-    _files(result.discrepancies, path, question.gsd_m, figures, geopackage, crs)
-    answer(as_json, lambda: to_json(result) | more, lambda: "\n".join([to_text(result), *remarks]))
-
-
-def _files(
-    found: Discrepancies,
-    path: Path,
-    gsd: float | None,
-    figures: Path | None,
-    geopackage: Path | None,
-    crs: str | None,
-) -> None:
-    """Residual map, histograms and GeoPackage of a product, where they are asked for."""
     if figures is not None:
-        from photocal.accuracy.maps import write_figures
+        from acquire.outputs import output_folder
+        from photocal.accuracy.maps import check_figures, save_figures
 
-        write_figures(found, gsd, figures)
+        with output_folder(figures) as aside:
+            save_figures(aside, check_figures(result.discrepancies, question.gsd_m))
     if geopackage is not None:
         from photocal.accuracy.maps import reference_system, write_geopackage
         from photocal.geopackage import changed_utc
 
         write_geopackage(geopackage, (("check", found),), reference_system(crs), changed_utc(path))
+    answer(as_json, lambda: to_json(result) | more, lambda: "\n".join([to_text(result), *remarks]))
 
 
 def judge_block(
@@ -150,6 +140,7 @@ def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
 def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bool) -> None:
     """Repeat the adjustment with several numbers of control points, and answer."""
     from acquire.outputs import output_folder, write_json
+    from photocal.accuracy.maps import save_figures
     from photocal.exchange.formats import read_any_block
     from photocal.georeferencing.experiment import control_numbers, numbers_text
     from photocal.georeferencing.experiment_output import control_plot
@@ -165,9 +156,7 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
     if output is not None:
         with output_folder(output) as folder:
             write_json(folder / "control_numbers.json", figures)
-            plot = control_plot(outcome)
-            if plot is not None:
-                plot.savefig(folder / "control_numbers.pdf", metadata={"CreationDate": None})
+            save_figures(folder, {"control_numbers.pdf": control_plot(outcome)})
     written = "" if output is None else f"\nwritten to {output}"
     answer(as_json, lambda: figures, lambda: numbers_text(figures) + written)
 

@@ -9,7 +9,7 @@ from drivers.errors import ConfigurationError
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
-    from photocal.exchange.reconstruction import Angle, Origin, Reconstruction
+    from photocal.exchange.reconstruction import Angle
 
 FORMATS = ", ".join(exported())
 
@@ -33,22 +33,34 @@ def export(
     from acquire.outputs import output_folder
     from photocal.exchange.formats import export as write
     from photocal.exchange.formats import named
-    from photocal.exchange.reconstruction import Choices, of_result
+    from photocal.exchange.reconstruction import Choices, Origin, middle, of_result
     from photocal.results.folder import read_result
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
-    choices = Choices(_angle_unit(angle_unit), _origin(origin), now)
+    if angle_unit not in ("", "deg", "gon"):
+        raise ConfigurationError(f"angle unit {angle_unit!r} is not known", remedy="use deg or gon")
+    touching = None
+    if origin:
+        form = "LATITUDE,LONGITUDE,HEIGHT: degrees, metres"
+        touching = Origin(*numbers_of(origin, "--origin", form))
+    choices = Choices(cast("Angle", angle_unit) if angle_unit else None, touching, now)
     chosen = named(form)
     adjusted = read_result(run)
     given = of_result(adjusted)
     with output_folder(output) as aside:
         conversions = write(chosen, aside, given, choices)
         files = sorted(str(path.relative_to(aside)) for path in aside.rglob("*") if path.is_file())
+    cartesian = chosen.space == "cartesian"
+    place = None
+    if cartesian and given.frame != "local":
+        # Where the frame of the written files has its origin.
+        axes = dict(zip("xyz", middle(given).tolist(), strict=True))
+        place = {"frame": given.frame, "height": given.height, **axes}
     result = {
         "schema": "photocal.export/1",
         "format": form,
-        "frame": "local" if chosen.space == "cartesian" else given.frame,
-        "origin": _origin_of(given) if chosen.space == "cartesian" else None,
+        "frame": "local" if cartesian else given.frame,
+        "origin": place,
         "distortion": chosen.distortion,
         "files": files,
         "cameras": [
@@ -60,31 +72,6 @@ def export(
         },
     }
     answer(as_json, lambda: result, lambda: _text(result, output))
-
-
-def _origin_of(given: "Reconstruction") -> dict[str, Any] | None:
-    """Where the frame of a Cartesian format has its origin, for a block in a reference system."""
-    if given.frame == "local":
-        return None
-    from photocal.exchange.reconstruction import middle
-
-    x, y, z = middle(given).tolist()
-    return {"frame": given.frame, "height": given.height, "x": x, "y": y, "z": z}
-
-
-def _angle_unit(text: str) -> "Angle | None":
-    if text in ("", "deg", "gon"):
-        return cast("Angle", text) if text else None
-    raise ConfigurationError(f"angle unit {text!r} is not known", remedy="use deg or gon")
-
-
-def _origin(text: str) -> "Origin | None":
-    from photocal.exchange.reconstruction import Origin
-
-    if text == "":
-        return None
-    latitude, longitude, height = numbers_of(text, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres")
-    return Origin(latitude, longitude, height)
 
 
 def _text(result: dict[str, Any], output: Path) -> str:

@@ -13,7 +13,6 @@ from drivers.errors import ConfigurationError
 if TYPE_CHECKING:
     from photocal.measurement.block_files import Measured
     from photocal.measurement.image_block import GivenControl
-    from photocal.measurement.maker_camera import GivenLens
     from photocal.measurement.match_images import MatchingPlan
     from photocal.tasks.workers import Workers
 
@@ -97,13 +96,25 @@ def measure(
                 "a project names its own control", remedy="give --images with --board or --gcp"
             )
         work = _project(project or Path(), marks or [], crew, cache)
-    elif field:
-        work = _field(images, field, distances, lens)
-    elif board:
-        work = _board(images, board, square_m, charuco)
     else:
-        control = None if gcp is None else _control(gcp, gcp_sigma, crs, height)
-        work = _images(images, lens, _plan(crew, cache, images), control)
+        from photocal.measurement.image_file import list_images
+
+        pictures, name = list_images(images), images.resolve().name
+        if field:
+            from photocal.measurement.field_block import measure_field
+
+            work = partial(measure_field, pictures, field, distances, name, lens, progress)
+        elif board:
+            from photocal.measurement.board_block import measure_board
+            from photocal.measurement.boards import parse_board
+
+            work = partial(measure_board, pictures, parse_board(board, square_m, charuco), name, progress)
+        else:
+            from photocal.measurement.image_block import measure_images
+
+            control = None if gcp is None else _control(gcp, gcp_sigma, crs, height)
+            plan = _plan(crew, cache, images)
+            work = partial(measure_images, pictures, name, plan, progress, lens, control)
     record = _written(work, output)
     adjusted = []
     if run is not None and field:
@@ -111,23 +122,6 @@ def measure(
 
         adjusted = [repr(adjust_block(output, run))]
     answer(as_json, lambda: record, lambda: "\n".join([*_text(record, output), *adjusted]))
-
-
-def _board(images: Path, board: str, square_m: float, charuco: str) -> Work:
-    from photocal.measurement.board_block import measure_board
-    from photocal.measurement.boards import parse_board
-    from photocal.measurement.image_file import list_images
-
-    wanted = parse_board(board, square_m, charuco)
-    return partial(measure_board, list_images(images), wanted, images.resolve().name, progress)
-
-
-def _field(images: Path, field: str, distances: Path | None, lens: GivenLens) -> Work:
-    from photocal.measurement.field_block import measure_field
-    from photocal.measurement.image_file import list_images
-
-    name = images.resolve().name
-    return partial(measure_field, list_images(images), field, distances, name, lens, progress)
 
 
 def _project(path: Path, marks: list[Path], crew: Workers, cache: Path | None) -> Work:
@@ -141,14 +135,6 @@ def _project(path: Path, marks: list[Path], crew: Workers, cache: Path | None) -
     exposures = of_exposures(project, folder) if (folder / "images.csv").exists() else None
     plan = _plan(crew, cache, project.picture_folder)
     return partial(measure_project, project, exposures, plan, progress, marks)
-
-
-def _images(images: Path, lens: GivenLens, plan: MatchingPlan, control: GivenControl | None) -> Work:
-    from photocal.measurement.image_block import measure_images
-    from photocal.measurement.image_file import list_images
-
-    name = images.resolve().name
-    return partial(measure_images, list_images(images), name, plan, progress, lens, control)
 
 
 def _control(gcp: Path, sigma: str, crs: str, height: str) -> GivenControl:

@@ -9,7 +9,6 @@ from acquire.console import AsJson, answer, argument, numbers_of, option, progre
 
 if TYPE_CHECKING:
     from drivers.arrays import Floats
-    from photocal.navigation.exposure_run import Choices
 
 Rover = Annotated[Path | None, option("RINEX observations of the rover.")]
 Base = Annotated[Path | None, option("RINEX observations of the base.")]
@@ -161,12 +160,13 @@ def exposures(
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.exposure_files import write_run
     from photocal.navigation.exposure_report import exposures_text
-    from photocal.navigation.exposure_run import Choices, run_exposures
+    from photocal.navigation.exposure_run import Choices, choices_of_project, run_exposures
     from photocal.navigation.flight_log import FlightLog
     from photocal.navigation.image_checks import TieMatching
     from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import Rig
     from photocal.navigation.rig import camera_axes as axes_of
+    from photocal.project import read_project
 
     if lever_arm is not None:
         raise ConfigurationError(
@@ -179,7 +179,9 @@ def exposures(
     if project and len(logs) > 1:
         raise ConfigurationError("a project file stands for itself", where=project[0], remedy="give it alone")
     if project:
-        choices, camera, crs = _of_project(project[0])
+        named = read_project(project[0])
+        choices, camera = choices_of_project(named), named.camera.id
+        crs = None if named.crs == "local" else named.crs
     else:
         if edge not in ("rising", "falling"):
             raise ConfigurationError(f"{edge!r} is no edge", where="--edge", remedy="rising or falling")
@@ -211,15 +213,6 @@ def _triple(text: str, option: str) -> "Floats":
     import numpy as np
 
     return np.array(numbers_of(text, option, "A,B,C: three numbers in the unit of the help"))
-
-
-def _of_project(path: Path) -> "tuple[Choices, str, str | None]":
-    """Return the choices, the camera's id and the system of a project."""
-    from photocal.navigation.exposure_run import choices_of_project
-    from photocal.project import read_project
-
-    project = read_project(path)
-    return choices_of_project(project), project.camera.id, None if project.crs == "local" else project.crs
 
 
 def survey(

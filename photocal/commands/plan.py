@@ -11,9 +11,7 @@ from acquire.console import AsJson, answer, argument, numbers_of, option, progre
 from drivers.errors import ConfigurationError, InputMalformedError
 
 if TYPE_CHECKING:
-    from photocal.planning.flight import Flight, Layout
     from photocal.planning.mission import Home
-    from photocal.planning.simulated_adjustment import Survey
     from photocal.planning.wind import Wind
 
 
@@ -135,8 +133,18 @@ def plan(
     figures = to_json(flight, targets, notes) | {"farthest_m": away, "wind": as_plain(blown)}
     simulated = ""
     if simulation:
-        survey = _survey(image_sigma_px, control_sigma_m, gnss_sigma_m, calibrate, relief_m)
-        figures["simulated"], simulated = _simulated(flight, layout, survey)
+        from photocal.planning import simulated_adjustment
+
+        if not (image_sigma_px > 0.0 and relief_m >= 0.0):
+            raise ConfigurationError("image precision must be positive and relief not negative")
+        positions = None if gnss_sigma_m is None else _pair(gnss_sigma_m)
+        survey = simulated_adjustment.Survey(
+            image_sigma_px, _pair(control_sigma_m), positions, calibrate, relief_m
+        )
+        with progress("adjusting the planned flight", None):
+            result = simulated_adjustment.simulate(flight, layout, survey)
+        figures["simulated"] = simulated_adjustment.to_json(result, survey)
+        simulated = "\n" + simulated_adjustment.to_text(result)
     names = write_plan(output, flight, layout, takeoff, autopilot, vehicle, figures)
     in_the_wind = "" if blown is None else f"\n{wind_text(blown)}"
     if away is not None:
@@ -150,23 +158,6 @@ def plan(
             f"written to {output}: {', '.join(names)}{missing}"
         ),
     )
-
-
-def _simulated(flight: Flight, layout: Layout, survey: Survey) -> tuple[dict[str, object], str]:
-    from photocal.planning.simulated_adjustment import simulate, to_json, to_text
-
-    with progress("adjusting the planned flight", None):
-        result = simulate(flight, layout, survey)
-    return to_json(result, survey), "\n" + to_text(result)
-
-
-def _survey(image_px: float, control: str, gnss: str | None, calibrate: bool, relief_m: float) -> Survey:
-    from photocal.planning.simulated_adjustment import Survey
-
-    if not (image_px > 0.0 and relief_m >= 0.0):
-        raise ConfigurationError("image precision must be positive and relief not negative")
-    positions = None if gnss is None else _pair(gnss)
-    return Survey(image_px, _pair(control), positions, calibrate, relief_m)
 
 
 def _pair(text: str) -> tuple[float, float]:

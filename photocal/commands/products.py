@@ -51,24 +51,16 @@ def ortho(
 
     Example: `photocal ortho block --run run --images photos --dtm dtm.tif --cell 0.1 -o ortho.tif`
     """
+    from photocal.products import ortho_job
     from photocal.products.oriented import oriented
-    from photocal.products.ortho_job import (
-        METHODS,
-        displacement_field,
-        heights_of,
-        image_files,
-        overview,
-        plan_grid,
-        system_of,
-        write_orthophoto,
-    )
     from photocal.products.orthophoto import Recipe
     from photocal.products.raster import HEIGHT_TAG, describe, terrain_source
     from photocal.products.terrain import HEIGHT_KINDS
 
-    if resampling not in METHODS:
+    methods = ortho_job.METHODS
+    if resampling not in methods:
         raise ConfigurationError(
-            f"--resampling {resampling} is not known", remedy=f"use {', '.join(METHODS)}"
+            f"--resampling {resampling} is not known", remedy=f"use {', '.join(methods)}"
         )
     if heights is not None and heights not in HEIGHT_KINDS:
         raise ConfigurationError(f"--heights {heights} is not known", remedy=f"use {', '.join(HEIGHT_KINDS)}")
@@ -76,21 +68,19 @@ def ortho(
         raise ConfigurationError("--compare and --displacement go together", remedy="give both or none")
     dtm, notes = _terrain_file(dtm, dtm_cell, dtm_output, crs, heights)
     model, frame, shots = oriented(block, run)
-    files = image_files(model, images, tuple(image or ()))
+    files = ortho_job.image_files(model, images, tuple(image or ()))
     shots = shots.only(list(files))
     raster = describe(dtm)
-    kind, system = heights_of(raster, model, heights), system_of(raster, model, crs)
-    terrain = terrain_source(raster, kind)
-    grid, pixel = plan_grid(
-        shots, frame, terrain, raster, cell, None if bounds is None else _rectangle(bounds)
-    )
+    kind, system = ortho_job.heights_of(raster, model, heights), ortho_job.system_of(raster, model, crs)
+    terrain, rectangle = terrain_source(raster, kind), None if bounds is None else _rectangle(bounds)
+    grid, pixel = ortho_job.plan_grid(shots, frame, terrain, raster, cell, rectangle)
     first = next(iter(files.values()))
-    recipe = Recipe(shots, frame, terrain, grid, METHODS[resampling], first.bands, first.dtype, nodata)
+    recipe = Recipe(shots, frame, terrain, grid, methods[resampling], first.bands, first.dtype, nodata)
     recipe.require_nodata()
     tags = {HEIGHT_TAG: kind, "SEAMS": "best nadir", "RESAMPLING": resampling}
     with progress("orthophoto", grid.columns * grid.rows) as advance:
         threads = workers or os.cpu_count() or 1
-        share, shown = write_orthophoto(output, recipe, files, system, tags, threads, advance)
+        share, shown = ortho_job.write_orthophoto(output, recipe, files, system, tags, threads, advance)
     figures: dict[str, Any] = {
         "schema": "photocal.ortho/1",
         "output": str(output),
@@ -113,13 +103,12 @@ def ortho(
             f"patterns alias; {pixel:.2g} m cells show all that the images do"
         )
     if compare is not None and displacement is not None:
-        from photocal.products.ortho_job import draw_displacement
-
         other = oriented(block, compare)[2].only(list(files))
         south, east = grid.north - grid.rows * grid.cell, grid.west + grid.columns * grid.cell
-        near = overview(terrain, raster, (grid.west, south, east, grid.north))
-        field = displacement_field(shots, other, near, frame, grid)
-        draw_displacement(field, f"{compare.name} against {run.name if run else block.name}", displacement)
+        near = ortho_job.overview(terrain, raster, (grid.west, south, east, grid.north))
+        field = ortho_job.displacement_field(shots, other, near, frame, grid)
+        title = f"{compare.name} against {run.name if run else block.name}"
+        ortho_job.draw_displacement(field, title, displacement)
         figures["displacement_m"] = {"rms": field.rms, "largest": field.largest}
         lines.append(f"displacement by {compare}: rms {field.rms:.4g} m, largest {field.largest:.4g} m")
     answer(as_json, lambda: figures, lambda: "\n".join(lines))
@@ -188,37 +177,28 @@ def volume(
     Example: `photocal volume sections.csv --sigma 0.014 --height 9.5 --height-sigma 0.004 --plot rings.pdf`
     or `photocal volume --radius 6.479 --radius-sigma 0.003 --height 9.5 --height-sigma 0.004`
     """
-    from photocal.products.sections import (
-        SCHEMA,
-        cylinder_volume,
-        tank_json,
-        tank_text,
-        volume_json,
-        volume_text,
-    )
+    from photocal.products import sections as tanks
 
     _require_pairs(sections, radius, radius_sigma, height, height_sigma)
-    figures: dict[str, Any] = {"schema": SCHEMA}
+    figures: dict[str, Any] = {"schema": tanks.SCHEMA}
     lines: list[str] = []
     if sections is not None:
-        from photocal.products.sections import draw_rings, measure_tank, read_ring_points
-
         if vertical not in ("X", "Y", "Z"):
             raise ConfigurationError(f"--vertical {vertical} is no axis", remedy="use X, Y or Z")
-        points = read_ring_points(sections, cast("Literal['X', 'Y', 'Z']", vertical), sigma)
-        tank = measure_tank(points, wall_thickness)
-        figures |= tank_json(tank, points.axes, wall_thickness)
-        lines.append(tank_text(tank, points.axes, wall_thickness))
+        points = tanks.read_ring_points(sections, cast("Literal['X', 'Y', 'Z']", vertical), sigma)
+        tank = tanks.measure_tank(points, wall_thickness)
+        figures |= tanks.tank_json(tank, points.axes, wall_thickness)
+        lines.append(tanks.tank_text(tank, points.axes, wall_thickness))
         radius, radius_sigma = tank.radius, tank.radius_sigma
         if plot is not None:
-            draw_rings(tank, points.axes, plot)
+            tanks.draw_rings(tank, points.axes, plot)
     elif sigma is not None or plot is not None or wall_thickness != 0.0:
         raise ConfigurationError("--sigma, --plot and --wall-thickness need a table of sections")
     if height is not None:
         # The pairs were checked: with a height there are all four.
-        whole = cylinder_volume(radius or 0.0, radius_sigma or 0.0, height, height_sigma or 0.0)
-        figures["by_mean_radius"] = volume_json(whole)
-        lines.append(f"by mean radius and height: {volume_text(whole)}")
+        whole = tanks.cylinder_volume(radius or 0.0, radius_sigma or 0.0, height, height_sigma or 0.0)
+        figures["by_mean_radius"] = tanks.volume_json(whole)
+        lines.append(f"by mean radius and height: {tanks.volume_text(whole)}")
     answer(as_json, lambda: figures, lambda: "\n".join(lines))
 
 

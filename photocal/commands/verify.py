@@ -10,7 +10,6 @@ from drivers.errors import InputMalformedError, InputNotFoundError
 
 if TYPE_CHECKING:
     from photocal.report.verification import Difference
-    from photocal.results.origin import Source
 
 
 def keys(
@@ -172,27 +171,30 @@ def _repeat(
     certified: dict[str, Any], folder: Path, block: Path | None
 ) -> "tuple[list[str], list[Difference], list[str]]":
     """Compute and print a certificate anew: changed inputs, other figures, pages that say something else."""
+    from photocal.report import verification
     from photocal.report.issue import certified_result
-    from photocal.report.verification import (
-        PAGES,
-        as_certified,
-        changed_pages,
-        differences,
-        pages_of,
-        record_of,
-        repeated,
-    )
-    from photocal.results.origin import changed_inputs
+    from photocal.results.origin import CARRIED, Source, changed_inputs
 
-    source = _source(certified, folder, block)
-    changed = list(changed_inputs(certified_result(certified, folder).inputs, source.folder).values())
+    if block is None and not (folder / CARRIED).is_dir():
+        raise InputNotFoundError(
+            "carries no inputs", where=folder, remedy="name the folder with the inputs by --block"
+        )
+    if block is not None and not block.is_dir():
+        raise InputNotFoundError(
+            "no such folder", where=block, remedy="name the folder with the inputs by --block"
+        )
+    result = certified_result(certified, folder)
+    source = Source(block or folder / CARRIED, result.block.setup)
+    changed = list(changed_inputs(result.inputs, source.folder).values())
     if changed:
         return changed, [], []
     with progress("repeating", None) as step:
-        run = as_certified(repeated(certified, folder, source, lambda: step(1)), certified, folder)
-        found = differences(certified, record_of(run, certified))
-        there = all((folder / name).is_file() for name in PAGES)
-        pages = changed_pages(folder, pages_of(run, certified)) if there and not found else []
+        run = verification.repeated(certified, folder, source, lambda: step(1))
+        run = verification.as_certified(run, certified, folder)
+        found = verification.differences(certified, verification.record_of(run, certified))
+        pages: list[str] = []
+        if not found and all((folder / name).is_file() for name in verification.PAGES):
+            pages = verification.changed_pages(folder, verification.pages_of(run, certified))
     return [], found, pages
 
 
@@ -231,20 +233,3 @@ def _printed(path: Path, as_json: bool) -> None:
             where=path,
             remedy="correct the figures at their source",
         )
-
-
-def _source(certified: dict[str, Any], folder: Path, block: Path | None) -> "Source":
-    """What was named, or what the certificate carries."""
-    from photocal.report.issue import certified_result
-    from photocal.results.origin import CARRIED, Source
-
-    setup = certified_result(certified, folder).block.setup
-    if block is None and not (folder / CARRIED).is_dir():
-        raise InputNotFoundError(
-            "carries no inputs", where=folder, remedy="name the folder with the inputs by --block"
-        )
-    if block is not None and not block.is_dir():
-        raise InputNotFoundError(
-            "no such folder", where=block, remedy="name the folder with the inputs by --block"
-        )
-    return Source(block or folder / CARRIED, setup)

@@ -69,6 +69,12 @@ def measured(value: float, sigma: float, mark: str) -> Measured:
     return Measured(fixed(value / scale, decimals, mark), fixed(sigma / scale, decimals, mark), exponent)
 
 
+def with_sigma(value: float, sigma: float, sign: str = "") -> str:
+    """Print a value and its standard deviation for a terminal, to two significant digits of the latter."""
+    digits = max(0, 1 - math.floor(math.log10(sigma))) if sigma > 0 else 4
+    return f"{value:{sign}.{digits}f} +- {sigma:.{digits}f}"
+
+
 def power_of_ten(exponent: int, unit: str) -> str:
     """Write a unit with its power of ten, "10⁻⁴ mm⁻²"; the unit alone for the power 0."""
     if exponent == 0:

@@ -89,8 +89,3 @@ FAULTS: tuple[Fault, ...] = (
 def fault(code: str, table: tuple[Fault, ...] = FAULTS) -> Fault | None:
     """Give the entry of a code; None for a finding that is no fault of the table."""
     return next((one for one in table if one.code == code), None)
-
-
-def imitators(table: tuple[Fault, ...] = FAULTS) -> frozenset[str]:
-    """Codes of what can look like every other fault: tried when nothing else is left."""
-    return frozenset(one.code for one in table if "*" in one.imitates)

@@ -1,10 +1,11 @@
 """Distortion of whole sets of points: correction and projection."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Floats
+from drivers.arrays import Floats, Integers
 from photocal.geometry.camera import AFFINITY_MATRICES, MM, Camera
 from photocal.geometry.lens import all_directions, all_recorded, optics
 
@@ -46,6 +47,15 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
     all_directions(camera.values[None], optics(camera)[None], camera.lens.angular, plane, q)
     q[~(q[:, 2] < 0)] = np.nan
     return np.asarray(-camera.values[0] * q[:, :2] / q[:, 2:])
+
+
+def slopes_of(cameras: Sequence[Camera], camera: Integers, plane: Floats) -> Floats:
+    """Slopes (u, v)/-w, shape (n, 2), of what several cameras have measured; `camera` (n,): which of them."""
+    slopes = np.empty(plane.shape)
+    for k, own in enumerate(cameras):
+        mine = camera == k
+        slopes[mine] = undistorted(own, plane[mine]) / own.value("c")
+    return slopes
 
 
 def distorted(camera: Camera, ideal: Floats) -> Floats:

@@ -1,5 +1,6 @@
 """Differences at ground points with the standard deviations that the method predicts for them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -83,12 +84,12 @@ class Differences:
     @cached_property
     def rmse(self) -> Floats:
         """Root mean square of the differences in X, Y, Z, m; NaN without points."""
-        return _rms(self.d)
+        return rms(self.d)
 
     @cached_property
     def predicted(self) -> Floats:
         """Root mean square of the predicted sigmas of the computed coordinates, m; NaN without points."""
-        return _rms(self.product_sigma)
+        return rms(self.product_sigma)
 
     @property
     def suspected(self) -> tuple[str, ...]:
@@ -122,8 +123,9 @@ def exposure_difference(exposures: Floats, reference: Floats) -> ExposureDiffere
     return ExposureDifference(len(d), d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0)))
 
 
-def _rms(values: Floats) -> Floats:
-    return np.sqrt(np.mean(values**2, axis=0)) if len(values) else np.full(3, np.nan)
+def rms(vectors: Sequence[Floats] | Floats) -> Floats:
+    """Root mean square of each component of vectors, shape (n, 3) to (3,); NaN without any."""
+    return np.sqrt(np.mean(np.square(vectors), axis=0)) if len(vectors) else np.full(3, np.nan)
 
 
 def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
@@ -162,7 +164,7 @@ def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
         covariance,
         w,
         distance,
-        ellipses(product, ELLIPSE_PROBABILITY) if len(d) else ellipses(np.zeros((0, 3, 3)), 0.95),
+        ellipses(product, ELLIPSE_PROBABILITY),
         joint,
     )
 

@@ -21,6 +21,7 @@ from photocal.georeferencing.differences import (
     ExposureDifference,
     differences,
     exposure_difference,
+    rms,
 )
 from photocal.georeferencing.local import in_local_frame, with_attitude_angles
 from photocal.georeferencing.methods import (
@@ -153,8 +154,7 @@ def _pair(first: Run, second: Run) -> Pair:
     d = np.array([first.xyz[k] - second.xyz[other] for k, other in both]).reshape(-1, 3)
     checks = set(first.check.names if first.check else ())
     mine = np.array([first.points[k] in checks for k, _ in both], dtype=np.bool_)
-    rmse = [np.sqrt(np.mean(part**2, axis=0)) if len(part) else np.full(3, np.nan) for part in (d[mine], d)]
-    return Pair(first, second, *rmse)
+    return Pair(first, second, rms(d[mine]), rms(d))
 
 
 def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> Outcome:
@@ -441,16 +441,12 @@ def _by_number(outcome: Outcome) -> list[dict[str, Any]]:
             row
             | {
                 "errors": len(d),
-                "rmse_m": _rms(d),
-                "predicted_m": _rms(sigma),
+                "rmse_m": dict(zip("XYZ", rms(d).tolist(), strict=True)),
+                "predicted_m": dict(zip("XYZ", rms(sigma).tolist(), strict=True)),
                 "within_95_percent": float(np.mean(np.abs(d) <= _TIMES * sigma)),
             }
         )
     return rows
-
-
-def _rms(values: Floats) -> dict[str, float]:
-    return {axis: float(rms) for axis, rms in zip("XYZ", np.sqrt(np.mean(values**2, axis=0)), strict=True)}
 
 
 def numbers_text(figures: dict[str, Any]) -> str:

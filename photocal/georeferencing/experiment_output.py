@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from acquire.outputs import output_folder, rows_text, write_json
-from drivers.arrays import Floats, as_plain
+from drivers.arrays import as_plain
 from photocal.accuracy.discrepancies import SIGN
-from photocal.georeferencing.differences import Differences, cells
+from photocal.accuracy.maps import save_figures
+from photocal.georeferencing.differences import Differences, cells, rms
 from photocal.georeferencing.experiment import LeftOut, Outcome, Pair, Run
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
         "pairs": [_pair(pair) for pair in outcome.pairs],
         "leave_one_out": [_left(one) for one in outcome.left_out],
         "leave_one_out_rmse_m": {
-            method: _rmse([one for one in outcome.left_out if one.method == method])
+            method: rms([one.d for one in outcome.left_out if one.method == method and not one.failure])
             for method in dict.fromkeys(one.method for one in outcome.left_out)
         },
     }
@@ -134,14 +135,12 @@ def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
         texts["pairs.csv"] = _csv([_pair(pair) for pair in outcome.pairs])
     if outcome.left_out:
         texts["leave_one_out.csv"] = _csv([_left(one) for one in outcome.left_out])
-    drawn = {"rmse.pdf": rmse_plot(outcome), "rmse_by_control.pdf": control_plot(outcome)}
-    figures = {name: figure for name, figure in drawn.items() if figure is not None}
     with output_folder(folder) as aside:
         write_json(aside / "experiment.json", to_json(outcome))
         for name, text in texts.items():
             (aside / name).write_text(text, encoding="utf-8")
-        for name, figure in figures.items():
-            figure.savefig(aside / name, metadata={"CreationDate": None})
+        drawn = {"rmse.pdf": rmse_plot(outcome), "rmse_by_control.pdf": control_plot(outcome)}
+        figures = save_figures(aside, drawn)
     return ("experiment.json", *texts, *figures)
 
 
@@ -198,11 +197,6 @@ def _left(one: LeftOut) -> dict[str, Any]:
     for prefix, values, unit in (("d", one.d, "_m"), ("s", one.sigma, "_m"), ("w", one.w, "")):
         row |= {f"{prefix}{a}{unit}": v for a, v in zip(_AXES, values, strict=True)}
     return row | {"failure": one.failure}
-
-
-def _rmse(left: list[LeftOut]) -> Floats:
-    d = np.array([one.d for one in left if not one.failure]).reshape(-1, 3)
-    return np.asarray(np.sqrt(np.mean(d**2, axis=0))) if len(d) else np.full(3, np.nan)
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import stats
 
 from photocal.adjustment.groups import GroupTest
+from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.hypotheses import fault
 from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_placed
@@ -66,11 +67,8 @@ def _refused(check: BlockCheck) -> list[Finding]:
 
 def estimate_text(estimate: Estimate) -> str:
     """Write one estimate with its standard deviation, without words."""
-    digits = max(0, 1 - math.floor(math.log10(estimate.sigma))) if estimate.sigma > 0 else 4
-    return (
-        f"{estimate.name} {estimate.correction:+.{digits}f} +- {estimate.sigma:.{digits}f} {estimate.unit} "
-        f"(t {estimate.t:.1f})"
-    )
+    corrected = with_sigma(estimate.correction, estimate.sigma, "+")
+    return f"{estimate.name} {corrected} {estimate.unit} (t {estimate.t:.1f})"
 
 
 def _mistyped(point: Mistyped) -> Finding:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -183,13 +184,7 @@ def with_freed(block: Block, fault: Fault, change: Change | None) -> Block:
     if fault.each == "part" and change is not None:
         return _split_at(block, change, fault)
     if of_camera(fault):
-        which = [PARAMETERS.index(name) for name in fault.frees]
-        cameras = []
-        for camera in block.cameras:
-            estimated, prior = camera.estimated.copy(), camera.prior_sigma.copy()
-            estimated[which], prior[which] = True, fault.prior * _scale(camera.value("c"), which)
-            cameras.append(replace(camera, estimated=estimated, prior_sigma=prior))
-        return replace(block, cameras=tuple(cameras))
+        return replace(block, cameras=tuple(_freed(camera, fault) for camera in block.cameras))
     sigma = block.mounting.sigma.copy()
     if fault.each == "strip":
         # Images without position have no strip: their columns stay held.
@@ -200,10 +195,14 @@ def with_freed(block: Block, fault: Fault, change: Change | None) -> Block:
     return replace(block, mounting=replace(block.mounting, sigma=sigma))
 
 
-def _scale(c: float, which: list[int]) -> Floats:
-    """The parameter that moves rays at r = c / 2 by as much as c: K1 r^2 = 1 and so on."""
+def _freed(camera: Camera, fault: Fault) -> Camera:
+    """Free parameters by what moves rays at r = c / 2 by as much as c: K1 r^2 = 1 and so on."""
     powers = {"K1": 2, "K2": 4, "K3": 6, "K4": 8, "P1": 1, "P2": 1, "P3": 3, "P4": 5, "B1": 0, "B2": 0}
-    return np.array([c if k < 3 else (2.0 / c) ** powers[PARAMETERS[k]] for k in which])
+    estimated, sigma, c = camera.estimated.copy(), camera.prior_sigma.copy(), camera.value("c")
+    for name in fault.frees:
+        k = PARAMETERS.index(name)
+        estimated[k], sigma[k] = True, fault.prior * (c if k < 3 else (2.0 / c) ** powers[name])
+    return replace(camera, estimated=estimated, prior_sigma=sigma)
 
 
 def _columns(fault: Fault) -> list[int]:
@@ -300,10 +299,7 @@ def places_of_change(block: Block) -> tuple[int, ...]:
 def _split_at(block: Block, change: Change, fault: Fault) -> Block:
     """Return the block with a second camera from an image on, what the fault frees free in both."""
     (own,) = block.cameras
-    which = [PARAMETERS.index(name) for name in fault.frees]
-    estimated, sigma = own.estimated.copy(), own.prior_sigma.copy()
-    estimated[which], sigma[which] = True, fault.prior * _scale(own.value("c"), which)
-    first = replace(own, estimated=estimated, prior_sigma=sigma)
+    first = _freed(own, fault)
     begin, values = change
     later = block.images.names[begin]
     second = replace(first.with_values(values), id=f"{own.id}@{later}")
@@ -387,12 +383,11 @@ def with_agreeing(block: Block, one: GroupTest) -> tuple[Block, GroupTest]:
     total = 1.0
     for _ in range(_SETTLING):
         total *= one.factor
-        if one.name == "position":
-            positions = replace(block.positions, covariance=block.positions.covariance * one.factor**2)
-            block = replace(block, positions=positions)
-        else:
-            turns = replace(block.attitudes, covariance=block.attitudes.covariance * one.factor**2)
-            block = replace(block, attitudes=turns)
+        observed = block.positions if one.name == "position" else block.attitudes
+        scaled: dict[str, Any] = {
+            f"{one.name}s": replace(observed, covariance=observed.covariance * one.factor**2)
+        }
+        block = replace(block, **scaled)
         groups = adjust(assemble(block).network).groups
         one = tested(next(group for group in groups if group.name == one.name))
         if abs(one.factor - 1.0) < _SETTLED:

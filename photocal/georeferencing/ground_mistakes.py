@@ -19,7 +19,7 @@ from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import Block, Role
 from photocal.block.network import assemble, observed_plane
 from photocal.findings.finding import Finding
-from photocal.geometry.distortion import undistorted
+from photocal.geometry.distortion import slopes_of
 from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.georeferencing.methods import checkable, local_origin, with_roles, without_georeference
@@ -138,17 +138,13 @@ def by_start_values(block: Block) -> ground_points.GroundPoints:
     """Intersect the rays of all points from the given orientations."""
     plane, _ = observed_plane(block)
     image = block.observations.image
-    camera = block.images.camera[image]
-    ideal = np.empty_like(plane)
-    for k, own in enumerate(block.cameras):
-        ideal[camera == k] = undistorted(own, plane[camera == k])
+    slopes = slopes_of(block.cameras, block.images.camera[image], plane)
     rotation = matrix_from_angles(block.images.values[:, :3])
     centre = block.images.values[:, 3:].copy()
     if len(block.attitudes.image):
         matrix = body_to_camera(block.mounting, block.mounting.values)
         rotation[block.attitudes.image] = matrix @ block.attitudes.rotation
     centre[block.positions.image] = block.positions.values
-    distance = np.array([own.value("c") for own in block.cameras])[camera]
     # Images without start values have nothing to say yet.
     known = np.isfinite(centre[image]).all(axis=1) & np.isfinite(rotation[image]).all(axis=(1, 2))
     xyz = intersect(
@@ -156,8 +152,8 @@ def by_start_values(block: Block) -> ground_points.GroundPoints:
         len(block.points.names),
         centre[image][known],
         rotation[image][known],
-        ideal[known],
-        distance[known],
+        slopes[known],
+        np.ones(known.sum()),
     )
     return ground_points.GroundPoints(block.points.names, xyz)
 

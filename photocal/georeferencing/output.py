@@ -8,9 +8,10 @@ import numpy as np
 
 from acquire.outputs import output_folder, rows_text, write_json
 from drivers.arrays import Floats, as_plain
+from photocal.accuracy.assessment import ComponentResult
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
-from photocal.accuracy.maps import save_figures, write_geopackage
+from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
 from photocal.accuracy.output import findings_text, finite
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
@@ -35,12 +36,8 @@ def standards_rows(check: BlockCheck) -> list[list[str]]:
         return []
     rows = [["", *(method for method, _ in known)]]
     for k, component in enumerate(known[0][1].components):
-        cells = []
-        for _, assessment in known:
-            one = assessment.components[k]
-            t = "-" if one.bias is None else f"t {one.bias.t:+.2f}{' biased' if one.bias.significant else ''}"
-            cells.append(f"{one.moments.mean_m:+.4f} m, {t}")
-        rows.append([f"mean d{component.name}", *cells])
+        means = [_mean(assessment.components[k]) for _, assessment in known]
+        rows.append([f"mean d{component.name}", *means])
     for k, table in enumerate(known[0][1].tables):
         name, basis = f"{table.standard_id} {table.table.product}", table.table.basis
         results = [assessment.tables[k] for _, assessment in known]
@@ -65,6 +62,11 @@ def standards_rows(check: BlockCheck) -> list[list[str]]:
         ]
         rows.append([f"{value.standard.id}, class reached", *cells])
     return rows
+
+
+def _mean(component: ComponentResult) -> str:
+    mean, bias = f"{component.moments.mean_m:+.4f} m", component.bias
+    return f"{mean}, " + ("-" if bias is None else f"t {bias.t:+.2f}{' biased' if bias.significant else ''}")
 
 
 def _size(basis: str, size: float | None) -> str:
@@ -291,7 +293,8 @@ def write_check(
             if not judged.check.names:
                 continue
             gsd = judged.assessment.question.gsd_m if judged.assessment else None
-            names += save_figures(judged.check.discrepancies(), gsd, aside, f"{method}_")
+            points = judged.check.discrepancies()
+            names += save_figures(aside, check_figures(points, gsd, f"{method}_"))
     return tuple(names)
 
 

@@ -22,7 +22,7 @@ from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.solution import Solution
 from photocal.block.model import Block
 from photocal.block.network import assemble
-from photocal.findings.hypotheses import FAULTS, Fault, fault, imitators
+from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.georeferencing.freed_groups import (
     SIGNIFICANCE,
     Estimate,
@@ -157,7 +157,7 @@ def causes_first(tries: tuple[Hypothesis, ...], table: tuple[Fault, ...] = FAULT
     A shift of its own for each strip can imitate every other error, a second camera those of c and of the
     height where there are two heights: what they make needless is given up when nothing else is left.
     """
-    like_all = imitators(table)
+    like_all = {one.code for one in table if "*" in one.imitates}
     return tuple(hypothesis for hypothesis in tries if hypothesis.name not in like_all) or tries
 
 

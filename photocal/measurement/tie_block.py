@@ -7,7 +7,7 @@ import numpy as np
 from drivers.arrays import Flags, Floats, Integers
 from photocal.block.model import ROLES, Block
 from photocal.block.network import block_frame, observed_pixels, observed_plane
-from photocal.geometry.distortion import undistorted
+from photocal.geometry.distortion import slopes_of
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages, given_places, given_poses, local_poses
 from photocal.geometry.resection import intersect, ray_residuals
@@ -83,12 +83,11 @@ def fitting(block: Block) -> Flags:
     frame = block_frame(block)
     camera = block.images.camera[seen.image]
     c = np.array([own.value("c") for own in block.cameras])[camera]
-    for k, own in enumerate(block.cameras):
-        plane[camera == k] = undistorted(own, plane[camera == k])
+    slopes = slopes_of(block.cameras, camera, plane)
     views = views_of(block, frame)
     rotation, station = views.at_lines(seen.image, observed_pixels(block))
     points = frame.to_local(block.points.values)[seen.point]
-    miss = ray_residuals(rotation, station, points, plane / c[:, None]) * c
+    miss = ray_residuals(rotation, station, points, slopes) * c
     tie = block.points.role[seen.point] == TIE
     typical = np.nanmedian(np.where(np.isfinite(miss) & tie, miss, np.nan))
     with np.errstate(invalid="ignore"):

@@ -14,7 +14,7 @@ from photocal.block.model import ROLES, Block, Images, fingerprint
 from photocal.block.network import observed_plane
 from photocal.block.setup import ObservationKeys
 from photocal.block.table import read_table
-from photocal.geometry.distortion import undistorted
+from photocal.geometry.distortion import slopes_of
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.project import Project
 from photocal.run.stage import Stage
@@ -68,12 +68,8 @@ def with_points_on_the_ground(block: Block) -> Block:
     level = float(np.nanmedian(block.points.values[:, 2]))
     seen = block.observations
     plane, _ = observed_plane(block)
-    camera = block.images.camera[seen.image]
-    sight = np.empty((len(plane), 3))
-    for k, own in enumerate(block.cameras):
-        mine = camera == k
-        sight[mine, :2] = undistorted(own, plane[mine])
-        sight[mine, 2] = -own.value("c")
+    slopes = slopes_of(block.cameras, block.images.camera[seen.image], plane)
+    sight = np.column_stack([slopes, -np.ones(len(slopes))])
     rotation = matrix_from_angles(block.images.values[:, :3])[seen.image]
     direction = np.einsum("nji,nj->ni", rotation, sight)
     centre = block.images.values[seen.image, 3:]
@@ -131,12 +127,6 @@ def pictures_of(project: Project) -> dict[str, Path]:
     return {f"image {path.name}": path for path in list_images(project.picture_folder)}
 
 
-def _without_exposure(exposures: Path) -> list[str]:
-    """Images of the project that belong to no event; the exposures' summary warns of them."""
-    cameras = json.loads((exposures / "exposures.json").read_text(encoding="utf-8"))["cameras"]
-    return [name for camera in cameras for kind in _UNMATCHED for name in camera[kind]]
-
-
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import SCHEMA, write_block
     from photocal.measurement.project_block import control_points
@@ -148,7 +138,10 @@ def _make(project: Project, exposures: Path | None, folder: Path, show: Progress
         starts = read_images(exposures / "images.csv", project.cameras)
         # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
         starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
-        block = given_block(project, starts, _without_exposure(exposures))
+        # Images that belong to no event: the exposures' summary warns of them.
+        cameras = json.loads((exposures / "exposures.json").read_text(encoding="utf-8"))["cameras"]
+        unmatched = [name for camera in cameras for kind in _UNMATCHED for name in camera[kind]]
+        block = given_block(project, starts, unmatched)
         write_block(folder, block, {"schema": SCHEMA, "kind": "given observations"})
         return
     from acquire.operating_system import cache_folder

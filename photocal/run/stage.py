@@ -45,11 +45,7 @@ class Digests:
 
     def __init__(self, memory: Path, *, again: bool = False) -> None:
         self._memory = memory
-        try:
-            known = {} if again else json.loads(memory.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError):
-            known = {}
-        self._known: dict[str, list[str | int]] = known if isinstance(known, dict) else {}
+        self._known: dict[str, list[str | int]] = {} if again else _kept(memory)
 
     def of_file(self, path: Path) -> str:
         """Give the digest of a file."""
@@ -85,6 +81,15 @@ class Digests:
             write_json(aside, self._known, None)
 
 
+def _kept(path: Path) -> dict[str, Any]:
+    """What an earlier run wrote as JSON; nothing where it is not there or damaged."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 @contextmanager
 def replaced_folder(folder: Path) -> Iterator[Path]:
     """Give an empty folder aside; on success it takes the place of `folder`, old files and all."""
@@ -113,7 +118,8 @@ def sweep(folder: Path) -> None:
 def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
     """Bring the public copy of a stage's files up to date; what the stages have not written stays."""
     new = {path.relative_to(made).as_posix(): _digest(path) for path in _files(made) if path != made / RECORD}
-    owned = _published(record)
+    known = _kept(record).items()
+    owned = {name: list(map(str, digests)) for name, digests in known if isinstance(digests, list)}
     with refusals(public, _REMEDY):
         # A run that is killed from here on knows both its old and its new files.
         both = {name: owned.get(name, []) for name in owned.keys() | new.keys()}
@@ -173,14 +179,6 @@ def _digest(path: Path) -> str:
     if path.is_symlink() or not path.is_file():
         return ""
     return digest(path)
-
-
-def _published(record: Path) -> dict[str, list[str]]:
-    try:
-        content = json.loads(record.read_text(encoding="utf-8"))
-        return {str(name): [str(digest) for digest in digests] for name, digests in content.items()}
-    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
-        return {}
 
 
 def _remember(record: Path, content: dict[str, list[str]]) -> None:
@@ -350,7 +348,7 @@ def _made(
     """Make a stage or keep it: which of both, and the seconds that it took."""
     sweep(folder)
     key = _key(stage, digests)
-    record = _record(folder)
+    record = _kept(folder / RECORD)
     made = not again and record.get("key") == key
     if made and digests.of_folder(folder, leave_out=RECORD) == record.get("outputs"):
         return True, float(record.get("seconds", 0.0))
@@ -384,11 +382,3 @@ def _key(stage: Stage, digests: Digests) -> str:
         "after": {folder.name: digests.of_folder(folder, leave_out=RECORD) for folder in stage.after},
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _record(folder: Path) -> dict[str, Any]:
-    try:
-        content = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}

@@ -9,6 +9,7 @@ from typing import Any
 
 from drivers.arrays import as_plain
 from photocal.block.model import InputFile
+from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.findings.texts import catalogue, finding_json, findings_of
@@ -101,11 +102,7 @@ def causes_first(
         codes.discard("ppk-not-fixed")
     excuse = next((entry for code in _EXCUSES if code in codes and (entry := fault(code, table))), None)
     if excuse is not None:
-        alike = [
-            finding
-            for finding in findings
-            if finding.stage == "georeferencing" and finding.code in excuse.imitates
-        ]
+        alike = [f for f in findings if f.stage == "georeferencing" and f.code in excuse.imitates]
         excuses = [finding for finding in findings if finding.code == excuse.code]
         behind = [one for one in excuses if any(_beyond(other, one) > _AS_GOOD for other in alike)]
         if behind:
@@ -138,10 +135,9 @@ def _with_rivals(excuse: Finding, others: Sequence[Finding]) -> Finding:
 
 def _not_judged(finding: Finding, cause: str) -> Finding:
     """The same, where something else is known to be wrong that looks like it."""
-    unjudged = replace(
-        finding, code="not-judged", severity="consequence", subject=finding.code, clauses=(), cause=cause
-    )
-    return replace(unjudged, figures={**finding.figures, "same": (finding.code,)})
+    figures = {**finding.figures, "same": (finding.code,)}
+    unjudged = replace(finding, code="not-judged", severity="consequence", figures=figures)
+    return replace(unjudged, subject=finding.code, clauses=(), cause=cause)
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
@@ -164,12 +160,8 @@ def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
     for readout in result.readouts:
         if readout.estimated:
             effect_px = readout.effect / result.cameras[readout.camera].pitch[0]
-            figures = {
-                "camera": readout.camera,
-                "value_ms": 1e3 * readout.value,
-                "sigma_ms": 1e3 * readout.sigma,
-            }
-            figures |= {"effect_px": effect_px, "way_m": readout.way}
+            figures = {"camera": readout.camera, "effect_px": effect_px, "way_m": readout.way}
+            figures |= {"value_ms": 1e3 * readout.value, "sigma_ms": 1e3 * readout.sigma}
             yield Finding("shutter-rolls", "note", readout.camera, figures)
     for name, camera in result.cameras.items():
         if camera.shake:
@@ -405,9 +397,3 @@ def _warning_lines(warnings: list[dict[str, str]], final: dict[str, Any] | None)
             texts = ["none"] if final is None or final["severity"] == "passed" else ["see the verdict"]
         for k, text in enumerate(texts):
             yield _line(f"{group}s" if k == 0 else "", text)
-
-
-def with_sigma(value: float, sigma: float) -> str:
-    """Write a value and its standard deviation with two significant digits of the latter."""
-    digits = max(0, 1 - math.floor(math.log10(sigma))) if sigma > 0 else 4
-    return f"{value:.{digits}f} +- {sigma:.{digits}f}"

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.network import Rays
 from photocal.geometry.camera import Camera
-from photocal.geometry.distortion import undistorted
+from photocal.geometry.distortion import slopes_of
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class Bearings:
 
     def by(self, cameras: tuple[Camera, ...]) -> Self:
         """Undistort the rays anew by better cameras."""
-        return replace(self, cameras=cameras, slopes=_slopes(cameras, self.camera_of, self.rays))
+        slopes = slopes_of(cameras, self.camera_of[self.rays.image], self.rays.plane)
+        return replace(self, cameras=cameras, slopes=slopes)
 
 
 def bearings(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays: Rays) -> Bearings:
@@ -66,13 +67,5 @@ def bearings(cameras: tuple[Camera, ...], camera_of: Integers, points: int, rays
 
     camera_of (images,).
     """
-    return Bearings(cameras, cameras, camera_of, points, rays, _slopes(cameras, camera_of, rays))
-
-
-def _slopes(cameras: tuple[Camera, ...], camera_of: Integers, rays: Rays) -> Floats:
-    camera = camera_of[rays.image]
-    slopes = np.empty(rays.plane.shape)
-    for k, own in enumerate(cameras):
-        mine = camera == k
-        slopes[mine] = undistorted(own, rays.plane[mine]) / own.value("c")
-    return slopes
+    slopes = slopes_of(cameras, camera_of[rays.image], rays.plane)
+    return Bearings(cameras, cameras, camera_of, points, rays, slopes)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from drivers.errors import InputMalformedError
+from photocal.accuracy.classes import Sample
 from photocal.accuracy.statistics import (
     Moments,
-    combined_rmse,
     length_statistics,
     lengths,
     moments,
@@ -54,7 +54,7 @@ def test_orthophoto_tables_to_three_decimals(published: Published, case: str) ->
     assert (east.mean_m, north.mean_m) == pytest.approx(means, abs=5.1e-4)
     assert (east.std_m, north.std_m) == pytest.approx(stds, abs=5.1e-4)
     assert (east.rmse_m, north.rmse_m) == pytest.approx(rmses, abs=5.1e-4)
-    assert combined_rmse(east, north) == pytest.approx(rms, abs=5.1e-4)
+    assert Sample((east, north)).rmse_m == pytest.approx(rms, abs=5.1e-4)
     assert plane.rms_m == pytest.approx(rms, abs=5.1e-4)
     assert plane.maximum_m == pytest.approx(longest, abs=5.1e-4)
 
