@@ -8,7 +8,7 @@ documentation, "Output format" and "Camera models".
 """
 
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -92,35 +92,6 @@ class Shot:
     name: str
     marks: Floats
     points: Integers
-
-
-@dataclass(frozen=True)
-class Content:
-    """A whole model.
-
-    errors (n,): mean reprojection error of each point, px.
-    tracks (rays, 2): image key and position of the mark in that image, for each point.
-    """
-
-    lenses: tuple[Lens, ...]
-    shots: tuple[Shot, ...]
-    keys: Integers
-    xyz: Floats
-    errors: Floats
-    tracks: tuple[Integers, ...]
-
-
-def content_of(lenses: Iterable[Lens], shots: Iterable[Shot], points: Iterable[Point]) -> Content:
-    """Put a model together."""
-    rows = list(points)
-    return Content(
-        tuple(lenses),
-        tuple(shots),
-        np.array([key for key, _, _, _ in rows], dtype=np.int64),
-        np.array([xyz for _, xyz, _, _ in rows], dtype=float).reshape(-1, 3),
-        np.array([error for _, _, error, _ in rows], dtype=float),
-        tuple(track for _, _, _, track in rows),
-    )
 
 
 def key_of(value: float, place: object) -> int:
@@ -221,27 +192,26 @@ def _points(path: Path) -> Iterator[Point]:
         )
 
 
-def write_binary_model(folder: Path, content: Content) -> None:
+def write_binary_model(
+    folder: Path, lenses: Sequence[Lens], shots: Sequence[Shot], points: Sequence[Point]
+) -> None:
     """Write the three binary files of a model."""
     with (folder / "cameras.bin").open("wb") as out:
-        out.write(struct.pack("<Q", len(content.lenses)))
-        for lens in content.lenses:
+        out.write(struct.pack("<Q", len(lenses)))
+        for lens in lenses:
             layout = f"<IiQQ{len(lens.parameters)}d"
             out.write(struct.pack(layout, lens.key, NUMBERS[lens.model], *lens.size_px, *lens.parameters))
     with (folder / "images.bin").open("wb") as out:
-        out.write(struct.pack("<Q", len(content.shots)))
-        for shot in content.shots:
+        out.write(struct.pack("<Q", len(shots)))
+        for shot in shots:
             out.write(struct.pack("<I7dI", shot.key, *shot.quaternion, *shot.translation, shot.lens))
             out.write(shot.name.encode() + b"\0" + struct.pack("<Q", len(shot.marks)))
             rows = np.empty(len(shot.marks), _MARK)
             rows["xy"], rows["key"] = shot.marks, shot.points
             out.write(rows.tobytes())
     with (folder / "points3D.bin").open("wb") as out:
-        out.write(struct.pack("<Q", len(content.keys)))
-        errors = content.errors.tolist()
-        for key, xyz, error, track in zip(
-            content.keys.tolist(), content.xyz.tolist(), errors, content.tracks, strict=True
-        ):
+        out.write(struct.pack("<Q", len(points)))
+        for key, xyz, error, track in points:
             out.write(struct.pack("<Q3d3BdQ", key, *xyz, 128, 128, 128, error, len(track)))
             out.write(track.astype("<u4").tobytes())
 
@@ -302,29 +272,28 @@ def _text_points(path: Path) -> Iterator[Point]:
         yield key, values[1:4], values[7], np.array(track, dtype=np.int64).reshape(-1, 2)
 
 
-def write_text_model(folder: Path, content: Content) -> None:
+def write_text_model(
+    folder: Path, lenses: Sequence[Lens], shots: Sequence[Shot], points: Sequence[Point]
+) -> None:
     """Write the three text files of a model, numbers with all their digits."""
-    require_no_blanks((shot.name for shot in content.shots), "export the binary form, or rename it")
+    require_no_blanks((shot.name for shot in shots), "export the binary form, or rename it")
     with (folder / "cameras.txt").open("w", encoding="utf-8", newline="\n") as out:
         out.write("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n")
-        for lens in content.lenses:
+        for lens in lenses:
             width, height = lens.size_px
             out.write(f"{lens.key} {lens.model} {width} {height} {digits(lens.parameters)}\n")
     with (folder / "images.txt").open("w", encoding="utf-8", newline="\n") as out:
         out.write(
             "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as X, Y, POINT3D_ID\n"
         )
-        for shot in content.shots:
+        for shot in shots:
             pose = f"{digits(shot.quaternion)} {digits(shot.translation)}"
             out.write(f"{shot.key} {pose} {shot.lens} {shot.name}\n")
             marks = zip(shot.marks.tolist(), shot.points.tolist(), strict=True)
             out.write(" ".join(f"{x!r} {y!r} {key}" for (x, y), key in marks) + "\n")
     with (folder / "points3D.txt").open("w", encoding="utf-8", newline="\n") as out:
         out.write("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as IMAGE_ID, POINT2D_IDX\n")
-        errors = content.errors.tolist()
-        for key, xyz, error, track in zip(
-            content.keys.tolist(), content.xyz.tolist(), errors, content.tracks, strict=True
-        ):
+        for key, xyz, error, track in points:
             pairs = " ".join(str(number) for number in track.ravel().tolist())
             out.write(f"{key} {digits(xyz)} 128 128 128 {error!r} {pairs}\n")
 
@@ -333,44 +302,44 @@ def read_colmap(folder: Path) -> Reconstruction:
     """Read a model folder; binary files where there are any."""
     binary = (folder / "cameras.bin").exists()
     first, second, third = (folder / f"{name}.{'bin' if binary else 'txt'}" for name in FILES)
-    if binary:
-        content = content_of(_lenses(first), _shots(second), _points(third))
-    else:
-        content = content_of(_text_lenses(first), _text_shots(second), _text_points(third))
-    cameras = {lens.key: _camera(lens, folder) for lens in content.lenses}
+    lenses = list((_lenses if binary else _text_lenses)(first))
+    shots = list((_shots if binary else _text_shots)(second))
+    points = list((_points if binary else _text_points)(third))
+    cameras = {lens.key: _camera(lens, folder) for lens in lenses}
     order = {key: k for k, key in enumerate(cameras)}
-    position = {key: k for k, key in enumerate(content.keys.tolist())}
-    if len(position) < len(content.keys) or len(cameras) < len(content.lenses):
+    position = {key: k for k, (key, *_) in enumerate(points)}
+    if len(position) < len(points) or len(cameras) < len(lenses):
         raise InputMalformedError("has two points or cameras of the same number", where=folder)
-    for shot in content.shots:
+    for shot in shots:
         lost = [key for key in shot.points.tolist() if key != NO_POINT and key not in position]
         if shot.lens not in order or lost:
             what = f"point {lost[0]}" if lost else f"camera {shot.lens}"
             raise InputMalformedError(f"image {shot.name} has the unknown {what}", where=folder)
-    seen = [shot.points != NO_POINT for shot in content.shots]
-    uses = list(zip(content.shots, seen, strict=True))
-    quaternions = np.array([shot.quaternion for shot in content.shots]).reshape(-1, 4)
+    seen = [shot.points != NO_POINT for shot in shots]
+    uses = list(zip(shots, seen, strict=True))
+    quaternions = np.array([shot.quaternion for shot in shots]).reshape(-1, 4)
     # The largest part of a unit quaternion lies between 1/2 and 1.
     crooked = np.flatnonzero(np.abs(np.abs(quaternions).max(axis=1, initial=0) - 0.75) > 0.251)
     if len(crooked):
-        name = content.shots[crooked[0]].name
+        name = shots[crooked[0]].name
         raise InputMalformedError(f"the quaternion of image {name} has not the length 1", where=folder)
     rotation = rotation_from_quaternion(quaternions)
-    translation = np.array([shot.translation for shot in content.shots]).reshape(-1, 3)
-    if not max(np.abs(translation).max(initial=0), np.abs(content.xyz).max(initial=0)) < LARGEST:
+    translation = np.array([shot.translation for shot in shots]).reshape(-1, 3)
+    xyz = np.array([place for _, place, _, _ in points], dtype=float).reshape(-1, 3)
+    if not max(np.abs(translation).max(initial=0), np.abs(xyz).max(initial=0)) < LARGEST:
         raise InputMalformedError("has coordinates beyond 1e9 m", where=folder, remedy="is it damaged?")
     given = Reconstruction(
         tuple(cameras.values()),
-        tuple(shot.name for shot in content.shots),
-        np.array([order[shot.lens] for shot in content.shots], dtype=np.int64),
+        tuple(shot.name for shot in shots),
+        np.array([order[shot.lens] for shot in shots], dtype=np.int64),
         from_vision(rotation, translation),
         tuple(str(key) for key in position),
-        content.xyz,
+        xyz,
         np.repeat(np.arange(len(seen)), [int(use.sum()) for use in seen]),
         np.array([position[key] for shot, use in uses for key in shot.points[use].tolist()], dtype=np.int64),
         np.vstack([np.empty((0, 2)), *(shot.marks[use] for shot, use in uses)]) - 0.5,
     )
-    return of_colmap(given, folder, {shot.key: shot.name for shot in content.shots})
+    return of_colmap(given, folder, {shot.key: shot.name for shot in shots})
 
 
 def write_colmap(
@@ -406,8 +375,8 @@ def write_colmap(
     count = np.bincount(given.point, minlength=len(given.point_names))
     total = np.bincount(given.point, np.hypot(*given.residuals_px.T), minlength=len(count))
     errors = np.where((count > 0) & np.isfinite(total), total / np.maximum(count, 1), -1.0)
-    content = Content(tuple(lenses), tuple(shots), keys, given.xyz, errors, tuple(tracks))
-    (write_binary_model if binary else write_text_model)(folder, content)
+    points = list(zip(keys.tolist(), given.xyz.tolist(), errors.tolist(), tracks, strict=True))
+    (write_binary_model if binary else write_text_model)(folder, lenses, shots, points)
     return tuple(conversion for _, conversion in made)
 
 

@@ -17,9 +17,6 @@ from drivers.errors import InputMalformedError
 from photocal.block.model import Block, Images, InputFile, ObjectPoints, Role
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import (
-    CONTROL_FIELDS,
-    IMAGE_FIELDS,
-    MARK_FIELDS,
     NAMES,
     OURS,
     DbatCamera,
@@ -43,6 +40,9 @@ from photocal.exchange.source import (
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.conversion import Conversion, unbalanced
 
+_CONTROL_FIELDS = ("id", "label", "dummy", "x", "y", "z", "sx", "sy", "sz", "sxy", "sxyz")
+_IMAGE_FIELDS = ("id", "path", "dummy", "ignored")
+_MARK_FIELDS = ("id", "im", "ignored", "dummy", "x", "y", "sx", "sy", "sxy")
 _UNITS = {"mm": 1.0, "m": 1e3, "um": 1e-3}
 _GROUPS = {
     "cc": ("cc",),
@@ -81,7 +81,7 @@ def read_dbat(path: Path) -> Block:
             "has several cameras", where=path, remedy="split it: which image has which camera is not said"
         )
     surveyed = [*reader.points("ctrl_pts", "control"), *reader.points("check_pts", "check")]
-    image_of = {row.name("id"): row.cells.get("path", "") for row in reader.rows("images", IMAGE_FIELDS)}
+    image_of = {row.name("id"): row.cells.get("path", "") for row in reader.rows("images", _IMAGE_FIELDS)}
     # File names of the images by their number; the numbers where file names repeat.
     short = {key: PurePosixPath(path.replace("\\", "/")).name or key for key, path in image_of.items()}
     names = short if len(set(short.values())) == len(short) else {key: key for key in image_of}
@@ -120,7 +120,7 @@ class _Tables:
 
     def points(self, section: str, role: Role) -> Iterator[parts.PointEntry]:
         rules = [_rule(element, self.path) for element in self.given.iterfind(f"{section}/filter")]
-        for row in self.rows(section, CONTROL_FIELDS):
+        for row in self.rows(section, _CONTROL_FIELDS):
             name = row.name("id")
             if all((name in names) is keep for names, keep in rules):
                 yield parts.PointEntry(name, role, [row.value(axis) for axis in "xyz"], row.sigma())
@@ -129,7 +129,7 @@ class _Tables:
         for path, element in self.files("image_pts"):
             common = element.get("sxy")
             sigma = None if common is None else number(common, self.path, "sxy")
-            for row in read_rows(path, element.get("format", ""), MARK_FIELDS):
+            for row in read_rows(path, element.get("format", ""), _MARK_FIELDS):
                 yield row, sigma
 
 

@@ -22,9 +22,6 @@ from drivers.errors import InputMalformedError
 from photocal.exchange.source import Line, number, read_lines
 from photocal.geometry.camera import PARAMETERS, Affinity, Camera, Model, camera
 
-CONTROL_FIELDS = ("id", "label", "dummy", "x", "y", "z", "sx", "sy", "sz", "sxy", "sxyz")
-IMAGE_FIELDS = ("id", "path", "dummy", "ignored")
-MARK_FIELDS = ("id", "im", "ignored", "dummy", "x", "y", "sx", "sy", "sxy")
 # What one field of the file stands for.
 _SPREAD = {"sxy": ("sx", "sy"), "sxyz": ("sx", "sy", "sz")}
 # DBAT's names in the order of its reports.

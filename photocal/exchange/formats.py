@@ -119,7 +119,7 @@ FORMATS: tuple[Format, ...] = (
            ("*.opf",)),
     Format("photomodeler", "PhotoModeler, text export", WHOLE, "cartesian", CORNER, PHOTO, "brown-observed",
            "px, mm in the camera, m, deg", "photomodeler:write_photomodeler:block.txt",
-           "photomodeler:read_with_control:block.txt", "photomodeler:read_with_control", ("*.txt",),
+           "photomodeler:read_photomodeler:block.txt", "photomodeler:read_photomodeler", ("*.txt",),
            "photomodeler:looks_like_export"),
     Format("dbat", "DBAT, XML set-up", ("cameras", "points", "marks"), "cartesian", CORNER, PHOTO,
            "brown-observed", "px, mm in the camera, m", "dbat:export", "dbat:read_dbat:setup.xml",

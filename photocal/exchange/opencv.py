@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
+from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
 from photocal.exchange.reconstruction import Choices, Reconstruction, cameras_alone, file_name
-from photocal.exchange.source import files_of, image_size, number, read_json, read_text, structured
+from photocal.exchange.source import image_size, number, read_json, read_text, structured
 from photocal.geometry.camera import MODELS, Camera, Model, among
 from photocal.geometry.conversion import Conversion
 
@@ -119,4 +119,7 @@ def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion,
 
 def read_cameras(folder: Path) -> Reconstruction:
     """All calibrations of a folder, by their file names."""
-    return cameras_alone([read_opencv(path) for path in files_of(folder, "*.yml")])
+    paths = sorted(folder.glob("*.yml"))
+    if not paths:
+        raise InputNotFoundError("has no *.yml", where=folder, remedy="name the folder that has it")
+    return cameras_alone([read_opencv(path) for path in paths])

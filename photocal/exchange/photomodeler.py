@@ -213,19 +213,19 @@ def block_from_export(export: Export, control: dict[str, tuple[Floats, Floats]])
     return parts.block(export.title or place, cameras, shots, points, export.marks, [export.file])
 
 
-def read_photomodeler(export: Path, control: Path | None = None) -> Block:
-    """Read an export with its table of control points."""
-    content = read_export(export)
-    if control is None and content.control:
+def read_photomodeler(path: Path) -> Block:
+    """Read an export with the table of control points that lies beside it."""
+    export, control = read_export(path), control_beside(path)
+    if control.exists():
+        block = block_from_export(export, read_control(control))
+        return replace(block, inputs=(*block.inputs, fingerprint(control)))
+    if export.control:
         raise ConfigurationError(
             "has control points, whose standard deviations in a PhotoModeler export are a posteriori",
-            where=export,
-            remedy="put a table id,name,X,Y,Z,sX,sY,sZ beside it as " + control_beside(export).name,
+            where=path,
+            remedy=f"put a table id,name,X,Y,Z,sX,sY,sZ beside it as {control.name}",
         )
-    if control is None:
-        return block_from_export(content, {})
-    block = block_from_export(content, read_control(control))
-    return replace(block, inputs=(*block.inputs, fingerprint(control)))
+    return block_from_export(export, {})
 
 
 def control_beside(export: Path) -> Path:
@@ -265,12 +265,6 @@ def _camera(export: Export, own: tuple[float, ...], name: str, place: str) -> Ca
         | {"K1": -k1, "K2": -k2, "K3": -k3, "P1": -p1, "P2": -p2},
     )
     return replace(found, distortion_at="measured")
-
-
-def read_with_control(path: Path) -> Block:
-    """Read a text export with the table of control points that lies beside it."""
-    control = control_beside(path)
-    return read_photomodeler(path, control if control.exists() else None)
 
 
 def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:

@@ -8,9 +8,14 @@ import numpy as np
 from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import Block
 from photocal.exchange.colmap import FILES as COLMAP_FILES
+from photocal.exchange.dbat import read_dbat_cameras
+from photocal.exchange.dbat_camera import from_dbat
 from photocal.exchange.formats import read_foreign_block
+from photocal.exchange.metashape import TERMS
+from photocal.exchange.micmac import PLACEHOLDER, read_micmac
 from photocal.exchange.pix4d_project import CAMERAS, read_pix4d_project
 from photocal.exchange.reconstruction import ASSUMED_M, ForeignProject, bare_project
+from photocal.exchange.source import numbers, read_xml
 from photocal.geometry.camera import Camera
 
 _PROGRAMS = {
@@ -71,8 +76,6 @@ def _of_file(path: Path) -> ForeignProject:
     given = bare_project(program, block, weighted=weighted)
     if kind != ".xml":
         return given
-    from photocal.exchange.source import read_xml
-
     if read_xml(path).get("dbat_script_version"):
         return replace(given, program="DBAT", cameras=_dbat_results(path, block))
     return replace(given, program="Metashape", weighted=False, camera_sigma=_metashape_sigmas(path, block))
@@ -80,9 +83,6 @@ def _of_file(path: Path) -> ForeignProject:
 
 def _dbat_results(path: Path, block: Block) -> tuple[Camera, ...]:
     """Cameras that the program wrote below its set-up, by their names."""
-    from photocal.exchange.dbat import read_dbat_cameras
-    from photocal.exchange.dbat_camera import from_dbat
-
     names = {camera.id for camera in block.cameras}
     cameras: dict[str, Camera] = {}
     for one in sorted(path.parent.glob("result*/*.xml")):
@@ -94,9 +94,6 @@ def _dbat_results(path: Path, block: Block) -> tuple[Camera, ...]:
 
 
 def _micmac(path: Path) -> ForeignProject:
-    from photocal.exchange.micmac import PLACEHOLDER, read_micmac
-    from photocal.exchange.source import read_xml
-
     tables: dict[str, Path] = {}
     for one in sorted(path.parent.parent.glob("*.xml")):
         tables.setdefault(read_xml(one).tag, one)
@@ -118,9 +115,6 @@ def _micmac(path: Path) -> ForeignProject:
 
 def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
     """Standard deviations of the adjusted calibration, where the XML has their covariance."""
-    from photocal.exchange.metashape import TERMS
-    from photocal.exchange.source import numbers, read_xml
-
     found: dict[str, dict[str, float]] = {}
     for sensor in read_xml(path).iter("sensor"):
         name = sensor.get("label") or sensor.get("id") or "camera"

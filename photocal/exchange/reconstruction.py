@@ -183,8 +183,14 @@ def of_result(result: Result) -> Reconstruction:
         moving, seen = images.in_local(frame), frame.to_local(points.values)[point]
         still = replace(moving, movement=None)
         pixels = pixels + still.project(rays.image, seen) - moving.project(rays.image, seen)
+    # Cameras as they are when the effect of their readouts is taken off the observations.
+    estimated = (camera.estimated & ~among("readout") for camera in images.cameras)
+    cameras = tuple(
+        replace(camera.changed(readout=0.0), estimated=free, shutter="global")
+        for camera, free in zip(images.cameras, estimated, strict=True)
+    )
     return Reconstruction(
-        tuple(map(with_global_shutter, images.cameras)),
+        cameras,
         images.names,
         images.camera,
         images.values,
@@ -200,13 +206,6 @@ def of_result(result: Result) -> Reconstruction:
         result.block.frame,
         result.block.height,
         result.block.name,
-    )
-
-
-def with_global_shutter(camera: Camera) -> Camera:
-    """Give a camera as it is when the effect of its readout is taken off its observations."""
-    return replace(
-        camera.changed(readout=0.0), estimated=camera.estimated & ~among("readout"), shutter="global"
     )
 
 

@@ -191,14 +191,6 @@ def fingerprint(path: Path) -> InputFile:
     return plain_fingerprint(path, path.resolve().as_posix())
 
 
-def files_of(folder: Path, pattern: str) -> list[Path]:
-    """Files of a folder by their names, at least one."""
-    found = sorted(folder.glob(pattern))
-    if not found:
-        raise InputNotFoundError(f"has no {pattern}", where=folder, remedy="name the folder that has it")
-    return found
-
-
 def read_json(path: Path) -> Any:
     """Read a JSON object; errors in one line; raises InputNotFoundError, InputMalformedError."""
     text = read_text(path)

@@ -27,7 +27,7 @@ def test_round_trip_with_two_cameras(tmp_path: Path) -> None:
     given = two_cameras()
     path = tmp_path / "export.txt"
     assert [made.largest_px for made in write_photomodeler(path, given)] == [0, 0]
-    block = read_photomodeler(path, tmp_path / "export-control.txt")
+    block = read_photomodeler(path)
     assert block.images.names == given.image_names
     np.testing.assert_allclose(block.images.values, given.poses, rtol=1e-12, atol=1e-12)
     assert np.array_equal(block.images.camera, given.image_camera)
@@ -44,7 +44,7 @@ def test_affinity_goes_into_the_width_of_a_pixel(tmp_path: Path) -> None:
     own = replace(observed_camera(), affinity="before").changed(B1=2e-4, B2=0.0)
     given = reconstruction_of((own,))
     write_photomodeler(tmp_path / "e.txt", given)
-    block = read_photomodeler(tmp_path / "e.txt", tmp_path / "e-control.txt")
+    block = read_photomodeler(tmp_path / "e.txt")
     again = block.cameras[0]
     assert again.pitch[0] / again.pitch[1] == pytest.approx(1.0002, rel=1e-12)
     assert again.value("B1") == 0
