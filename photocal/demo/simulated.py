@@ -129,29 +129,31 @@ def _number(value: float) -> str:
 
 def simulated(plan: Path, output: Path, seed: int | None, speed: float) -> None:
     """Simulate, record, process, compare."""
+    from photocal.run.campaign import run_one
+    from photocal.run.summary import summary_text
+
     began = time.monotonic()
     flight = output / "flight"
     shutil.rmtree(flight, ignore_errors=True)
-    say("The flight is SIMULATED: terrain, vehicle, camera, satellites and wires are computed, truth aside.")
+    typer.echo(
+        "The flight is SIMULATED: terrain, vehicle, camera, satellites and wires are computed, truth aside."
+    )
     fly(plan, flight, seed)
-    say(f"flown in {time.monotonic() - began:.1f} s: pictures, and what goes over the wires")
+    typer.echo(f"flown in {time.monotonic() - began:.1f} s: pictures, and what goes over the wires")
     record(flight, speed)
-    say(f"recorded at {speed:g} times real time by `acquire record`: {flight / 'site' / 'flight.mcap'}")
-    figures = process(flight / "site" / "project.toml")
-    say("")
-    say(figures)
+    typer.echo(
+        f"recorded at {speed:g} times real time by `acquire record`: {flight / 'site' / 'flight.mcap'}"
+    )
+    day = dt.datetime.now().astimezone().date()
+    figures = run_one(flight / "site" / "project.toml", day, progress=progress)
+    typer.echo(f"\n{summary_text(figures)}")
     rows = against_truth(flight / "truth", flight / "site" / "work")
-    say("\nFound against the truth, which the processing never saw:\n")
-    say(table(rows))
+    typer.echo("\nFound against the truth, which the processing never saw:\n")
+    typer.echo(table(rows))
     lost = [row.name for row in rows if not row.agrees]
     verdict = f"beyond the limits: {', '.join(lost)}" if lost else "all within three standard deviations"
-    say(f"\n{verdict}")
-    say(f"Done in {time.monotonic() - began:.1f} s.")
-
-
-def say(text: str) -> None:
-    """Tell a person."""
-    typer.echo(text)
+    typer.echo(f"\n{verdict}")
+    typer.echo(f"Done in {time.monotonic() - began:.1f} s.")
 
 
 def fly(plan: Path, flight: Path, seed: int | None) -> None:
@@ -211,12 +213,3 @@ def _require(process: subprocess.Popen[str], limit: float, what: str) -> None:
 def _succeeded(process: subprocess.Popen[str], said: str) -> None:
     if process.returncode != 0:
         raise DeviceError(f"the recording failed ({said.strip()})", remedy="look at free ports and disk")
-
-
-def process(project: Path) -> str:
-    """Run a project and return its summary."""
-    from photocal.run.campaign import run_one
-    from photocal.run.summary import summary_text
-
-    day = dt.datetime.now().astimezone().date()
-    return summary_text(run_one(project, day, progress=progress))

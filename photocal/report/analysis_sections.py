@@ -1,6 +1,8 @@
 """Sections of a certificate about the analysis: hidden errors, significance, correlations, method."""
 
 import math
+from collections.abc import Iterable
+from typing import Literal
 
 from photocal.analysis.outcome import Analysis, CameraAnalysis, Opinions
 from photocal.findings.digits import symbol
@@ -9,15 +11,6 @@ from photocal.findings.texts import Catalogue, finding_text, need_words
 from photocal.geometry.camera import Camera
 from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table, columns
 from photocal.report.stored_analysis import Run
-
-
-def analysis_verdict(analysis: Analysis, say: Catalogue) -> list[Statement]:
-    """Warn of hidden errors that are not small."""
-    large = [finding for finding in analysis.findings if not finding.small]
-    if not large:
-        return []
-    text = say("analysis.verdict", count=len(large), worst=finding_text(large[0], say))
-    return [Statement("bad", say("analysis.verdict_title"), text)]
 
 
 def hidden_errors(run: Run, say: Catalogue) -> Section:
@@ -183,24 +176,22 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
     return Section(say("analysis.method"), tuple(pieces))
 
 
-def warned(findings: tuple[Finding, ...], say: Catalogue) -> list[Statement]:
-    """Say at the head of a document that there are warnings; nothing where there are none."""
-    warnings = [finding for finding in findings if finding.severity != "note"]
-    if not warnings:
+def warned(
+    findings: Iterable[Finding], section: Literal["warnings", "analysis"], say: Catalogue
+) -> list[Statement]:
+    """Say at the head of a document that there are findings which are not small, if there are."""
+    large = [finding for finding in findings if not finding.small]
+    if not large:
         return []
-    text = say("warnings.verdict", count=len(warnings), first=finding_text(warnings[0], say))
-    return [Statement("bad", say("warnings.title"), text)]
+    text = say(f"{section}.verdict", count=len(large), first=finding_text(large[0], say))
+    return [Statement("bad", say(f"{section}.verdict_title"), text)]
 
 
 def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Section]:
     """List warnings and notes."""
     tables = []
     for kind in ("warning", "note"):
-        texts = [
-            finding_text(finding, say)
-            for finding in findings
-            if (finding.severity == "note") == (kind == "note")
-        ]
+        texts = [finding_text(f, say) for f in findings if (f.severity == "note") == (kind == "note")]
         heads = (Column(""), *columns(say, "warnings", f"{kind}<"))
         rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
         if rows:

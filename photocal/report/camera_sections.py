@@ -46,11 +46,16 @@ def camera_facts(camera_id: str, camera: Camera, readout: Readout | None, say: C
         rows.append((say("camera.format"), say("camera.format_value", **size)))
     rows.append((say("camera.unit"), camera.unit))
     rows.append((say("camera.model"), say(f"camera.model_{camera.model.removeprefix('brown-')}")))
-    rows.append((say("camera.affinity"), _affinity(camera, say)))
-    if camera.reference_radius:
-        rows.append(
-            (say("camera.reference_radius"), f"{say.significant(camera.reference_radius, 6)} {camera.unit}")
+    affinity = say("camera.affinity_none")
+    if any(camera.value(name) or name in camera.free for name in ("B1", "B2")):
+        form, place = (
+            say(f"camera.{key}") for key in (f"form_{camera.affinity_form}", f"affinity_{camera.affinity}")
         )
+        affinity = say("camera.affinity_value", form=form, place=place)
+    rows.append((say("camera.affinity"), affinity))
+    if camera.reference_radius:
+        radius = f"{say.significant(camera.reference_radius, 6)} {camera.unit}"
+        rows.append((say("camera.reference_radius"), radius))
     if camera.focus_m:
         distance = f"{say.significant(camera.focus_m, 4)} m"
         rows.append((say("camera.focus"), say("camera.focus_value", distance=distance)))
@@ -76,17 +81,6 @@ def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:
     )
     shaken = say.significant(camera.shaken / camera.pitch[0], 2)
     return text + (say("camera.shutter_shakes", effect=shaken) if camera.shake else "")
-
-
-def _affinity(camera: Camera, say: Catalogue) -> str:
-    used = any(camera.value(name) or name in camera.free for name in ("B1", "B2"))
-    if not used:
-        return say("camera.affinity_none")
-    return say(
-        "camera.affinity_value",
-        form=say(f"camera.form_{camera.affinity_form}"),
-        place=say(f"camera.affinity_{camera.affinity}"),
-    )
 
 
 def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -> Section:

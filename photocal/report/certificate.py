@@ -7,30 +7,12 @@ from drivers.errors import InputMalformedError
 from photocal.findings.digits import relation
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.texts import Catalogue, finding_text, identity
-from photocal.report import block_sections, camera_sections
-from photocal.report.analysis_sections import (
-    analysis_verdict,
-    hidden_errors,
-    method_check,
-    parameters,
-    warned,
-    warning_sections,
-)
+from photocal.report import analysis_sections, block_sections, camera_sections, required_sections
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.derived_figures import verdict as keeps
 from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.report.ministry_rows import Context
-from photocal.report.required_sections import (
-    acceptance,
-    acceptance_statement,
-    equipment,
-    findings,
-    laboratory,
-    signature,
-    technical_report,
-    uncertainty,
-)
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run
 
@@ -47,15 +29,17 @@ def certificate(
     calibrated = any(camera.free for camera in cameras.values())
     known = tuple(derived_figures(run, camera_id, particulars) for camera_id in cameras)
     _refuse_impossible(known, say)
+    number = certificate_number(run, particulars, warnings)
+    sections = _sections(run, particulars, known, warnings, number, say)
     return Document(
         language=say.language,
         title=say("title.certificate"),
         subtitle=say("title.subtitle" if calibrated else "title.subtitle_held", cameras=", ".join(cameras)),
-        number=certificate_number(run, particulars, warnings),
-        facts=_facts(run, particulars, certificate_number(run, particulars, warnings), say),
+        number=number,
+        facts=_facts(run, particulars, number, say),
         highlights=_highlights(run, warnings, say),
         verdicts=_verdicts(run, known, warnings, say),
-        sections=(*warning_sections(warnings, say), *_sections(run, particulars, known, warnings, say)),
+        sections=(*analysis_sections.warning_sections(warnings, say), *sections),
         words={word: say(f"word.{word}") for word in WORDS},
     )
 
@@ -137,12 +121,10 @@ def _residuals(run: Run, say: Catalogue) -> Highlight:
 
 
 def _network(run: Run, say: Catalogue) -> Highlight:
-    remark = say(
-        "highlight.network_remark", points=len(run.result.points.names), dof=run.result.degrees_of_freedom
-    )
-    return Highlight(
-        say("highlight.network"), say("highlight.network_value", images=len(run.result.images)), remark
-    )
+    result = run.result
+    remark = say("highlight.network_remark", points=len(result.points.names), dof=result.degrees_of_freedom)
+    text = say("highlight.network_value", images=len(result.images))
+    return Highlight(say("highlight.network"), text, remark)
 
 
 def _checks(run: Run, say: Catalogue) -> Highlight:
@@ -153,11 +135,8 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
     rmse = {axis: 1e3 * (checks.rmse_m[axis] or 0.0) for axis in "xyz"}
     axes = {axis: say.fixed(value, 1) for axis, value in rmse.items()}
     both = math.hypot(rmse["x"], rmse["y"])
-    return Highlight(
-        label,
-        f"XY {say.fixed(both, 1)} mm; Z {axes['z']} mm",
-        say("highlight.checks_remark", **axes, n=checks.n),
-    )
+    text = f"XY {say.fixed(both, 1)} mm; Z {axes['z']} mm"
+    return Highlight(label, text, say("highlight.checks_remark", **axes, n=checks.n))
 
 
 def overall(run: Run, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...]) -> Finding:
@@ -183,18 +162,19 @@ def _verdicts(
     result, final = run.result, overall(run, known, warnings)
     tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
     head = Statement(tone, say(f"verdict.{final.code}"), finding_text(final, say))
-    verdicts = [head, *warned(warnings, say)]
+    verdicts = [head, *analysis_sections.warned(warnings, "warnings", say)]
     if not result.converged:
         text = say("verdict.diverged", iterations=result.iterations)
         verdicts.append(Statement("bad", say("verdict.diverged_title"), text))
     test = _tested(run, warnings)
     if test.severity != "passed":
         verdicts.append(Statement("note", say("verdict.test_title"), finding_text(test, say)))
-    verdicts += [acceptance_statement(of, final, say) for of in known if keeps(of.limits) != "not_determined"]
+    judged = (of for of in known if keeps(of.limits) != "not_determined")
+    verdicts += [required_sections.acceptance_statement(of, final, say) for of in judged]
     weak = [f for of in known for f in of.findings if f.code.startswith(WEAK)]
     verdicts += [Statement("bad", say("verdict.weak_title"), finding_text(f, say)) for f in weak]
     if run.analysis is not None:
-        verdicts += analysis_verdict(run.analysis, say)
+        verdicts += analysis_sections.warned(run.analysis.findings, "analysis", say)
     if result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
     return tuple(verdicts)
@@ -205,6 +185,7 @@ def _sections(
     particulars: Metadata,
     known: tuple[DerivedFigures, ...],
     warnings: tuple[Finding, ...],
+    number: str,
     say: Catalogue,
 ) -> tuple[Section, ...]:
     cameras = run.result.cameras
@@ -214,7 +195,6 @@ def _sections(
         camera_sections.camera_facts(name, camera, readouts.get(name), say)
         for name, camera in cameras.items()
     )
-    number = certificate_number(run, particulars, warnings)
     sections = [Section(say("camera.section"), facts), block_sections.method(say("method.section"), run, say)]
     for position, (camera_id, camera) in enumerate(cameras.items(), start=1):
         name = str(position)
@@ -231,11 +211,12 @@ def _sections(
             camera_sections.image_residuals(title("residuals.section"), name, run, camera_id, say),
         ]
         if run.analysis is not None and run.analysis.cameras.get(camera_id) is not None:
-            sections.append(parameters(title("analysis.parameters"), camera_id, run, run.analysis, say))
-    sections.append(uncertainty(say("uncertainty.section"), run, particulars, say))
-    sections.append(hidden_errors(run, say))
+            name = title("analysis.parameters")
+            sections.append(analysis_sections.parameters(name, camera_id, run, run.analysis, say))
+    sections.append(required_sections.uncertainty(say("uncertainty.section"), run, particulars, say))
+    sections.append(analysis_sections.hidden_errors(run, say))
     if run.analysis is not None:
-        sections.append(method_check(run.analysis, say))
+        sections.append(analysis_sections.method_check(run.analysis, say))
     return (
         *sections,
         *block_sections.relative_orientations(say("heads.section"), run, say),
@@ -243,9 +224,9 @@ def _sections(
         block_sections.check_points(say("checks.section"), run, say),
         block_sections.global_test(say("test.section"), run, say),
         *_judgements(run, particulars, known, overall(run, known, warnings), say),
-        laboratory(say("laboratory.section"), particulars, number, say),
+        required_sections.laboratory(say("laboratory.section"), particulars, number, say),
         block_sections.inputs(say("inputs.section"), run, say),
-        signature(say("signature.section"), particulars, say),
+        required_sections.signature(say("signature.section"), particulars, say),
     )
 
 
@@ -257,13 +238,12 @@ def _judgements(
     def title(key: str, of: DerivedFigures) -> str:
         return f"{say(key)}: {of.camera_id}" if len(known) > 1 else say(key)
 
-    sections = [findings(title("plausibility.section", of), of.findings, say) for of in known]
-    sections += [acceptance(title("acceptance.section", of), of, final, say) for of in known]
-    sections.append(equipment(say("equipment.section"), particulars, say))
-    for of in known:
-        context = Context(run, particulars, of, say)
-        sections.append(technical_report(title("ministry.section", of), context))
-    return sections
+    made = required_sections
+    sections = [made.findings(title("plausibility.section", of), of.findings, say) for of in known]
+    sections += [made.acceptance(title("acceptance.section", of), of, final, say) for of in known]
+    sections.append(made.equipment(say("equipment.section"), particulars, say))
+    contexts = (Context(run, particulars, of, say) for of in known)
+    return sections + [made.technical_report(title("ministry.section", c.facts), c) for c in contexts]
 
 
 def _refuse_impossible(known: tuple[DerivedFigures, ...], say: Catalogue) -> None:

@@ -227,16 +227,8 @@ def _piece(piece: Piece, numbers: dict[int, int]) -> dict[str, Any]:
     if id(piece) in numbers:
         plain["number"] = numbers[id(piece)]
     if isinstance(piece, Table):
-        plain["columns"] = [
-            {**dataclasses.asdict(column), "weight": _weight(piece, i)}
-            for i, column in enumerate(piece.columns)
-        ]
+        for i, column in enumerate(plain["columns"]):
+            texts = column["head"], column["unit"], *(row[i] for row in piece.rows)
+            # The longest text shares the width; a digest is set in very small type.
+            column["weight"] = max(5, min(max(map(len, texts)), 40))
     return plain
-
-
-def _weight(table: Table, column: int) -> int:
-    """Length of the longest text in a column, by which the width is shared."""
-    texts = [table.columns[column].head, table.columns[column].unit, *(row[column] for row in table.rows)]
-    longest = max(len(text) for text in texts)
-    # A digest is set in very small type.
-    return max(5, min(longest, 40))

@@ -101,13 +101,8 @@ def residual_map(camera: Camera, vectors: SensorResiduals, say: Catalogue) -> st
     left = (WIDTH - across + margins[0] - margins[1]) / 2
     with drawing(WIDTH, total) as (figure, out):
         ax = figure.add_axes((left / WIDTH, margins[2] / total, across / WIDTH, tall / total))
-        style: dict[str, Any] = {
-            "angles": "xy",
-            "scale_units": "xy",
-            "scale": 1.0,
-            "color": INK,
-            "clip_on": False,
-        }
+        style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+        style |= {"color": INK, "clip_on": False}
         if len(vectors.place):
             ax.quiver(*vectors.place.T, *(vectors.residual_px * scale).T, width=0.0013, **style)
         x0, y0 = camera.value("x0"), camera.value("y0")
@@ -115,7 +110,10 @@ def residual_map(camera: Camera, vectors: SensorResiduals, say: Catalogue) -> st
         ax.plot([x0], [y0], marker="+", markersize=9, markeredgewidth=1.0, color=INK, zorder=5)
         above = h / 2 + 0.2 * w / across
         ax.quiver([-w / 2], [above], [arrow * scale], [0.0], width=0.0022, **style)
-        ax.text(-w / 2 + arrow * scale * 1.15, above, _arrow_label(camera, arrow, say), va="center")
+        label = f"{say.significant(arrow, 1)} px"
+        if camera.unit == "mm":
+            label += f" = {say.significant(arrow * float(np.mean(camera.pitch)) * 1e3, 2)} µm"
+        ax.text(-w / 2 + arrow * scale * 1.15, above, label, va="center")
         ax.text(w / 2, above, f"+  {say('figure.residuals.principal_point')}", ha="right", va="center")
         ax.set_xlim(-w / 2, w / 2)
         ax.set_ylim(-h / 2, h / 2)
@@ -164,24 +162,8 @@ def _disc(ax: "Axes", x: float, y: float, r: float, *, clip: bool = True) -> Non
     # Area goes with |r|; what is smaller than a hundredth is not drawn.
     if abs(r) < 0.01:
         return
-    face = INK if r > 0 else "white"
-    ax.add_patch(
-        Circle(
-            (x, y),
-            0.44 * float(np.sqrt(min(abs(r), 1.0))),
-            facecolor=face,
-            edgecolor=INK,
-            linewidth=0.8,
-            clip_on=clip,
-        )
-    )
-
-
-def _arrow_label(camera: Camera, arrow: float, say: Catalogue) -> str:
-    text = f"{say.significant(arrow, 1)} px"
-    if camera.unit == "mm":
-        text += f" = {say.significant(arrow * float(np.mean(camera.pitch)) * 1e3, 2)} µm"
-    return text
+    face, radius = INK if r > 0 else "white", 0.44 * float(np.sqrt(min(abs(r), 1.0)))
+    ax.add_patch(Circle((x, y), radius, facecolor=face, edgecolor=INK, linewidth=0.8, clip_on=clip))
 
 
 def _round_length(length: float) -> float:

@@ -84,12 +84,11 @@ def _camera(run: Run, known: DerivedFigures) -> dict[str, Any]:
     curve = radial_profile(camera, np.linspace(0.0, farthest_corner(camera), 21))
     columns = zip(curve.radius, curve.displacement, curve.sigma, curve.decentering, strict=True)
     keys = ("radius", "value", "sigma", "decentring_at_most")
+    sigma, whose = run.stated(known.camera_id)
     return {
         "pixel_mm": known.pixel_mm,
         "principal_distance_mm": known.focal_mm,
-        "stated": dict(
-            zip(("value", "sigma", "of"), (camera.value("c"), *run.stated(known.camera_id)), strict=True)
-        ),
+        "stated": {"value": camera.value("c"), "sigma": sigma, "of": whose},
         "flying_height_m": known.height_m,
         "gsd_cm": known.gsd_cm,
         "air_base_m": known.base_m,
@@ -130,13 +129,6 @@ def plain_record(
     """Make the certificate as it comes back from JSON: lists for tuples."""
     content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, warnings), allow_nan=False))
     return content
-
-
-def with_documents(certificate: dict[str, Any], documents: dict[str, bytes]) -> bytes:
-    """Add the digests of the printed forms and write the whole as JSON."""
-    digests = {name: hashlib.sha256(content).hexdigest() for name, content in documents.items()}
-    text = json.dumps({**certificate, "documents": digests}, indent=1, allow_nan=False, ensure_ascii=False)
-    return (text + "\n").encode()
 
 
 def read_record(path: Path) -> tuple[dict[str, Any], Path]:
@@ -222,11 +214,13 @@ def issue(
     done()
     forms = printed(document, day)
     done()
-    forms[NAME] = with_documents(record(results, given, say, warnings), forms)
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in forms.items()}
+    content = {**record(results, given, say, warnings), "documents": digests}
+    forms[NAME] = (json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
     done()
     with output_folder(output) as folder:
-        for name, content in forms.items():
-            (folder / name).write_bytes(content)
+        for name, octets in forms.items():
+            (folder / name).write_bytes(octets)
         if source is not None:
             carry(results.result.inputs, source, folder)
     return document

@@ -7,7 +7,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text
 from photocal.report.camera_sections import critical_t
 from photocal.report.certificate_metadata import Metadata, Source
-from photocal.report.derived_figures import DerivedFigures, Limit, verdict
+from photocal.report.derived_figures import DerivedFigures, verdict
 from photocal.report.document import (
     Column,
     KeyValues,
@@ -126,7 +126,16 @@ def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> 
 def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue) -> Section:
     """Set the figures against the ministry's limits."""
     heads = columns(say, "acceptance", "quantity<", "value", "limit", "unit<", "met=")
-    rows = tuple(_limit_row(limit, say) for limit in facts.limits)
+    met = {True: say("word.yes"), False: say("word.no"), None: say("ministry.not_determined")}
+    rows = tuple(
+        (
+            say(f"acceptance.{limit.key}"),
+            *(_maybe(value, say) for value in (limit.value, limit.limit)),
+            limit.unit,
+            met[limit.met],
+        )
+        for limit in facts.limits
+    )
     note = say("acceptance.note", dz=_centimetres(facts.dz_cm, say), gsd=_centimetres(facts.gsd_cm, say))
     return Section(
         title, (acceptance_statement(facts, final, say), Table(say("acceptance.table"), heads, rows, note))
@@ -142,17 +151,6 @@ def acceptance_statement(facts: DerivedFigures, final: Finding, say: Catalogue) 
         text += say("acceptance.withheld" if final.severity == "grave" else "acceptance.reserved")
         return Statement("note", say(f"acceptance.{found}"), text)
     return Statement(TONES[found], say(f"acceptance.{found}"), text)
-
-
-def _limit_row(limit: Limit, say: Catalogue) -> tuple[str, ...]:
-    met = {True: say("word.yes"), False: say("word.no"), None: say("ministry.not_determined")}[limit.met]
-    return (
-        say(f"acceptance.{limit.key}"),
-        _maybe(limit.value, say),
-        _maybe(limit.limit, say),
-        limit.unit,
-        met,
-    )
 
 
 def _maybe(value: float | None, say: Catalogue) -> str:
@@ -177,12 +175,9 @@ def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
     """List the positioning system and its offsets, the equipment and the validity."""
     missing = say("ministry.not_determined")
     validity, system = particulars.validity, particulars.gnss_ins
-    until = say.date(validity.until) if validity.until else missing
-    rows = (
-        (say("equipment.receiver"), system.receiver or missing),
-        (say("equipment.valid_until"), until),
-        (say("equipment.conditions"), validity.conditions or missing),
-    )
+    until = say.date(validity.until) if validity.until else ""
+    values = {"receiver": system.receiver, "valid_until": until, "conditions": validity.conditions}
+    rows = tuple((say(f"equipment.{key}"), value or missing) for key, value in values.items())
     pieces: list[Piece] = [KeyValues(rows), _offsets(particulars, say)]
     if particulars.equipment:
         keys = ("name", "manufacturer", "serial", "use", "calibration")
@@ -199,13 +194,13 @@ def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
     axes = ("X / ω", "Y / φ", "Z / κ")
     heads = [*columns(say, "equipment", "offset<"), *map(Column, axes), *(Column(f"σ {a}") for a in axes)]
     none = (None,) * 3
-    table = (
-        (say("equipment.lever_arm"), system.lever_arm_cm or none, system.lever_arm_sigma_cm or none),
-        (say("equipment.boresight"), system.boresight_deg or none, system.boresight_sigma_deg or none),
-    )
+    table = {
+        "lever_arm": (*(system.lever_arm_cm or none), *(system.lever_arm_sigma_cm or none)),
+        "boresight": (*(system.boresight_deg or none), *(system.boresight_sigma_deg or none)),
+    }
     rows = tuple(
-        (label, *(say.as_given(v) if v is not None else say("word.none") for v in (*values, *sigmas)))
-        for label, values, sigmas in table
+        (say(f"equipment.{key}"), *(say("word.none") if v is None else say.as_given(v) for v in values))
+        for key, values in table.items()
     )
     return Table(say("equipment.offsets"), tuple(heads), rows)
 
@@ -233,10 +228,8 @@ def signature(title: str, particulars: Metadata, say: Catalogue) -> Section:
     """Make the place to sign."""
     responsible, place = particulars.responsible, particulars.document.place
     day = say.date(particulars.date)
-    lines = (
-        responsible.name or say("signature.name"),
-        responsible.title or say("signature.title"),
-        responsible.registration or say("signature.registration"),
+    lines = tuple(
+        getattr(responsible, key) or say(f"signature.{key}") for key in ("name", "title", "registration")
     )
     where = f"{place}, {day}" if place else day
     pieces = (Paragraph(say("ministry.responsibility")), Paragraph(where), Signature(lines))

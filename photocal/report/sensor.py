@@ -36,8 +36,13 @@ def radial_profile(camera: Camera, radius: Floats) -> RadialProfile:
     3 sqrt(P1^2 + P2^2) r^2 (1 + P3 r^2 + P4 r^4) (Brown 1966).
     """
     r = np.asarray(radius, dtype=np.float64)
+    c, decentring = camera.value("c"), 3.0 * np.hypot(camera.value("P1"), camera.value("P2"))
     if camera.lens.relative:
-        return _of_other_lens(camera, r)
+        # A lens that is not Brown's.
+        ray = r / c
+        prism = np.hypot(*(camera.value(a) + camera.value(b) * ray**2 for a, b in (_PRISM[:2], _PRISM[2:])))
+        swing = c * ray**2 * (decentring + prism)
+        return RadialProfile(r, beyond(camera, r), radial_profile_sigma(camera, r), swing)
     powers = np.arange(2, 2 * len(RADIAL) + 1, 2)
     basis = r[:, None] * (r[:, None] ** powers - camera.reference_radius**powers)
     displacement = basis @ np.array([camera.value(name) for name in RADIAL])
@@ -45,17 +50,7 @@ def radial_profile(camera: Camera, radius: Floats) -> RadialProfile:
     jacobian = basis[:, [RADIAL.index(name) for name in names]]
     variance = np.einsum("ni,ij,nj->n", jacobian, camera.covariance_of(names), jacobian)
     swell = np.abs(1.0 + camera.value("P3") * r**2 + camera.value("P4") * r**4)
-    tangential = 3.0 * np.hypot(camera.value("P1"), camera.value("P2")) * r**2 * swell
-    return RadialProfile(r, displacement, np.sqrt(np.maximum(variance, 0.0)), tangential)
-
-
-def _of_other_lens(camera: Camera, r: Floats) -> RadialProfile:
-    """The same of a lens that is not Brown's."""
-    c = camera.value("c")
-    ray = r / c
-    prism = np.hypot(*(camera.value(a) + camera.value(b) * ray**2 for a, b in (_PRISM[:2], _PRISM[2:])))
-    swing = c * ray**2 * (3.0 * np.hypot(camera.value("P1"), camera.value("P2")) + prism)
-    return RadialProfile(r, beyond(camera, r), radial_profile_sigma(camera, r), swing)
+    return RadialProfile(r, displacement, np.sqrt(np.maximum(variance, 0.0)), decentring * r**2 * swell)
 
 
 def farthest_corner(camera: Camera) -> float:
@@ -80,13 +75,8 @@ def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
     """Take the residuals of one camera to its image plane."""
     camera = run.result.cameras[camera_id]
     rays = run.result.residuals_of(camera_id)
-    return to_plane(
-        camera,
-        rays.measured,
-        rays.residual,
-        unit=run.result.block.observation_unit,
-        axes=run.result.block.observation_axes,
-    )
+    unit, axes = run.result.block.observation_unit, run.result.block.observation_axes
+    return to_plane(camera, rays.measured, rays.residual, unit=unit, axes=axes)
 
 
 def to_plane(camera: Camera, measured: Floats, residual: Floats, *, unit: str, axes: str) -> SensorResiduals:

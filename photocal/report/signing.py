@@ -267,9 +267,8 @@ def against_journal(entries: Iterable[Mapping[str, Any]], number: str, digest: s
     noted = [entry.get("sha256") for entry in entries if entry.get("number") == number]
     if not noted:
         return [f"the journal has no certificate {number}"]
-    return (
-        [] if noted[-1] == digest else [f"certificate.json is not the one that the journal has for {number}"]
-    )
+    other = f"certificate.json is not the one that the journal has for {number}"
+    return [] if noted[-1] == digest else [other]
 
 
 def _private(passphrase: str) -> "Ed25519PrivateKey":
