@@ -41,8 +41,7 @@ def export(
         raise ConfigurationError(f"angle unit {angle_unit!r} is not known", remedy="use deg or gon")
     touching = None
     if origin:
-        form = "LATITUDE,LONGITUDE,HEIGHT: degrees, metres"
-        touching = Origin(*numbers_of(origin, "--origin", form))
+        touching = Origin(*numbers_of(origin, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres"))
     choices = Choices(cast("Angle", angle_unit) if angle_unit else None, touching, now)
     chosen = named(form)
     adjusted = read_result(run)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable
-from typing import Literal
 
 from photocal.analysis.outcome import Analysis, CameraAnalysis, Opinions
 from photocal.findings.digits import symbol
@@ -176,15 +175,13 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
     return Section(say("analysis.method"), tuple(pieces))
 
 
-def warned(
-    findings: Iterable[Finding], section: Literal["warnings", "analysis"], say: Catalogue
-) -> list[Statement]:
+def warned(findings: Iterable[Finding], title: str, text: str, say: Catalogue) -> list[Statement]:
     """Say at the head of a document that there are findings which are not small, if there are."""
     large = [finding for finding in findings if not finding.small]
     if not large:
         return []
-    text = say(f"{section}.verdict", count=len(large), first=finding_text(large[0], say))
-    return [Statement("bad", say(f"{section}.verdict_title"), text)]
+    told = say(text, count=len(large), first=finding_text(large[0], say))
+    return [Statement("bad", say(title), told)]
 
 
 def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Section]:

@@ -162,7 +162,7 @@ def _verdicts(
     result, final = run.result, overall(run, known, warnings)
     tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
     head = Statement(tone, say(f"verdict.{final.code}"), finding_text(final, say))
-    verdicts = [head, *analysis_sections.warned(warnings, "warnings", say)]
+    verdicts = [head, *analysis_sections.warned(warnings, "warnings.verdict_title", "warnings.verdict", say)]
     if not result.converged:
         text = say("verdict.diverged", iterations=result.iterations)
         verdicts.append(Statement("bad", say("verdict.diverged_title"), text))
@@ -174,7 +174,8 @@ def _verdicts(
     weak = [f for of in known for f in of.findings if f.code.startswith(WEAK)]
     verdicts += [Statement("bad", say("verdict.weak_title"), finding_text(f, say)) for f in weak]
     if run.analysis is not None:
-        verdicts += analysis_sections.warned(run.analysis.findings, "analysis", say)
+        hidden = run.analysis.findings
+        verdicts += analysis_sections.warned(hidden, "analysis.verdict_title", "analysis.verdict", say)
     if result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
     return tuple(verdicts)
