@@ -50,6 +50,7 @@ class ProjectKeys(Table):
     crs: str
     height: Literal["ellipsoidal", "orthometric", "local"]
     output: Beside
+    refraction: Annotated[float, Field(ge=-2.0, le=2.0)] | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -180,6 +180,8 @@ def read_block(folder: Path) -> Block:
         (setup.block.level, setup.block.global_test),
         read_relations(checks, "distance", points.names) if checks.exists() else NO_RELATIONS,
         make_heads(setup.head, [camera.id for camera in cameras], folder / SETUP),
+        setup.block.refraction,
+        setup.block.curvature,
     )
 
 

@@ -224,6 +224,8 @@ class Block:
     check_distances: known distances that take no part, by the index of their points.
     heads: cameras that are fixed to each other, the first of each frame among them.
     global_test: its level and its kind.
+    refraction: coefficient of the rays' bending in the atmosphere; None where it is not modelled.
+    curvature: whether local coordinates are plane, with heights above a curved earth.
     """
 
     name: str
@@ -245,6 +247,8 @@ class Block:
     global_test: tuple[float, Sided] = (0.95, "two-sided")
     check_distances: Relations = NO_RELATIONS
     heads: tuple[Head, ...] = ()
+    refraction: float | None = None
+    curvature: bool = False
 
     def __repr__(self) -> str:
         """Say in one line what it holds."""

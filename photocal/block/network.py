@@ -18,6 +18,7 @@ from photocal.adjustment.network import (
 )
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import LATER
+from photocal.block.bending import straightened
 from photocal.block.model import Block
 from photocal.block.motion import motion_of
 from photocal.block.rig import rig_of
@@ -222,6 +223,8 @@ def assemble(block: Block) -> NetworkOfBlock:
         block.mounting,
         rig,
     )
+    if block.refraction or block.curvature:
+        network = straightened(network, block.refraction or 0.0, curved=block.curvature)
     return NetworkOfBlock(network, used, order, frame)
 
 

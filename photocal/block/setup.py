@@ -1,8 +1,8 @@
 """`block.toml`: what the tables of a block folder mean, checked key by key."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat
+from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, model_validator
 
 from acquire.checked_toml import Table
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma
@@ -23,6 +23,14 @@ class BlockKeys(Table):
     datum_points: tuple[str, ...] = ()
     global_test: Literal["two-sided", "one-sided", "none"] = "two-sided"
     level: float = Field(default=0.95, gt=0.5, lt=1.0)
+    refraction: float | None = Field(default=None, ge=-2.0, le=2.0)
+    curvature: bool = False
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.curvature and self.frame != "local":
+            raise ValueError("a coordinate system knows that the earth is curved: leave curvature out")
+        return self
 
 
 class ObservationKeys(Table):

@@ -119,6 +119,8 @@ def _setup(block: Block) -> str:
         f"height = {json.dumps(block.height)}",
         f"datum = {json.dumps(block.datum)}",
         *([f'global_test = "{block.global_test[1]}"'] if block.global_test[1] != "two-sided" else []),
+        *([f"refraction = {block.refraction}"] if block.refraction is not None else []),
+        *(["curvature = true"] if block.curvature else []),
         "",
         "[observations]",
         'unit = "px"',

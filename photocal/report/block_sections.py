@@ -81,6 +81,14 @@ def _block_facts(run: Run, say: Catalogue) -> KeyValues:
     if result.block.height:
         key = f"method.height_{result.block.height}"
         rows.append((say("method.height"), say(key) if key in say.messages else result.block.height))
+    bent, plane = result.block.refraction, result.block.frame == "local" and not result.block.curvature
+    rows += [
+        (
+            say("method.refraction"),
+            say("method.not_modelled") if bent is None else say("method.coefficient", k=say.fixed(bent, 3)),
+        ),
+        (say("method.curvature"), say("method.not_modelled" if plane else "method.modelled")),
+    ]
     counts = {role: roles.get(role, 0) for role in ("control", "check", "tie")}
     unit = f"{result.block.observation_unit}, {say(f'word.{result.block.observation_axes}')}"
     rows += [

@@ -89,6 +89,8 @@ def result_of(
             block.observations.unit,
             block.observations.axes,
             block.height,
+            refraction=block.refraction,
+            curvature=block.curvature,
         ),
         inputs=block.inputs,
         converged=True,

@@ -36,6 +36,7 @@ class BlockFacts:
 
     source: the folder with its files, seen from the run folder.
     setup: the set-up file of another program within it; empty for a block folder.
+    refraction, curvature: as the block states them.
     """
 
     name: str
@@ -46,6 +47,8 @@ class BlockFacts:
     height: str = ""
     source: str = ""
     setup: str = ""
+    refraction: float | None = None
+    curvature: bool = False
 
 
 @dataclass(frozen=True)

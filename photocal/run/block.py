@@ -20,7 +20,7 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
     from photocal.block.folder import read_block
     from photocal.run.project_checks import check_rays
 
-    distances = project.control.distances
+    distances, bent = project.control.distances, project.contents.project.refraction
 
     def make(folder: Path, _: Progress) -> None:
         for path in sorted(measurements.iterdir()):
@@ -28,6 +28,10 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
                 shutil.copyfile(path, folder / path.name)
         if distances is not None:
             shutil.copyfile(distances, folder / "distances.csv")
+        if bent is not None:
+            text = (folder / "block.toml").read_text(encoding="utf-8")
+            with_choice = text.replace("[block]\n", f"[block]\nrefraction = {bent}\n", 1)
+            (folder / "block.toml").write_text(with_choice, encoding="utf-8")
         if exposures is None:
             return
         with (folder / "images.csv").open(newline="", encoding="utf-8") as stream:
@@ -40,10 +44,11 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
         setup.write_text(text, encoding="utf-8")
         check_rays(read_block(folder), project.control.points)
 
+    chosen: dict[str, Any] = {} if bent is None else {"refraction": bent}
     inputs = {} if distances is None else {"distances": distances}
     if exposures is None:
-        return Stage("block", "the block", make, inputs, {}, (measurements,))
-    settings = {"rig": project.rig.mounting().model_dump(mode="json")}
+        return Stage("block", "the block", make, inputs, chosen, (measurements,))
+    settings = {"rig": project.rig.mounting().model_dump(mode="json"), **chosen}
     return Stage("block", "the block", make, inputs, settings, (exposures, measurements))
 
 
