@@ -8,6 +8,7 @@ from photocal.commands import (
     compare,
     doctor,
     export,
+    forms,
     mark,
     measure,
     navigation,
@@ -36,6 +37,7 @@ app.command()(compare.compare)
 app.command()(check.check)
 app.command()(plan.plan)
 app.command()(plan.flown)
+app.command()(forms.forms)
 app.command()(navigation.ppk)
 app.command()(navigation.exposures)
 app.command()(navigation.survey)

@@ -114,6 +114,8 @@ class ConditionKeys(Table):
     """Section `[conditions]`: under which the camera was calibrated."""
 
     temperature_c: FiniteFloat | None = None
+    relative_humidity_percent: Annotated[float, Field(ge=0, le=100)] | None = None
+    pressure_hpa: Annotated[float, Field(ge=400, le=1100)] | None = None
     focus: str = ""
     aperture: str = ""
     stabilisation: str = ""

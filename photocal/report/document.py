@@ -129,6 +129,7 @@ class Document:
 
     language: code of its language, as HTML wants it.
     words: the few words that the renderers need themselves (page, table, figure ...).
+    sheets: whether each section begins a page of its own, without numbers.
     """
 
     language: str
@@ -140,6 +141,7 @@ class Document:
     verdicts: tuple[Statement, ...]
     sections: tuple[Section, ...]
     words: dict[str, str]
+    sheets: bool = False
 
 
 def html(document: Document) -> str:

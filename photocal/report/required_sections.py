@@ -32,7 +32,11 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
     """List what clause 7.8 asks of a certificate, item by item."""
     missing = say("laboratory.not_stated")
     lab, conditions, given = particulars.laboratory, particulars.conditions, particulars.camera
-    warm = conditions.temperature_c
+    air = {
+        "temperature": (conditions.temperature_c, "°C"),
+        "humidity": (conditions.relative_humidity_percent, "%"),
+        "pressure": (conditions.pressure_hpa, "hPa"),
+    }
     camera = " ".join(part for part in (given.manufacturer, given.model, given.serial) if part)
     lens = " ".join(part for part in (given.lens_type, given.lens_serial) if part)
     values = {
@@ -46,7 +50,7 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
         "received": say.date(lab.received) if lab.received else "",
         "measured": say.date(lab.measured) if lab.measured else "",
         "issued": say.date(particulars.date),
-        "temperature": "" if warm is None else f"{say.significant(warm, 3)} °C",
+        **{key: "" if v is None else f"{say.as_given(v)} {unit}" for key, (v, unit) in air.items()},
         "focus": conditions.focus,
         "aperture": conditions.aperture,
         "stabilisation": conditions.stabilisation,

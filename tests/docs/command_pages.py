@@ -36,6 +36,7 @@ MORE = {
     "photocal exposures": ("exposures", "guide/hardware"),
     "photocal mark": ("marking", "guide/processing"),
     "photocal measure": ("block-folder", "guide/processing"),
+    "photocal forms": ("guide/field",),
     "photocal plan": ("guide/planning",),
     "photocal ppk": ("guide/processing",),
     "photocal targets": ("guide/planning",),
