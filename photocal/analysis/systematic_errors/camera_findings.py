@@ -6,7 +6,13 @@ from drivers.arrays import Floats
 from photocal.adjustment.factored import covariance_column
 from photocal.analysis.estimates import Estimates, f_test, scaled
 from photocal.analysis.systematic_errors.candidates import ExtraParameter
-from photocal.analysis.systematic_errors.refit import SMALL_PX, SMALL_SIGMAS, Fit, ground_effect
+from photocal.analysis.systematic_errors.refit import (
+    SMALL_PX,
+    SMALL_SHARE,
+    SMALL_SIGMAS,
+    Fit,
+    ground_effect,
+)
 from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Round, Search, camera_estimates
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -32,7 +38,8 @@ def of_round(one: Round) -> Finding:
     sigma_c = float(np.sqrt(one.before.solution.camera_covariance[at, 0, 0]))
     left = _left_px(one)
     moved = _in_sigmas(one.before, one.after.solution.points - one.before.solution.points)
-    felt = abs(change) >= SMALL_SIGMAS * sigma_c > 0.0 or moved >= SMALL_MOVE
+    share = abs(change) / abs(float(one.before.solution.cameras[at, 0]))
+    felt = (abs(change) >= SMALL_SIGMAS * sigma_c > 0.0 and share >= SMALL_SHARE) or moved >= SMALL_MOVE
     ground = ground_effect(one.before, at, change)
     figure, unit = _figure(parameter, camera)
     figures: dict[str, Figure] = {
@@ -227,6 +234,8 @@ def of_bias(search: Search) -> list[Finding]:
             continue
         ground = ground_effect(search.first, k, bias)
         moved = _in_sigmas(search.first, search.last.state.points - search.first.state.points)
+        if moved < SMALL_MOVE and abs(bias) < SMALL_SHARE * abs(after):
+            continue
         figures: dict[str, Figure] = {
             "camera": camera.id,
             "bias": bias,
@@ -247,9 +256,10 @@ def of_bias(search: Search) -> list[Finding]:
 
 
 def of_significance(search: Search) -> list[Finding]:
-    """Name the parameters whose significance changes with the corrections."""
+    """Name the parameters whose significance changes with the corrections; small ones change little by it."""
     if not search.rounds:
         return []
+    small = all(of_round(one).severity == "note" for one in search.rounds)
     listed = []
     redundancy = search.last.solution.degrees_of_freedom
     for k, camera in enumerate(search.first.network.cameras):
@@ -271,7 +281,8 @@ def of_significance(search: Search) -> list[Finding]:
             }
             clauses = ("no_longer" if was.significant else "only_then",)
             size = Size(now.statistic, f"powers of {camera.unit}")
-            listed.append(Finding("significance", "doubtful", camera.id, figures, clauses, size))
+            severity: Severity = "note" if small else "doubtful"
+            listed.append(Finding("significance", severity, camera.id, figures, clauses, size))
     return listed
 
 

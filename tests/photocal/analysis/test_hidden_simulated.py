@@ -11,6 +11,7 @@ from scipy import stats
 from drivers.arrays import Floats
 from photocal.adjustment.network import Relations
 from photocal.analysis.robust import jackknife
+from photocal.analysis.systematic_errors.camera_findings import of_round
 from photocal.analysis.systematic_errors.candidates import candidates, estimated_amount, within_flight
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import fit, with_measurements, with_sigmas, without_images
@@ -61,6 +62,24 @@ def test_a_shear_is_found(networks: dict[str, Simulated]) -> None:
     first = found(networks["convergent"], 4, plane)[0]
     assert first.code == "shear"
     assert abs(sized(first).figure - 0.0008) < 4 * (sized(first).sigma or 0.0)
+
+
+@pytest.mark.parametrize(("share", "severity"), [(0.5e-4, "note"), (2e-4, "doubtful")])
+def test_what_changes_c_by_less_than_any_use_of_it_is_small(
+    networks: dict[str, Simulated], share: float, severity: str
+) -> None:
+    """However precise c is, 1 cm in 100 m of height is no reservation."""
+    exact = networks["convergent"].exact
+    plane = exact - 0.0008 * np.column_stack([exact[:, 1], np.zeros(len(exact))])
+    one = search(fit(noisy(networks["convergent"], 4, plane, 0.002))).rounds[0]
+    solution = one.before.solution
+    moved = solution.cameras.copy()
+    moved[0, 0] *= 1.0 + share
+    before = replace(
+        one.before, solution=replace(solution, camera_covariance=1e-8 * solution.camera_covariance)
+    )
+    after = replace(one.before, solution=replace(solution, cameras=moved))
+    assert of_round(replace(one, before=before, after=after)).severity == severity
 
 
 def test_a_missing_radial_term_is_found(networks: dict[str, Simulated]) -> None:
