@@ -12,13 +12,8 @@ from drivers.errors import NotConvergedError
 from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
+from photocal.analysis import correlation
 from photocal.analysis.components import Proposal, propose_removal
-from photocal.analysis.correlation import (
-    ExteriorCorrelation,
-    StrongCorrelation,
-    exterior_correlations,
-    strong_correlations,
-)
 from photocal.analysis.estimates import GROUPS, Estimates, FTest, scaled, significance, without
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
@@ -116,8 +111,8 @@ class CameraAnalysis:
     variance_factor_of_tests: float
     significance: tuple[FTest, ...]
     effects: tuple[Effect, ...]
-    correlations: tuple[StrongCorrelation, ...]
-    correlations_with_exterior: tuple[ExteriorCorrelation, ...]
+    correlations: tuple[correlation.StrongCorrelation, ...]
+    correlations_with_exterior: tuple[correlation.ExteriorCorrelation, ...]
     components: Proposal
     left_out: tuple[LeftOut, ...]
     within_flight: tuple[Within, ...] = ()
@@ -139,23 +134,18 @@ def analyse_camera(
     factor = max(1.0, fit.solution.variance_factor)
     judged = scaled(estimates, factor)
     own = fit.network.cameras[camera].with_values(fit.state.cameras[camera])
+    mine = fit.network.exposures.camera[fit.network.rays.image] == camera
+    reach = float(np.linalg.norm(fit.network.rays.plane[mine], axis=1).max(initial=0.0))
     return CameraAnalysis(
         factor,
         significance(judged, fit.solution.degrees_of_freedom, alpha),
-        effects(own, judged, _reach(fit, camera)),
-        strong_correlations(judged, threshold),
-        exterior_correlations(fit, camera, threshold, done),
+        effects(own, judged, reach),
+        correlation.strong_correlations(judged, threshold),
+        correlation.exterior_correlations(fit, camera, threshold, done),
         propose_removal(judged),
         left_out(fit, camera, checks, done),
         within_flight(fit, camera),
     )
-
-
-def _reach(fit: Fit, camera: int) -> float:
-    """Largest distance of an observation of a camera from the image centre."""
-    rays = fit.network.rays
-    mine = fit.network.exposures.camera[rays.image] == camera
-    return float(np.linalg.norm(rays.plane[mine], axis=1).max(initial=0.0))
 
 
 @dataclass(frozen=True)

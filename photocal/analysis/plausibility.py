@@ -104,8 +104,16 @@ def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
         *_ground(record),
         *_base(record),
         *_weakness(record),
-        *_significance(record),
-        *_priors(record),
+        *(
+            Finding("not_significant", "note", name, {"t": value / sigma})
+            for name, value in record.values.items()
+            if name != "c" and abs(value) < SIGNIFICANT * (sigma := record.sigmas.get(name, 0.0))
+        ),
+        *(
+            Finding("only_its_prior", "doubtful", name, {"sigma": record.sigmas[name], "prior_sigma": prior})
+            for name, prior in record.prior_sigmas.items()
+            if record.sigmas.get(name, 0.0) >= PRIOR_SHARE * prior > 0.0
+        ),
         *_offsets("lever_arm", record.lever_arm_cm),
         *_offsets("boresight", record.boresight_deg),
     ]
@@ -203,11 +211,8 @@ def _ground(record: CalibrationRecord) -> list[Finding]:
         return []
     if _close(record.gsd_cm, expected, GSD_TOLERANCE):
         return []
-    return [
-        Finding(
-            "gsd_contradicts_height", "doubtful", "gsd", {"gsd_cm": record.gsd_cm, "expected_cm": expected}
-        )
-    ]
+    figures = {"gsd_cm": record.gsd_cm, "expected_cm": expected}
+    return [Finding("gsd_contradicts_height", "doubtful", "gsd", figures)]
 
 
 def _base(record: CalibrationRecord) -> list[Finding]:
@@ -235,23 +240,6 @@ def _weakness(record: CalibrationRecord) -> list[Finding]:
     return [Finding("weak_principal_distance_shape", "doubtful", "c", figures)]
 
 
-def _significance(record: CalibrationRecord) -> list[Finding]:
-    found = []
-    for name, value in record.values.items():
-        sigma = record.sigmas.get(name, 0.0)
-        if name != "c" and sigma > 0.0 and abs(value) < SIGNIFICANT * sigma:
-            found.append(Finding("not_significant", "note", name, {"t": value / sigma}))
-    return found
-
-
-def _priors(record: CalibrationRecord) -> list[Finding]:
-    return [
-        Finding("only_its_prior", "doubtful", name, {"sigma": record.sigmas[name], "prior_sigma": prior})
-        for name, prior in record.prior_sigmas.items()
-        if record.sigmas.get(name, 0.0) >= PRIOR_SHARE * prior > 0.0
-    ]
-
-
 def _offsets(name: str, offsets: Offsets | None) -> list[Finding]:
     if offsets is None:
         return []
@@ -262,14 +250,8 @@ def _offsets(name: str, offsets: Offsets | None) -> list[Finding]:
         # Nothing that was estimated comes out as exactly zero three times with the same standard deviation.
         prior = not any(offsets.values) and len(set(offsets.sigmas)) == 1
     if prior:
-        return [
-            Finding(
-                "only_its_prior",
-                "doubtful",
-                name,
-                {"sigma": sigma, "prior_sigma": offsets.prior_sigma or sigma},
-            )
-        ]
+        figures = {"sigma": sigma, "prior_sigma": offsets.prior_sigma or sigma}
+        return [Finding("only_its_prior", "doubtful", name, figures)]
     return [
         Finding("not_significant", "note", f"{name}_{axis}", {"t": value / sigma})
         for axis, value, sigma in zip("XYZ", offsets.values, offsets.sigmas, strict=True)

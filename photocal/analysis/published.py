@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.analysis.components import Components, principal_components
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
@@ -53,13 +52,9 @@ def analyse_published(
     if "value" not in _head(table):
         if matrix is not None or set_name is not None:
             raise ConfigurationError("is itself a matrix", where=table, remedy="leave out --matrix and --set")
-        names, given = _matrix(table)
-        sigma = np.sqrt(np.diag(given))
-        estimates = from_sigmas(names, [0.0] * len(names), sigma.tolist(), given / np.outer(sigma, sigma))
-        components = principal_components(estimates)
-        return (
-            PublishedSet("", estimates, np.inf, (), strong_correlations(estimates, threshold), components),
-        )
+        estimates = _matrix(table)
+        strong, components = strong_correlations(estimates, threshold), principal_components(estimates)
+        return (PublishedSet("", estimates, np.inf, (), strong, components),)
     sets = _sets(table, degrees_of_freedom)
     if set_name is not None and set_name not in sets:
         raise ConfigurationError(f"has no set {set_name}", where=table, remedy=f"it has {', '.join(sets)}")
@@ -74,17 +69,15 @@ def analyse_published(
             f"holds {len(chosen)} sets, but the matrix is of one", where=table, remedy="name it with --set"
         )
     ((name, (single, freedom)),) = chosen.items()
-    names, given = _matrix(matrix)
-    if names != single.names:
+    correlation = _matrix(matrix)
+    if correlation.names != single.names:
         raise ConfigurationError(
-            f"the matrix is of {' '.join(names)}, the table of {' '.join(single.names)}",
+            f"the matrix is of {' '.join(correlation.names)}, the table of {' '.join(single.names)}",
             where=matrix,
             remedy="name the same parameters in the same order in both",
         )
-    spread = np.sqrt(np.diag(given))
-    together = from_sigmas(
-        names, single.values.tolist(), single.sigmas.tolist(), given / np.outer(spread, spread)
-    )
+    values, sigmas = single.values.tolist(), single.sigmas.tolist()
+    together = from_sigmas(single.names, values, sigmas, correlation.correlation)
     tests = tuple(_tests(together, freedom, alpha, GROUPS))
     strong = strong_correlations(together, threshold)
     return (PublishedSet(name, together, freedom, tests, strong, principal_components(together)),)
@@ -137,12 +130,15 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, f
     return answer
 
 
-def _matrix(path: Path) -> tuple[tuple[str, ...], Floats]:
-    """Read a square matrix of correlations or a covariance, named in its head and its first column."""
+def _matrix(path: Path) -> Estimates:
+    """Read a square matrix of correlations or a covariance, named in its head and its first column.
+
+    returns: with values of zero.
+    """
     head = _head(path)
     table = read_table(path, head)
     names = table.unique_names(head[0])
-    matrix = np.column_stack([table.numbers(name) for name in head[1:]])
+    matrix = table.matrix(head[1:])
     if names != head[1:] or not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0):
         raise InputMalformedError(
             "is no symmetric matrix with the same names in its head and its first column",
@@ -153,4 +149,5 @@ def _matrix(path: Path) -> tuple[tuple[str, ...], Floats]:
         raise InputMalformedError(
             "has a variance that is not positive", where=path, remedy="leave out what was held fixed"
         )
-    return names, matrix
+    sigma = np.sqrt(np.diag(matrix))
+    return from_sigmas(names, [0.0] * len(names), sigma.tolist(), matrix / np.outer(sigma, sigma))

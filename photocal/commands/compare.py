@@ -64,18 +64,19 @@ def compare(
             picture_kind(path)
     flights = _flights(calibrations, exchange=exchange)
     asked = cameras_of(flights) if flights else read_camera_file(calibrations[0])
-    pixels = sensor_grid(asked.calibrations[0].size_px, asked.grid_step_px)
-    chosen = methods(len(pixels), asked.terrains, asked.terrains_each, asked.seed)
+    how = asked.comparison
+    pixels = sensor_grid(asked.calibrations[0].size_px, how.grid_step_px)
+    chosen = methods(len(pixels), how.terrain, how.terrains_each, how.seed)
     count = len(asked.calibrations) * (len(asked.calibrations) - 1) // 2
     with progress("comparing pairs", count) as advance:
         pairs = compare_pairs(
-            asked.calibrations, pixels, chosen, np.random.default_rng(asked.seed), done=lambda: advance(1)
+            asked.calibrations, pixels, chosen, np.random.default_rng(how.seed), done=lambda: advance(1)
         )
     followed = follow(asked.printed, pairs)
     if picture is not None:
         from photocal.analysis.stability.pictures import draw
 
-        draw(pairs, tuple(calibration.id for calibration in asked.calibrations), asked.thresholds_px, picture)
+        draw(pairs, tuple(calibration.id for calibration in asked.calibrations), how.thresholds_px, picture)
     repeats = repeated(flights)
     heads = compared_heads({flight.name: flight.heads for flight in flights})
     if curves is not None:
@@ -128,40 +129,32 @@ def _figures(
 ) -> dict[str, Any]:
     from photocal.analysis.stability.comparison import likeness, sentences
 
+    how = asked.comparison
     return {
         "schema": SCHEMA,
         "cameras": [calibration.id for calibration in asked.calibrations],
-        "grid": {"points": points, "step_px": asked.grid_step_px},
-        "thresholds_px": list(asked.thresholds_px),
-        "terrains": as_plain(asked.terrains),
-        "terrains_each": asked.terrains_each,
-        "seed": asked.seed,
+        "grid": {"points": points, "step_px": how.grid_step_px},
+        "thresholds_px": how.thresholds_px,
+        "terrains": [terrain.model_dump() for terrain in how.terrain],
+        "terrains_each": how.terrains_each,
+        "seed": how.seed,
         "pairs": [
             {
                 "first": pair.first,
                 "second": pair.second,
                 "figures": [
                     as_plain(figure)
-                    | {"different": figure.different, "within_px": likeness(figure, asked.thresholds_px)}
+                    | {"different": figure.different, "within_px": likeness(figure, how.thresholds_px)}
                     for figure in pair.figures
                 ],
             }
             for pair in pairs
         ],
         "published": [
-            {
-                "first": one.printed.first,
-                "second": one.printed.second,
-                "method": one.printed.method,
-                "definition": one.printed.definition,
-                "printed_px": one.printed.value_px,
-                "computed_px": one.computed_px,
-                "tolerance_px": one.printed.tolerance_px,
-                "follows": one.follows,
-            }
+            as_plain(one.printed) | {"computed_px": one.computed_px, "follows": one.follows}
             for one in followed
         ],
-        "findings": list(sentences(pairs, asked.thresholds_px, followed)),
+        "findings": list(sentences(pairs, how.thresholds_px, followed)),
     }
 
 
@@ -172,7 +165,7 @@ def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, 
     blocks = [_matrix(pairs, names, k) for k in range(len(pairs[0].figures))]
     if any(figure.sigma_px is not None for pair in pairs for figure in pair.figures):
         blocks.append("value +- its standard deviation, px; * differs beyond the noise of both (95 %)")
-    return "\n\n".join([*blocks, "\n".join(sentences(pairs, asked.thresholds_px, followed))])
+    return "\n\n".join([*blocks, "\n".join(sentences(pairs, asked.comparison.thresholds_px, followed))])
 
 
 def _matrix(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> str:

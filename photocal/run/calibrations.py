@@ -126,15 +126,14 @@ def cameras_of(flights: Sequence[Calibrated]) -> "CameraFile":
 
     raises ConfigurationError: when a result cannot be compared.
     """
-    from photocal.analysis.stability.camera_file import of_cameras
+    from photocal.analysis.stability.camera_file import CameraFile
 
-    return of_cameras(
-        [
+    return CameraFile(
+        tuple(
             replace(camera, id=f"{flight.name} {name}" if len(flight.cameras) > 1 else flight.name)
             for flight in flights
             for name, camera in flight.cameras.items()
-        ],
-        flights[0].run / RESULT,
+        )
     )
 
 

@@ -1,12 +1,11 @@
 """The file of cameras to compare: `[[camera]]` entries as in block.toml, with sigmas and correlations."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
+from pydantic import AfterValidator, Field, FiniteFloat, PositiveFloat, PositiveInt
 
 from acquire.checked_toml import Table, checked_tables, read_tables
 from drivers.errors import ConfigurationError, PhotocalError
@@ -50,17 +49,19 @@ class _Pix4d(Table):
     parameters: _Pix4dParameters
 
 
-class _Terrain(Table):
-    height_m: PositiveFloat
-    relief_m: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+class Comparison(Table):
+    """How calibrations are compared.
 
+    thresholds_px: ascending.
+    terrains_each: random grounds of each kind.
+    seed: of the random grounds and of the distributions.
+    """
 
-class _Setup(Table):
     grid_step_px: PositiveFloat | None = None
-    thresholds_px: list[PositiveFloat] = Field(default=[0.33, 0.5], min_length=1)
-    terrain: tuple[_Terrain, ...] = (
-        _Terrain(height_m=250.0, relief_m=100.0),
-        _Terrain(height_m=250.0, relief_m=20.0),
+    thresholds_px: Annotated[list[PositiveFloat], Field(min_length=1), AfterValidator(sorted)] = [0.33, 0.5]
+    terrain: tuple[Terrain, ...] = (
+        Terrain(height_m=250.0, relief_m=100.0),
+        Terrain(height_m=250.0, relief_m=20.0),
     )
     terrains_each: Annotated[int, Field(gt=0, le=100)] = 5
     seed: Annotated[int, Field(ge=0)] = 1
@@ -75,25 +76,17 @@ class _Published(Table):
 
 class _File(Table):
     camera: Annotated[list[_Camera], Field(min_length=1)]
-    comparison: _Setup = _Setup()
+    comparison: Comparison = Comparison()
     published: tuple[_Published, ...] = ()
 
 
 @dataclass(frozen=True)
 class CameraFile:
-    """What a comparison was asked for.
-
-    terrains_each: random grounds of each kind.
-    seed: of the random grounds and of the distributions.
-    """
+    """What a comparison was asked for."""
 
     calibrations: tuple[Camera, ...]
-    grid_step_px: float | None
-    thresholds_px: tuple[float, ...]
-    terrains: tuple[Terrain, ...]
-    terrains_each: int
-    seed: int
-    printed: tuple[Printed, ...]
+    printed: tuple[Printed, ...] = ()
+    comparison: Comparison = Comparison()
 
 
 def read_camera_file(path: Path) -> CameraFile:
@@ -120,36 +113,7 @@ def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
     )
     made = [(make_camera(one, path), one) for one in file.camera]
     calibrations = (_with_sigmas(own, one, f"{path}, camera {one.id}") for own, one in made)
-    return _asked(tuple(calibrations), printed, file.comparison, path)
-
-
-def of_cameras(cameras: Sequence[Camera], path: Path) -> CameraFile:
-    """Compare adjusted cameras as a file without choices of its own would; `path` is named in messages."""
-    return _asked(tuple(cameras), (), _Setup(), path)
-
-
-def _asked(
-    calibrations: tuple[Camera, ...], printed: tuple[Printed, ...], setup: _Setup, path: Path
-) -> CameraFile:
-    return CameraFile(
-        calibrations,
-        setup.grid_step_px,
-        tuple(sorted(setup.thresholds_px)),
-        tuple(Terrain(one.height_m, _below(one, path)) for one in setup.terrain),
-        setup.terrains_each,
-        setup.seed,
-        printed,
-    )
-
-
-def _below(terrain: _Terrain, path: Path) -> float:
-    if terrain.relief_m >= terrain.height_m:
-        raise ConfigurationError(
-            f"relief of {terrain.relief_m:g} m reaches the exposure at {terrain.height_m:g} m",
-            where=path,
-            remedy="give a height_m above the highest ground",
-        )
-    return terrain.relief_m
+    return CameraFile(tuple(calibrations), printed, file.comparison)
 
 
 def _ours(entry: Any, path: Path) -> Any:

@@ -1,6 +1,6 @@
 """Every pair of calibrations by every method, with the uncertainty of each figure and what it means."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -8,16 +8,8 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from photocal.analysis.stability.methods import (
-    Method,
-    Misfit,
-    View,
-    figure,
-    fitted_pose,
-    redundancy,
-    view,
-    wobble,
-)
+from photocal.analysis.stability import methods
+from photocal.analysis.stability.methods import Method, Misfit, View
 from photocal.geometry.camera import Camera
 
 PROBABILITY = 0.95
@@ -71,8 +63,8 @@ def compare(
     raises NotConvergedError: when two bundles cannot be brought together.
     """
     _check(calibrations)
-    views = {calibration.id: view(calibration, pixels) for calibration in calibrations}
-    wobbles = {calibration.id: wobble(calibration, pixels) for calibration in calibrations}
+    views = {calibration.id: methods.view(calibration, pixels) for calibration in calibrations}
+    wobbles = {calibration.id: methods.wobble(calibration, pixels) for calibration in calibrations}
     pairs = []
     for a, b in combinations(calibrations, 2):
         figures = tuple(
@@ -93,14 +85,14 @@ def _figure(
     generator: np.random.Generator,
     draws: int,
 ) -> Figure:
-    poses = [fitted_pose(method, misfit, first, second) for misfit in method.misfits]
+    poses = [methods.fitted_pose(method, misfit, first, second) for misfit in method.misfits]
     values = [
-        float(figure(method, misfit(first, second, pose)))
+        float(methods.figure(method, misfit(first, second, pose)))
         for misfit, (pose, _) in zip(method.misfits, poses, strict=True)
     ]
-    value = float(np.mean(values))
+    value, named = float(np.mean(values)), (method.name, method.definition, method.source)
     if first_wobble is None or second_wobble is None:
-        return Figure(method.name, method.definition, method.source, value, None, None, None)
+        return Figure(*named, value, None, None, None)
     z = generator.standard_normal((draws, len(first_wobble) + len(second_wobble)))
     around, noise = np.zeros(draws), np.zeros(draws)
     for misfit, (pose, design) in zip(method.misfits, poses, strict=True):
@@ -108,27 +100,21 @@ def _figure(
         change = _after_fit(_changes(misfit, first, second, first_wobble, second_wobble, pose), design)
         noise += _drawn(method, np.zeros_like(field), change, z) / len(poses)
         around += _drawn(method, field, change, z) / len(poses)
-    return Figure(
-        method.name,
-        method.definition,
-        method.source,
-        value,
-        float(np.std(around)),
-        float(np.quantile(noise, PROBABILITY)),
-        float((1 + np.sum(noise >= value)) / (1 + draws)),
-    )
+    p_value = float((1 + np.sum(noise >= value)) / (1 + draws))
+    return Figure(*named, value, float(np.std(around)), float(np.quantile(noise, PROBABILITY)), p_value)
 
 
 def _drawn(method: Method, field: Floats, change: Floats, z: Floats) -> Floats:
     """Give the figure of field + z change for every row of z."""
     if method.mean_distance:
         parts = np.array_split(z, max(1, len(z) // 250))
-        return np.concatenate([figure(method, field + np.tensordot(part, change, axes=1)) for part in parts])
+        fields = (field + np.tensordot(part, change, axes=1) for part in parts)
+        return np.concatenate([methods.figure(method, drawn) for drawn in fields])
     # A sum of squares needs only the products of the changes, not the grid for every draw.
     flat = change.reshape(len(change), -1)
     products, along, start = flat @ flat.T, flat @ field.ravel(), float(np.sum(field**2))
     squares = start + 2.0 * z @ along + np.einsum("di,ij,dj->d", z, products, z)
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / redundancy(method, len(field))))
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / methods.redundancy(method, len(field))))
 
 
 def _changes(
@@ -183,14 +169,14 @@ def _check(calibrations: tuple[Camera, ...]) -> None:
 class Printed:
     """A figure printed elsewhere for a pair of these calibrations.
 
-    value_px, tolerance_px: the printed figure and how far the recomputed one may be from it.
+    printed_px, tolerance_px: the printed figure and how far the recomputed one may be from it.
     """
 
     method: str
     definition: str
     first: str
     second: str
-    value_px: float
+    printed_px: float
     tolerance_px: float
 
 
@@ -204,7 +190,7 @@ class Followed:
     @property
     def follows(self) -> bool:
         """Whether both agree within the tolerance."""
-        return abs(self.computed_px - self.printed.value_px) <= self.printed.tolerance_px
+        return abs(self.computed_px - self.printed.printed_px) <= self.printed.tolerance_px
 
 
 def follow(printed: tuple[Printed, ...], pairs: tuple[Pair, ...]) -> tuple[Followed, ...]:
@@ -220,7 +206,7 @@ def follow(printed: tuple[Printed, ...], pairs: tuple[Pair, ...]) -> tuple[Follo
     )
 
 
-def likeness(figure: Figure, thresholds_px: tuple[float, ...]) -> float | None:
+def likeness(figure: Figure, thresholds_px: Sequence[float]) -> float | None:
     """Give the tightest threshold that a figure keeps.
 
     thresholds_px: thresholds, px.
@@ -230,7 +216,7 @@ def likeness(figure: Figure, thresholds_px: tuple[float, ...]) -> float | None:
 
 
 def sentences(
-    pairs: tuple[Pair, ...], thresholds_px: tuple[float, ...], followed: tuple[Followed, ...]
+    pairs: tuple[Pair, ...], thresholds_px: Sequence[float], followed: tuple[Followed, ...]
 ) -> tuple[str, ...]:
     """Put a comparison into words.
 
@@ -250,7 +236,7 @@ def sentences(
         )
     texts += [
         f"Pair {one.printed.first}-{one.printed.second}: the printed {one.printed.method} "
-        f"({one.printed.definition}) of {one.printed.value_px:g} px does not follow from its parameters, "
+        f"({one.printed.definition}) of {one.printed.printed_px:g} px does not follow from its parameters, "
         f"which give {one.computed_px:.2f} px."
         for one in followed
         if not one.follows

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Annotated, Self
 
 import numpy as np
+from pydantic import Field, PositiveFloat, model_validator
 
+from acquire.checked_toml import Table
 from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.analysis.estimates import estimates_of
@@ -95,16 +98,24 @@ class Method:
     misfits: tuple[Misfit, ...] = field(repr=False)
 
 
-@dataclass(frozen=True)
-class Terrain:
+class Terrain(Table):
     """Ground for the single photo resection.
 
     height_m: height of the exposure over the lowest ground.
     relief_m: heights of the ground are spread evenly from 0 to this.
     """
 
-    height_m: float
-    relief_m: float
+    height_m: PositiveFloat
+    relief_m: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+    @model_validator(mode="after")
+    def _below_the_exposure(self) -> Self:
+        if self.relief_m >= self.height_m:
+            raise ValueError(
+                f"relief of {self.relief_m:g} m reaches the exposure at {self.height_m:g} m; "
+                "give a height_m above the highest ground"
+            )
+        return self
 
 
 def misclosure_misfit(first: View, second: View, _pose: Floats) -> Floats:

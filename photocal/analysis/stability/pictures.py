@@ -1,5 +1,6 @@
 """Pictures of calibrations: matrices of pairs, profiles of their distortion, vectors on the sensor."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -124,9 +125,7 @@ def matrix_of(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> Fl
     return matrix
 
 
-def draw(
-    pairs: tuple[Pair, ...], names: tuple[str, ...], thresholds_px: tuple[float, ...], path: Path
-) -> None:
+def draw(pairs: tuple[Pair, ...], names: tuple[str, ...], thresholds_px: Sequence[float], path: Path) -> None:
     """Draw the matrices of all methods, coloured by threshold.
 
     thresholds_px: limits between the colours, ascending, px.

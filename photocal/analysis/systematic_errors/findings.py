@@ -82,12 +82,8 @@ def of_images(search: Search) -> list[Finding]:
         figures = {**finding.figures, "moved_px": shift.effect_px}
         clauses = ("own_geometry", "small") if small else ("own_geometry",)
         size = Size(_relative(component, search), "1", px=shift.effect_px)
-        listed.append(Finding("image", _severity(small=small), name, figures, clauses, size))
+        listed.append(Finding("image", "note" if small else "doubtful", name, figures, clauses, size))
     return sorted(listed, key=lambda one: -one.size.figure if one.size else 0.0)
-
-
-def _severity(*, small: bool) -> Severity:
-    return "note" if small else "doubtful"
 
 
 def _relative(component: VarianceComponent, search: Search) -> float:
@@ -101,9 +97,8 @@ def _scatter(code: str, component: VarianceComponent, search: Search) -> Finding
     small = effect < SMALL_PX or relative < SMALL_RATIO
     figures: dict[str, Figure] = {"name": component.name, "relative": relative, "px": effect}
     clauses = ("amount", "small") if small else ("amount",)
-    return Finding(
-        code, _severity(small=small), component.name, figures, clauses, Size(relative, "1", px=effect)
-    )
+    size = Size(relative, "1", px=effect)
+    return Finding(code, "note" if small else "doubtful", component.name, figures, clauses, size)
 
 
 def of_maps(search: Search) -> list[Finding]:
@@ -128,8 +123,9 @@ def of_maps(search: Search) -> list[Finding]:
             "row": float(cells.rows_px[row] + cells.rows_px[row + 1]) / 2,
         }
         clauses = ("small",) if small else ()
+        severity: Severity = "note" if small else "doubtful"
         size = Size(effect, "px", px=effect)
-        listed.append(Finding("residual-map", _severity(small=small), camera.id, figures, clauses, size))
+        listed.append(Finding("residual-map", severity, camera.id, figures, clauses, size))
     return listed
 
 

@@ -129,17 +129,15 @@ def _of_images(observed: Observed, place: Integers, kept: Flags) -> Observed:
     return replace(observed, image=place[observed.image]).rows(kept[observed.image])
 
 
-def mean_distance(fitted: Fit, camera: int) -> float:
-    """Give the mean distance of object points from the exposures of a camera."""
+def ground_effect(fitted: Fit, camera: int, change_of_c: float) -> float:
+    """Give the height error that a wrong c makes at the mean distance of the points of a camera."""
     rays, state = fitted.network.rays, fitted.state
     mine = fitted.network.exposures.camera[rays.image] == camera
+    if not mine.any():
+        return float("nan")
     apart = state.points[rays.point[mine]] - state.centre[rays.image[mine]]
-    return float(np.mean(np.linalg.norm(apart, axis=1))) if mine.any() else float("nan")
-
-
-def ground_effect(fitted: Fit, camera: int, change_of_c: float) -> float:
-    """Give the height error that a wrong c makes at the mean distance of the block."""
-    return float(abs(change_of_c) / fitted.solution.cameras[camera, 0] * mean_distance(fitted, camera))
+    distance = np.mean(np.linalg.norm(apart, axis=1))
+    return float(abs(change_of_c) / fitted.solution.cameras[camera, 0] * distance)
 
 
 @dataclass(frozen=True)

@@ -11,28 +11,9 @@ from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
 from photocal.adjustment.variance_components import VarianceComponents, estimate_components
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.robust import Jackknife, jackknife
-from photocal.analysis.systematic_errors import scatter
-from photocal.analysis.systematic_errors.candidates import (
-    Candidate,
-    ExtraParameter,
-    agreed,
-    candidates,
-    estimated_amount,
-    estimated_amounts,
-    judged,
-    steps_of_c,
-)
+from photocal.analysis.systematic_errors import candidates, scatter, shifts
+from photocal.analysis.systematic_errors.candidates import Candidate, ExtraParameter
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas, without_member
-from photocal.analysis.systematic_errors.shifts import (
-    ImageShift,
-    PositionShift,
-    StripShift,
-    gross_error,
-    image_shifts,
-    position_shift,
-    strip_shifts,
-    with_free_shift,
-)
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 
 # Each family of tests alarms on a clean block in no more than 5 of 1000 cases.
@@ -84,15 +65,15 @@ class Search:
     first: Fit
     last: Fit
     members: tuple[Member, ...]
-    positions: PositionShift | None
-    shift: PositionShift | None
+    positions: shifts.PositionShift | None
+    shift: shifts.PositionShift | None
     sigma: scatter.AssumedSigma
     groups: tuple[GroupTest, ...]
-    strips: tuple[StripShift, ...]
+    strips: tuple[shifts.StripShift, ...]
     images: tuple[scatter.VarianceComponent, ...]
     axes: tuple[scatter.VarianceComponent, ...]
     cameras: tuple[scatter.VarianceComponent, ...]
-    shifts: tuple[ImageShift, ...]
+    shifts: tuple[shifts.ImageShift, ...]
     maps: tuple[scatter.ResidualMap | None, ...]
     jackknife_first: Jackknife
     jackknife_last: Jackknife
@@ -102,9 +83,9 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     """Look for systematic errors in an adjusted network."""
     rounds = list[Round]()
     members, last = _without_gross_errors(first)
-    positions = position_shift(last)
+    positions = shifts.position_shift(last)
     shift = positions if positions is not None and positions.p_value < LEVEL else None
-    last = last if shift is None else fit(with_free_shift(last.network), last.state)
+    last = last if shift is None else fit(shifts.with_free_shift(last.network), last.state)
     while len(rounds) < ROUNDS:
         suspected = _suspected(last, tuple(one.parameter.candidate for one in rounds), done)
         step = next((one for worst in suspected if (one := _corrected(last, worst)) is not None), None)
@@ -132,11 +113,11 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         shift,
         sigma,
         _groups(last, sigma),
-        strip_shifts(last),
+        shifts.strip_shifts(last),
         scatter.variance_components(last.network.image_names, both, flat, checked),
         scatter.variance_components(("x", "y"), axis, flat, checked),
         scatter.variance_components(tuple(one.id for one in last.network.cameras), camera, flat, checked),
-        image_shifts(last, factor, done),
+        shifts.image_shifts(last, factor, done),
         tuple(_map(last, k, factor) for k in range(len(last.network.cameras))),
         before,
         after,
@@ -147,14 +128,14 @@ def _without_gross_errors(first: Fit) -> tuple[tuple[Member, ...], Fit]:
     """Take out positions and control points that contradict all others, one after the other."""
     members, last = list[Member](), first
     while len(members) < ROUNDS:
-        found = gross_error(last, LEVEL)
-        if found is None:
+        worst = shifts.gross_error(last, LEVEL)
+        if worst is None:
             break
         try:
-            last = fit(without_member(last.network, found), last.state)
+            last = fit(without_member(last.network, worst), last.state)
         except (IllPosedError, NotConvergedError):
             break
-        members.append(found)
+        members.append(worst)
     return tuple(members), last
 
 
@@ -173,13 +154,13 @@ def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]
     known = {(one.kind, one.name, one.camera) for one in found}
     fresh = [
         one
-        for one in candidates(last.network, last.state, last.computed)
+        for one in candidates.candidates(last.network, last.state, last.computed)
         if (one.kind, one.name, one.camera) not in known
     ]
     # Rows are read one after the other, never backwards: that would be something else.
     tested = [
         one
-        for one in estimated_amounts(last, fresh)
+        for one in candidates.estimated_amounts(last, fresh)
         if one.candidate.kind != "rolling-shutter" or one.amount > 0.0
     ]
     for _ in fresh:
@@ -202,8 +183,8 @@ def _step_or_drift(last: Fit, drift: ExtraParameter) -> ExtraParameter:
     """A step of c in place of a drift of it, where it explains so much more; else beside it, if as much."""
     if drift.candidate.kind != "c-drift":
         return drift
-    steps = steps_of_c(last.network, last.state, last.computed, drift.candidate.camera)
-    best = max(estimated_amounts(last, steps), key=lambda one: one.statistic, default=drift)
+    steps = candidates.steps_of_c(last.network, last.state, last.computed, drift.candidate.camera)
+    best = max(candidates.estimated_amounts(last, steps), key=lambda one: one.statistic, default=drift)
     if best.statistic > drift.statistic + STEP_ADVANTAGE:
         return best
     as_good = best is not drift and best.statistic > drift.statistic - _AS_GOOD
@@ -236,18 +217,18 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
             step /= 2.0
             continue
         amount, after = amount + step, trial
-        rest = estimated_amount(after, worst.candidate)
+        rest = candidates.estimated_amount(after, worst.candidate)
         if rest is None or abs(rest.amount) < _NEAR * rest.sigma:
             break
         step = rest.amount
     fall = before.solution.chi_squared - after.solution.chi_squared
-    outcome = judged(before, worst.candidate, amount, worst.sigma, fall)
+    outcome = candidates.judged(before, worst.candidate, amount, worst.sigma, fall)
     level = LEVEL / worst.tested
-    if outcome.p_value >= level or agreed(after, worst.candidate, amount) >= level:
+    if outcome.p_value >= level or candidates.agreed(after, worst.candidate, amount) >= level:
         return None
     weighed = None if _as_residuals_agree(after) is None else _as_residuals_agree(before)
     if weighed is not None:
-        other = estimated_amount(weighed, worst.candidate)
+        other = candidates.estimated_amount(weighed, worst.candidate)
         if other is None or other.p_value >= level:
             return None
     return Round(replace(outcome, alike=worst.alike, tested=worst.tested), before, after)
@@ -264,33 +245,25 @@ def _groups(last: Fit, sigma: scatter.AssumedSigma) -> tuple[GroupTest, ...]:
         return tests
     applied = {one.name: one.factor for one in components.components}
     settled = {(one.name, one.of): one for one in group_tests(components.network, components.solution)}
-    return tuple(
-        _multiplied(one, settled[one.name, one.of], applied["control" if one.name in CONTROL else one.name])
-        if (one.name, one.of) in settled and (one.name in CONTROL or one.name in _STATED)
-        else one
-        for one in tests
-    )
-
-
-def _multiplied(first: GroupTest, settled: GroupTest, applied: float) -> GroupTest:
-    """The test of a group with the factor that was found by applying another one first."""
-    factors = {name: applied * getattr(settled, name) for name in ("factor", "lower", "upper")}
-    return replace(first, **factors)
-
-
-def _wrong(tests: tuple[GroupTest, ...]) -> set[str]:
-    """Groups of what was stated whose sigmas are far from what their residuals show."""
-    far = [
-        one.name
-        for one in tests
-        if one.p_value < LEVEL / len(tests) and not 1.0 / _JUDGED_ANEW < one.factor < _JUDGED_ANEW
-    ]
-    return {"control" if name in CONTROL else name for name in far} & set(_STATED)
+    judged = list[GroupTest]()
+    for one in tests:
+        name, test = "control" if one.name in CONTROL else one.name, settled.get((one.name, one.of))
+        if test is not None and name in _STATED:
+            # One factor was applied before the other was found.
+            factor, lower, upper = (applied[name] * part for part in (test.factor, test.lower, test.upper))
+            one = replace(one, factor=factor, lower=lower, upper=upper)
+        judged.append(one)
+    return tuple(judged)
 
 
 def _components(last: Fit, tests: tuple[GroupTest, ...]) -> VarianceComponents | None:
     """Estimate the variances of the rays and of wrongly stated groups together; None where all is well."""
-    wrong = _wrong(tests)
+    far = {
+        "control" if one.name in CONTROL else one.name
+        for one in tests
+        if one.p_value < LEVEL / len(tests) and not 1.0 / _JUDGED_ANEW < one.factor < _JUDGED_ANEW
+    }
+    wrong = far & set(_STATED)
     hold = {one.name for one in last.solution.groups} - wrong - {"image"}
     try:
         return estimate_components(last.network, None, hold, None, last.state, _SETTLED) if wrong else None

@@ -12,6 +12,7 @@ from photocal.adjustment.mounting import SHIFT, STRIPS, Positions
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by, score
+from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit
 from photocal.geometry.rotation import skew
@@ -66,19 +67,15 @@ def position_shift(fit: Fit) -> PositionShift | None:
     )
     group = next(one for one in fit.solution.groups if one.name == "position")
     rest = group.redundancy - 3.0
-    if np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] < LEFT or rest < FEWEST:
+    if rest < FEWEST or not _determined(fields, information):
         return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, stated(positions))
-    covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    shift = -covariance @ slope
-    fall = float(-slope @ shift)
-    scale = max(1.0, (group.chi_squared - fall) / rest)
-    p_value = _smaller_p(shift, scale * covariance, rest)
+    shift, sigma, fall, p_value = _estimated(information, slope, group)
     # Standard deviations that are too small by a factor compete with it: they explain all residuals alike.
     factor = tested(group)
     wrong = factor.factor > 1.0 and factor.p_value < SIGNIFICANCE
     if wrong and factor.gain > fall - 2.0 * np.log(fit.solution.observations):
         p_value = 1.0
-    return PositionShift(shift, np.sqrt(np.diag(covariance)), fall, p_value, c_by_shift, stated(positions))
+    return PositionShift(shift, sigma, fall, p_value, c_by_shift, stated(positions))
 
 
 @dataclass(frozen=True)
@@ -112,7 +109,7 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
     chosen = strips[count >= LEAST_OF_STRIP]
     if not 2 <= len(strips) <= MOST_STRIPS or _strips_free(network):
         return ()
-    fields, found = _whitened(fit), list[StripShift]()
+    fields, moved = _whitened(fit), list[StripShift]()
     group = next(one for one in fit.solution.groups if one.name == "position")
     if group.redundancy - 3.0 < FEWEST:
         return ()
@@ -121,21 +118,31 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
     informations, slopes, steps = _further(fit, masked)
     for k, own in enumerate(owns):
         mine = slice(3 * k, 3 * k + 3)
-        information, slope = informations[mine, mine], slopes[mine]
-        if np.linalg.eigvalsh(np.linalg.solve(masked.T[mine] @ masked[:, mine], information))[0] < LEFT:
+        if not _determined(masked[:, mine], informations[mine, mine]):
             continue
-        covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        shift = -covariance @ slope
-        left = group.chi_squared + float(slope @ shift)
-        scale = max(1.0, left / (group.redundancy - 3.0))
-        p_value = min(1.0, len(chosen) * _smaller_p(shift, scale * covariance, group.redundancy - 3.0))
+        shift, sigma, fall, p_value = _estimated(informations[mine, mine], slopes[mine], group)
+        p_value = min(1.0, len(chosen) * p_value)
         names = [network.image_names[i] for i in positions.image[own]]
-        sigma, fall = np.sqrt(np.diag(covariance)), -float(slope @ shift)
         on_c = _on_c(fit, shift @ steps[mine])
-        found.append(
+        moved.append(
             StripShift(names[0], names[-1], len(names), shift, sigma, fall, p_value, on_c, stated(positions))
         )
-    return tuple(found)
+    return tuple(moved)
+
+
+def _determined(fields: Floats, information: Floats) -> bool:
+    """Whether something of shifts along whitened fields is left beside all other unknowns."""
+    return bool(np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] >= LEFT)
+
+
+def _estimated(information: Floats, slope: Floats, group: Group) -> tuple[Floats, Floats, float, float]:
+    """Give a shift, its sigmas, the fall of v'Pv, and p judged by the scatter of the positions themselves."""
+    rest = group.redundancy - 3.0
+    covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    shift = -covariance @ slope
+    fall = float(-slope @ shift)
+    scale = max(1.0, (group.chi_squared - fall) / rest)
+    return shift, np.sqrt(np.diag(covariance)), fall, _smaller_p(shift, scale * covariance, rest)
 
 
 def stated(positions: Positions) -> Floats:

@@ -46,7 +46,9 @@ def pairs(study: CameraFile) -> tuple[Pair, ...]:
     """The seven calibrations without their sigmas."""
     bare = tuple(replace(one, sigma=None) for one in study.calibrations)
     pixels = sensor_grid((4608, 3456), 100.0)
-    chosen = methods(len(pixels), study.terrains, study.terrains_each, study.seed)
+    chosen = methods(
+        len(pixels), study.comparison.terrain, study.comparison.terrains_each, study.comparison.seed
+    )
     return compare(bare, pixels, chosen, np.random.default_rng(1))
 
 
@@ -114,7 +116,7 @@ def test_pair_1_2_does_not_follow_from_its_parameters(study: CameraFile, pairs: 
     assert len(followed) == 84
     broken = [one for one in followed if not one.follows]
     assert [(one.printed.first, one.printed.second) for one in broken] == [("1", "2")] * 4
-    words = sentences(pairs, study.thresholds_px, followed)
+    words = sentences(pairs, study.comparison.thresholds_px, followed)
     assert sum(word.startswith("Pair 1-2: the printed") for word in words) == 4
 
 
@@ -134,7 +136,9 @@ def test_thresholds(
     by_limit: dict[float | None, list[str]] = {}
     for pair in pairs:
         (kind,) = [f for f in pair.figures if (f.method, f.definition) == (method, definition)]
-        by_limit.setdefault(likeness(kind, study.thresholds_px), []).append(f"{pair.first}-{pair.second}")
+        by_limit.setdefault(likeness(kind, study.comparison.thresholds_px), []).append(
+            f"{pair.first}-{pair.second}"
+        )
     assert " ".join(by_limit.get(0.33, [])) == tight
     assert " ".join(by_limit.get(0.5, [])) == loose
 
@@ -168,7 +172,7 @@ def simple(name: str = "a", **parameters: float) -> Camera:
 
 
 GRID = sensor_grid((4000, 3000), 250.0)
-CHOSEN = methods(len(GRID), (Terrain(250.0, 100.0),), 2, 5)
+CHOSEN = methods(len(GRID), (Terrain(height_m=250.0, relief_m=100.0),), 2, 5)
 
 
 def test_a_camera_is_like_itself() -> None:
@@ -194,7 +198,7 @@ def test_rotation_and_resection_do_not_see_a_turned_bundle(omega: float, phi: fl
 
 
 def test_only_resection_hides_a_different_principal_distance_over_flat_ground() -> None:
-    flat = methods(len(GRID), (Terrain(250.0, 0.0),), 1, 5)
+    flat = methods(len(GRID), (Terrain(height_m=250.0, relief_m=0.0),), 1, 5)
     (pair,) = compare((simple("a"), simple("b", c=3510.0)), GRID, flat, np.random.default_rng(1))
     found = {(f.method, f.definition): f.value_px for f in pair.figures}
     assert found["SPR", "relief 0 m"] < 1e-6
@@ -258,7 +262,7 @@ def test_a_distortion_that_folds_is_refused() -> None:
 
 
 def test_methods_are_described(study: CameraFile) -> None:
-    chosen: tuple[Method, ...] = methods(10, study.terrains, 5, 1)
+    chosen: tuple[Method, ...] = methods(10, study.comparison.terrain, 5, 1)
     assert [(m.name, m.source) for m in chosen] == [
         ("MIS", "equations"), ("MIS", "tables"), ("ZROT", "equations"), ("ZROT", "tables"),
         ("ROT", "equations"), ("ROT", "tables"), ("SPR", "both"), ("SPR", "both"),
