@@ -24,7 +24,7 @@ from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
 from photocal.block.rig import make_heads
 from photocal.block.setup import ObservationKeys, Setup
-from photocal.block.table import Table, known_rows, read_table, refuse, refuse_unknown
+from photocal.block.table import Table, known_rows, read_table, refuse
 from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
 
@@ -57,14 +57,13 @@ def from_readings(
         )
     marks = read_table(folder / MARKS, ("camera", "fiducial", "x", "y"))
     camera = known_rows(marks, "camera", tuple(own.id for own in cameras), SETUP)
-    index, found = marks.names("fiducial")
-    names = np.array(found)[index]
+    index, fiducials = marks.names("fiducial")
     known = marks.matrix("xy")
-    place = {(int(k), str(name)): row for row, (k, name) in enumerate(zip(camera, names, strict=True))}
+    place = {(int(k), fiducials[n]): row for row, (k, n) in enumerate(zip(camera, index, strict=True))}
     table = read_table(folder / READINGS, ("image", "fiducial", "x", "y"))
     image = known_rows(table, "image", images.names, "images.csv")
-    index, found = table.names("fiducial")
-    read = np.array(found)[index]
+    index, fiducials = table.names("fiducial")
+    read = np.array(fiducials)[index]
     rows = [place.get((int(images.camera[i]), str(name)), -1) for i, name in zip(image, read, strict=True)]
     mark = np.array(rows, dtype=np.int64)
     refuse(table, mark < 0, "the camera has no such fiducial", f"correct it, or add it to {MARKS}")
@@ -209,9 +208,7 @@ def read_points(path: Path) -> ObjectPoints:
     """Read `points.csv`; errors as for `read_block`."""
     table = read_table(path, POINT_COLUMNS, POINT_SIGMAS + POINT_CROSS)
     names = table.unique_names("point")
-    index, found = table.names("role")
-    refuse_unknown(table, index, found, dict.fromkeys(ROLES, 0), "role", f"({', '.join(ROLES)})")
-    role = np.array([ROLES.index(name) for name in found], dtype=np.int64)[index]
+    role = known_rows(table, "role", ROLES, f"({', '.join(ROLES)})")
     values = table.matrix("XYZ", empty=np.nan)
     sigma = np.column_stack([_sigmas(table, c) for c in POINT_SIGMAS])
     control, tie = role == ROLES.index("control"), role == ROLES.index("tie")

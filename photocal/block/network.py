@@ -159,7 +159,7 @@ def assemble(block: Block) -> NetworkOfBlock:
     frame = block_frame(block)
     exposures = Exposures(
         block.images.camera,
-        _local_exposures(block, frame),
+        local_exposures(block.images.values, frame),
         block.images.sigma,
         time=block.images.time,
         temperature=block.images.temperature,
@@ -188,7 +188,7 @@ def assemble(block: Block) -> NetworkOfBlock:
         relations,
         ~block.points.of_role("tie")[used],
     )
-    positions, cameras = _local_positions(block.positions, frame), block.cameras
+    positions, cameras = local_positions(block.positions, frame), block.cameras
     later = any(head.values[LATER] or head.sigma[LATER] for head in block.heads)
     if later or any(camera.shutter != "global" for camera in block.cameras):
         turn = np.nan_to_num(frame.derivative(block.images.values[:, 3:]))
@@ -246,9 +246,9 @@ def frame_of(system: str, height: str, *places: Floats) -> Frame:
     return reference_frame(system, height, np.asarray(np.nanmean(every, axis=0)))
 
 
-def _local_exposures(block: Block, frame: Frame) -> Floats:
-    """Exterior orientation in the local frame: the angles refer to the given axes at each image."""
-    values = block.images.values.copy()
+def local_exposures(given: Floats, frame: Frame) -> Floats:
+    """Exterior orientation in the local frame, (n, 6): the given angles refer to the given axes there."""
+    values = given.copy()
     known = np.isfinite(values).all(axis=1)
     turn = np.broadcast_to(np.eye(3), (len(values), 3, 3)).copy()
     turn[known] = nearest_rotation(frame.derivative(values[known, 3:]))
@@ -258,6 +258,17 @@ def _local_exposures(block: Block, frame: Frame) -> Floats:
         values[:, :3] = angles_from_matrix(matrix)
     values[:, 3:] = frame.to_local(values[:, 3:])
     return values
+
+
+def local_positions(positions: Positions, frame: Frame) -> Positions:
+    """Give positions, with their covariances and velocities, in the local frame."""
+    if not len(positions.image):
+        return positions
+    turn = frame.derivative(positions.values)
+    covariance = turn @ positions.covariance @ np.swapaxes(turn, 1, 2)
+    velocity = np.einsum("nab,nb->na", turn, positions.velocity)
+    local = frame.to_local(positions.values)
+    return replace(positions, values=local, covariance=covariance, velocity=velocity)
 
 
 def _local_weights(frame: Frame, places: Floats, weight: Floats) -> Floats:
@@ -276,16 +287,6 @@ def _known_directions(weight: Floats, held: Flags) -> Floats:
     known = size > 1e-12 * np.maximum(size[:, -1:], np.finfo(float).tiny)
     of_weights = np.einsum("nab,nb,ncb->nac", vectors, known.astype(float), vectors)
     return np.asarray(np.where((held[:, :, None] & np.eye(3, dtype=np.bool_)), 1.0, of_weights))
-
-
-def _local_positions(positions: Positions, frame: Frame) -> Positions:
-    if not len(positions.image):
-        return positions
-    turn = frame.derivative(positions.values)
-    covariance = turn @ positions.covariance @ np.swapaxes(turn, 1, 2)
-    velocity = np.einsum("nab,nb->na", turn, positions.velocity)
-    local = frame.to_local(positions.values)
-    return replace(positions, values=local, covariance=covariance, velocity=velocity)
 
 
 def observed_plane(block: Block) -> tuple[Floats, Floats]:
@@ -374,9 +375,11 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
     weak = 2 * np.bincount(block.observations.image, minlength=images)
     for observed in (block.positions.image, block.attitudes.image):
         weak += 3 * np.bincount(observed, minlength=images)
-    for _, rows in _exposures(block):
-        # The others of an exposure hold a head.
-        weak[rows] += 6 * (len(rows) > 1)
+    on_frame = np.array([camera.id in {head.camera for head in block.heads} for camera in block.cameras])
+    exposure = np.where(on_frame[block.images.camera], np.array(block.images.exposure, dtype=object), "")
+    _, which, count = np.unique(exposure.astype(str), return_inverse=True, return_counts=True)
+    # The others of an exposure hold a head.
+    weak += 6 * ((exposure != "") & (count[which] > 1))
     free = np.sum(np.isinf(block.images.sigma), axis=1)
     for image in np.flatnonzero(weak < free):
         name = block.images.names[image]
@@ -385,14 +388,6 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
             where=f"image {name}",
             remedy="measure more points in it, give its exterior orientation a sigma, or take it out",
         )
-
-
-def _exposures(block: Block) -> list[tuple[str, Integers]]:
-    """Images of each exposure that cameras on a frame took."""
-    on_frame = {head.camera for head in block.heads}
-    mine = np.array([block.cameras[k].id in on_frame for k in block.images.camera])
-    names = np.where(mine, np.array(block.images.exposure, dtype=object), "")
-    return [(name, np.flatnonzero(names == name)) for name in dict.fromkeys(names) if name]
 
 
 def _require_datum(block: Block, rays_of_point: Integers) -> None:

@@ -288,25 +288,14 @@ def _refuse_cut_end(table: Table) -> None:
 
 
 def known_rows(table: Table, column: str, known: tuple[str, ...], where: str) -> Integers:
-    """Index of each row's name among the known ones; complains of others."""
-    index, found = table.names(column)
+    """Index of each row's name among the known ones; complains of the first row with another."""
+    index, names = table.names(column)
     position = {name: k for k, name in enumerate(known)}
-    refuse_unknown(table, index, found, position, column, where)
-    return np.array([position[name] for name in found], dtype=np.int64)[index]
-
-
-def refuse_unknown(
-    table: Table, index: Integers, found: tuple[str, ...], known: dict[str, int], what: str, where: str
-) -> None:
-    """Complain of the first row whose name is not known."""
-    unknown = np.array([name not in known for name in found], dtype=np.bool_)
-    if unknown.any():
-        row = int(np.flatnonzero(unknown[index])[0])
-        raise InputMalformedError(
-            f"{what} {found[index[row]]!r} is not in {where}",
-            where=table.place(row),
-            remedy="correct the name",
-        )
+    row = np.array([position.get(name, -1) for name in names], dtype=np.int64)[index]
+    for k in np.flatnonzero(row < 0)[:1].tolist():
+        what = f"{column} {names[index[k]]!r} is not in {where}"
+        raise InputMalformedError(what, where=table.place(k), remedy="correct the name")
+    return row
 
 
 def refuse(table: Table, bad: ArrayLike, what: str, remedy: str) -> None:

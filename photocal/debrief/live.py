@@ -12,17 +12,9 @@ from pathlib import Path
 from acquire.operating_system import cache_folder
 from acquire.outputs import output_file, write_json
 from drivers.errors import PhotocalError
+from photocal.debrief import verdict
 from photocal.debrief.pictures import QUICK, Look, look, picture_findings
-from photocal.debrief.verdict import (
-    AGAIN,
-    FILE,
-    LOOK,
-    Debrief,
-    Together,
-    debrief_json,
-    in_order,
-    judged_together,
-)
+from photocal.debrief.verdict import Debrief, Together
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_file import list_images
@@ -127,8 +119,8 @@ def follow(
             if changed:
                 made, changed = _so_far(looks, run, together, folder.waiting() + len(pending)), False
                 live = {"waiting": int(made.verdict.figures["waiting"]), "lag_s": lag_s}
-                with output_file(project.output / FILE) as aside:
-                    write_json(aside, {**debrief_json(made), "live": live})
+                with output_file(project.output / verdict.FILE) as aside:
+                    write_json(aside, {**verdict.debrief_json(made), "live": live})
                 told(made)
             if stop.wait(_POLL_S):
                 return made
@@ -185,18 +177,18 @@ def _together(
         run = exposures_of_pictures([image_of(one.path, one.facts) for one in looks if one.facts is not None])
     except PhotocalError:
         run = None
-    together = judged_together(looks, run, Rig(), last, plan, until_stopped)
+    together = verdict.judged_together(looks, run, Rig(), last, plan, until_stopped)
     return together, run, time.monotonic() - begun
 
 
 def _so_far(looks: dict[Path, Look], run: ExposureRun | None, together: Together, waiting: int) -> Debrief:
     ordered = _ordered(looks)
-    findings = in_order([*picture_findings(ordered), *together.findings])
+    findings = verdict.in_order([*picture_findings(ordered), *together.findings])
     figures = {
         "n": float(len(looks)),
         "waiting": float(waiting),
-        "again": float(sum(one.severity in AGAIN for one in findings)),
-        "look": float(sum(one.severity in LOOK for one in findings)),
+        "again": float(sum(one.severity in verdict.AGAIN for one in findings)),
+        "look": float(sum(one.severity in verdict.LOOK for one in findings)),
     }
-    verdict = Finding("flight-so-far", "note", figures=figures)
-    return Debrief(verdict, tuple(findings), tuple(ordered), run, together)
+    so_far = Finding("flight-so-far", "note", figures=figures)
+    return Debrief(so_far, tuple(findings), tuple(ordered), run, together)

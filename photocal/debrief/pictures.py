@@ -28,6 +28,7 @@ from photocal.tasks.workers import run_tasks
 # Enough for overlap, orientation and a first calibration; a tenth of the time of the features for the map.
 QUICK = FeatureSettings(most=2500, longest_px=1200)
 _LOOK, _NAMES = 1, ("figures", "pixels", "scale", "descriptors")
+MEASURED = ("softness", "white", "black", "range")
 # Tiles in which sharpness is looked for, px and number along each side.
 _TILE, _TILES = 384, 3
 _PLAIN = 4.0
@@ -73,14 +74,11 @@ def look(task: tuple[Path, MatchingPlan]) -> Look:
 
     def make() -> Arrays:
         grey = as_eight_bit(read_grey(path))
-        found = detect(grey, plan.features)
-        figures = np.array([_softness(grey), *_exposure(grey)])
-        return {
-            "figures": figures,
-            "pixels": found.pixels,
-            "scale": found.scale,
-            "descriptors": found.descriptors,
-        }
+        features = detect(grey, plan.features)
+        few = grey[::4, ::4]
+        low, high = np.quantile(few, [0.02, 0.98])
+        figures = np.array([_softness(grey), np.mean(few >= _WHITE), np.mean(few <= _BLACK), high - low])
+        return {"figures": figures, **{name: getattr(features, name) for name in _NAMES[1:]}}
 
     try:
         facts = read_facts(path)
@@ -119,12 +117,6 @@ def _difference(tile: NDArray[np.float32], down: int, right: int) -> float:
     return float(np.mean((here - there) ** 2))
 
 
-def _exposure(grey: NDArray[np.uint8]) -> tuple[float, float, float]:
-    few = grey[::4, ::4]
-    low, high = np.quantile(few, [0.02, 0.98])
-    return float(np.mean(few >= _WHITE)), float(np.mean(few <= _BLACK)), float(high - low)
-
-
 def picture_findings(looks: Sequence[Look]) -> list[Finding]:
     """Name pictures that cannot be read, are blurred, badly exposed, or of another camera or lens setting."""
     readable = [look for look in looks if look.facts is not None]
@@ -138,13 +130,13 @@ def picture_findings(looks: Sequence[Look]) -> list[Finding]:
     }
     findings = [_about(code, group, len(looks)) for code, group in groups.items() if group]
     alike = readable
-    for code, told in (("pictures-of-other-camera", _camera), ("lens-changed", _lens)):
-        all_told = [told(one) for one in alike]
-        usual = max(all_told, key=all_told.count, default="")
-        others = [one for one in alike if told(one) != usual]
-        alike = [one for one in alike if told(one) == usual]
+    for code, stated in (("pictures-of-other-camera", _camera), ("lens-changed", _lens)):
+        every = [stated(one) for one in alike]
+        usual = max(every, key=every.count, default="")
+        others = [one for one in alike if stated(one) != usual]
+        alike = [one for one in alike if stated(one) == usual]
         if others:
-            findings.append(_about(code, others, len(looks), told(others[0]), usual))
+            findings.append(_about(code, others, len(looks), stated(others[0]), usual))
     return findings
 
 

@@ -12,15 +12,8 @@ from acquire.outputs import output_file, write_json
 from drivers.arrays import Flags, Floats, Integers, as_plain
 from drivers.errors import PhotocalError
 from photocal.block.motion import strips
-from photocal.debrief.pictures import (
-    QUICK,
-    Look,
-    Quick,
-    look_at,
-    picture_findings,
-    quick_findings,
-    with_positions,
-)
+from photocal.debrief import pictures
+from photocal.debrief.pictures import Look, Quick, picture_findings
 from photocal.findings.finding import Finding, Severity, untested
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of
 from photocal.geometry.camera import Camera
@@ -162,7 +155,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
     """
     with alone(project.output):
         paths = list_images(project.picture_folder)
-        plan = MatchingPlan(cache_folder(), processes, QUICK)
+        plan = MatchingPlan(cache_folder(), processes, pictures.QUICK)
         findings, run, rig = list[Finding](), None, Rig()
         try:
             run, rig, refusal_of_ppk = exposures_of(project, progress)
@@ -171,7 +164,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
         except PhotocalError as refusal:
             findings.append(Finding("exposures-unknown", "grave", figures={"reason": str(refusal)}))
         with progress("looking at pictures", len(paths)) as done:
-            looks = look_at(paths, plan, done)
+            looks = pictures.look_at(paths, plan, done)
         if run is not None:
             findings += _exposure_findings(run, len(paths))
         together = judged_together(looks, run, rig, last, plan, progress)
@@ -202,21 +195,21 @@ def judged_together(
     if len(good) >= 3:
         facts = [one.facts for one in good if one.facts is not None]
         if run is not None:
-            facts = with_positions(facts, run.exposures)
-        quick, findings = quick_findings(facts, [one.key for one in good], last, plan, progress)
+            facts = pictures.with_positions(facts, run.exposures)
+        quick, findings = pictures.quick_findings(facts, [one.key for one in good], last, plan, progress)
     if run is not None:
         flown, told = _covered(run, rig, good, quick)
         findings = [*findings, *told]
     return Together(tuple(findings), flown, quick)
 
 
-def _exposure_findings(run: ExposureRun, pictures: int) -> list[Finding]:
+def _exposure_findings(run: ExposureRun, count: int) -> list[Finding]:
     """What the exposures say by themselves: partners, positions and their state, attitudes."""
     findings = [one for one in findings_of(run.figures["findings"], Path(FILE)) if not one.small]
     strangers = [finding for finding in findings if finding.code == "images-without-event"]
     lonely = sum(one.figures["n"] for one in strangers)
-    if lonely > _WRONG_CARD * pictures:
-        figures = {"n": lonely, "all": float(pictures)}
+    if lonely > _WRONG_CARD * count:
+        figures = {"n": lonely, "all": float(count)}
         findings = [finding for finding in findings if finding not in strangers]
         findings.append(Finding("wrong-card", "grave", figures=figures))
     placed = run.exposures.placed
@@ -269,11 +262,9 @@ def _verdict(findings: Sequence[Finding]) -> Finding:
     figures = {"n": float(len(again or look)), "codes": again or look}
     if again:
         return Finding("fly-again", "grave", figures=figures)
-    return (
-        Finding("flight-to-look-at", "doubtful", figures=figures)
-        if look
-        else Finding("flight-complete", "passed")
-    )
+    if look:
+        return Finding("flight-to-look-at", "doubtful", figures=figures)
+    return Finding("flight-complete", "passed")
 
 
 def debrief_json(made: Debrief) -> dict[str, Any]:
@@ -284,7 +275,10 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
         "verdict": finding_json(made.verdict, say),
         "summary": _summary(made, say),
         "findings": [finding_json(finding, say) for finding in made.findings],
-        "pictures": [_picture(look) for look in made.looks],
+        "pictures": [
+            {"image": look.path.name, **{name: as_plain(getattr(look, name)) for name in pictures.MEASURED}}
+            for look in made.looks
+        ],
         "exposures": [] if made.exposures is None else _exposures(made.exposures, made.together.flown),
         "coverage": None,
         "quick": None,
@@ -301,11 +295,6 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
     if quick is not None:
         content["quick"] = {"joined": quick.joined, "cameras": quick.cameras}
     return content
-
-
-def _picture(look: Look) -> dict[str, Any]:
-    figures = {name: as_plain(getattr(look, name)) for name in ("softness", "white", "black", "range")}
-    return {"image": look.path.name, **figures}
 
 
 def _exposures(run: ExposureRun, flown: Coverage | None) -> list[dict[str, Any]]:

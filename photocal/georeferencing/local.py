@@ -7,8 +7,8 @@ import numpy as np
 from photocal.adjustment.mounting import NO_MOUNTING, STRIPS, Attitudes, Mounting, Positions, body_to_camera
 from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import Block, ObjectPoints
-from photocal.block.network import block_frame
-from photocal.geometry.frames import Frame, nearest_rotation
+from photocal.block.network import block_frame, local_exposures, local_positions
+from photocal.geometry.frames import Frame
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle
 
 
@@ -24,30 +24,17 @@ def in_local_frame(block: Block) -> Block:
     if block.frame == "local":
         return block
     frame = block_frame(block)
-    values = block.images.values.copy()
-    by_image = frame.derivative(values[:, 3:])
-    turn = nearest_rotation(by_image)
-    values[:, :3] = angles_from_matrix(matrix_from_angles(values[:, :3]) @ np.swapaxes(turn, 1, 2))
-    values[:, 3:] = frame.to_local(values[:, 3:])
+    given = block.images.values
     # Velocities along other axes; rates are about those of the camera.
     motion = block.images.motion.copy()
-    motion[:, :3] = np.einsum("nab,nb->na", by_image, motion[:, :3])
-    positions = block.positions
-    if len(positions.image):
-        by_given = frame.derivative(positions.values)
-        positions = replace(
-            positions,
-            values=frame.to_local(positions.values),
-            covariance=by_given @ positions.covariance @ np.swapaxes(by_given, 1, 2),
-            velocity=np.einsum("nab,nb->na", by_given, positions.velocity),
-        )
+    motion[:, :3] = np.einsum("nab,nb->na", frame.derivative(given[:, 3:]), motion[:, :3])
     return replace(
         block,
         frame="local",
         height="local",
-        images=replace(block.images, values=values, motion=motion),
+        images=replace(block.images, values=local_exposures(given, frame), motion=motion),
         points=_points(block.points, frame),
-        positions=positions,
+        positions=local_positions(block.positions, frame),
     )
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Flags
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import minimum_of
 from photocal.adjustment.readout import with_loose_sides
@@ -175,13 +174,6 @@ def _still_pays(better: Adjusted, before: Adjusted, name: str) -> bool:
     except (IllPosedError, NotConvergedError):
         return False
     return True
-
-
-def _with_terms_of(given: Camera, lens: Camera, terms: Flags, model: Model) -> Camera:
-    """The lens with some of the terms, as they are known or estimated, of the camera that was given."""
-    names = ("estimated", "values", "prior_sigma")
-    taken = {name: np.where(terms, getattr(given, name), getattr(lens, name)) for name in names}
-    return replace(lens, model=model, **taken)
 
 
 def _least(adjusted: Adjusted, cameras: Sequence[Camera], place: int) -> tuple[float, Camera]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
@@ -15,6 +15,7 @@ from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
 from photocal.geometry.lens import optics
 from photocal.geometry.oriented_images import OrientedImages
+from photocal.products.kernels import look_up
 from photocal.results.folder import read_result
 
 
@@ -42,6 +43,21 @@ def lens_tables(cameras: tuple[Camera, ...]) -> LensTables:
         np.array([camera.size_px for camera in cameras], dtype=float),
         np.array([ideal_limit(camera) for camera in cameras]),
     )
+
+
+def best_places(
+    ground: Floats, lenses: LensTables, shots: OrientedImages, candidates: Integers
+) -> tuple[Floats, Integers]:
+    """Choose for every ground point, (n, 3), the image with the best nadir among candidates.
+
+    returns place (2, n): column and row in it, px.
+    returns chosen (n,): image of each point; -1 for none.
+    """
+    place, chosen = np.full((2, len(ground)), np.nan), np.full(len(ground), -1, dtype=np.int64)
+    look_up(ground, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, shots.camera,
+            shots.rotation, shots.station, shots.movements, candidates, place[0], place[1],
+            chosen)  # fmt: skip
+    return place, chosen
 
 
 def image_border(camera: Camera, per_side: int = 64) -> Floats:

@@ -15,8 +15,8 @@ from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoun
 from photocal.block.model import Block
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.products.kernels import BILINEAR, CUBIC, NEAREST, look_up
-from photocal.products.oriented import lens_tables
+from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
+from photocal.products.oriented import best_places, lens_tables
 from photocal.products.orthophoto import ImageStore, Recipe, footprints, orthophoto
 from photocal.products.raster import RasterFile, describe, geotiff, read_image, same_system, system_wkt
 from photocal.products.terrain import Bounds, Grid, Terrain, TerrainSource
@@ -75,16 +75,7 @@ def heights_of(raster: RasterFile, block: Block, said: str | None) -> str:
 
     raises ConfigurationError: when it is not known, or another one.
     """
-    if said is not None and raster.height_kind and said != raster.height_kind:
-        raise ConfigurationError(
-            f"{raster.path} has {raster.height_kind} heights, --heights says {said}", remedy="correct one"
-        )
-    kind = said or raster.height_kind
-    if not kind:
-        raise ConfigurationError(
-            f"{raster.path} does not say the kind of its heights",
-            remedy="give --heights ellipsoidal, orthometric or local",
-        )
+    kind = raster.stated_heights(said)
     if not block.height and block.frame != "local":
         raise ConfigurationError("the block does not say the kind of its heights", where="block.toml")
     if block.height and block.height != kind:
@@ -234,11 +225,6 @@ def displacement_field(
     return displacement(right, wrong, terrain, frame, xs.ravel(), ys.ravel())
 
 
-def image_points(shots: OrientedImages, number: int, local: Floats) -> Floats:
-    """Project points into one image."""
-    return shots.project(np.full(len(local), number), local)
-
-
 def terrain_points(
     shots: OrientedImages, number: int, pixel: Floats, terrain: Terrain, frame: Frame
 ) -> Floats:
@@ -296,11 +282,8 @@ def displacement(
     given = np.column_stack([x, y, terrain.at(x, y)])
     given = given[np.isfinite(given[:, 2])]
     local = frame.to_local(given)
-    lenses = lens_tables(right.cameras)
-    place, chosen = np.full((2, len(local)), np.nan), np.full(len(local), -1, dtype=np.int64)
     every = np.arange(len(right.names), dtype=np.int64)
-    look_up(local, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, right.camera,
-            right.rotation, right.station, right.movements, every, place[0], place[1], chosen)  # fmt: skip
+    place, chosen = best_places(local, lens_tables(right.cameras), right, every)
     shift = np.full((len(local), 2), np.nan)
     for number in np.unique(chosen[chosen >= 0]):
         mine = chosen == number

@@ -16,8 +16,8 @@ from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.products.kernels import look_up, resample
-from photocal.products.oriented import image_border, lens_tables
+from photocal.products.kernels import resample
+from photocal.products.oriented import best_places, image_border, lens_tables
 from photocal.products.terrain import Bounds, Grid, TerrainSource, ground_points
 
 TILE = 512
@@ -159,13 +159,9 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
         half = recipe.grid.cell / 2
         piece = recipe.terrain((x[0] - half, y[-1] - half, x[-1] + half, y[0] + half))
         ground = ground_points(x, y, piece, recipe.frame)
-        count = len(ground)
-        place, chosen = np.full((2, count), np.nan), np.full(count, -1, dtype=np.int64)
-        shots = recipe.shots
-        look_up(ground, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, shots.camera,
-                shots.rotation, shots.station, shots.movements, candidates(shots, borders, ground), place[0],
-                place[1], chosen)  # fmt: skip
-        pixels = np.full((recipe.bands, count), recipe.nodata, dtype=recipe.dtype)
+        near = candidates(recipe.shots, borders, ground)
+        place, chosen = best_places(ground, lenses, recipe.shots, near)
+        pixels = np.full((recipe.bands, len(ground)), recipe.nodata, dtype=recipe.dtype)
         lowest, highest, whole = _range(recipe)
         for number in np.unique(chosen[chosen >= 0]):
             image = images.get(int(number))

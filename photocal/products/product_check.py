@@ -106,15 +106,10 @@ def _require_square(raster: RasterFile, diameter: float) -> None:
 
 def _heights(dtm: Path, points: GroundPoints, kind: str | None, said: str | None) -> Floats:
     raster = describe(dtm)
-    model = raster.height_kind or said
-    if said is not None and raster.height_kind and said != raster.height_kind:
+    model = raster.stated_heights(said)
+    if not kind:
         raise ConfigurationError(
-            f"has {raster.height_kind} heights, not {said} ones", where=dtm, remedy="correct the kind"
-        )
-    if not model or not kind:
-        whose = "terrain model" if not model else "check points"
-        raise ConfigurationError(
-            f"the kind of the heights of the {whose} is not said",
+            "the kind of the heights of the check points is not said",
             where=dtm,
             remedy="name it: ellipsoidal, orthometric or local",
         )

@@ -45,6 +45,23 @@ class RasterFile:
         """West, south, east, north."""
         return bounds_of(self.transform, self.columns, self.rows)
 
+    def stated_heights(self, said: str | None) -> str:
+        """Kind of the heights of a terrain model by itself or as it is said.
+
+        raises ConfigurationError: when both differ, or neither tells.
+        """
+        if said is not None and self.height_kind and said != self.height_kind:
+            raise ConfigurationError(
+                f"has {self.height_kind} heights, not {said} ones", where=self.path, remedy="correct the kind"
+            )
+        if kind := said or self.height_kind:
+            return kind
+        raise ConfigurationError(
+            "the kind of the heights of the terrain model is not said",
+            where=self.path,
+            remedy="name it: ellipsoidal, orthometric or local",
+        )
+
 
 def describe(path: Path) -> RasterFile:
     """Read the header of any raster that GDAL knows.
@@ -222,8 +239,9 @@ def geotiff(
                         target.write(pixels, window=window)
 
                     yield write
-                factors = _overviews(columns, rows)
-                if factors:
+                # Halved until everything fits into one tile.
+                halvings = math.ceil(math.log2(max(columns, rows) / TILE))
+                if factors := [2**n for n in range(1, halvings + 1)]:
                     with rasterio.open(aside, "r+") as target:
                         target.build_overviews(factors, rasterio.enums.Resampling.average)
         except rasterio.errors.RasterioError as failure:
@@ -232,16 +250,6 @@ def geotiff(
                 where=path,
                 remedy="is there room on the disk?",
             ) from failure
-
-
-def _overviews(columns: int, rows: int) -> list[int]:
-    """Halve until everything fits into one tile."""
-    factors = []
-    factor = 2
-    while max(columns, rows) / factor * 2 > TILE:
-        factors.append(factor)
-        factor *= 2
-    return factors
 
 
 def write_terrain(terrain: Terrain, path: Path) -> None:

@@ -10,7 +10,7 @@ from acquire.outputs import output_picture
 from drivers.arrays import Floats, as_plain
 from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.adjustment.solution import global_test
-from photocal.block.table import Table, read_table, refuse
+from photocal.block.table import read_table, refuse
 from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinder
 
 Vertical = Literal["X", "Y", "Z"]
@@ -154,14 +154,10 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
         )
     if sigma_m is not None and not (np.isfinite(sigma_m) and sigma_m > 0):
         raise ConfigurationError(f"--sigma is {sigma_m:g}", remedy="give a positive length in metres")
-    values = np.column_stack([table.numbers(name) for name in ("X", "Y", "Z")])
-    sigma = (
-        np.column_stack([table.numbers(name) for name in SIGMAS])
-        if own
-        else np.full(values.shape, sigma_m, dtype=float)
-    )
+    values = table.matrix("XYZ")
+    sigma = table.matrix(SIGMAS) if own else np.full(values.shape, sigma_m, dtype=float)
     refuse(table, np.asarray((sigma <= 0).any(axis=1)), "a standard deviation is not positive", "correct it")
-    xy, xz, yz = (_correlation(table, name) for name in CORRELATIONS)
+    xy, xz, yz = table.matrix(CORRELATIONS, empty=0.0).T
     one = np.ones(len(sigma))
     correlation = np.moveaxis(np.array([[one, xy, xz], [xy, one, yz], [xz, yz, one]]), -1, 0)
     covariance = np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
@@ -183,10 +179,6 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
         covariance[:, order][:, :, order],
         (axes[0], axes[1], axes[2]),
     )
-
-
-def _correlation(table: Table, name: str) -> Floats:
-    return table.numbers(name, empty=0.0) if table.has(name) else np.zeros(len(table))
 
 
 def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:

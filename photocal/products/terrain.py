@@ -151,7 +151,7 @@ def read_terrain_points(path: Path) -> TerrainPoints:
     raises InputNotFoundError, InputMalformedError: when it is no such table.
     """
     table = read_table(path, ("X", "Y", "Z"), ("line", "point", "role", "sX", "sY", "sZ", "rays"))
-    xyz = np.column_stack([table.numbers(name, empty=np.nan) for name in ("X", "Y", "Z")])
+    xyz = table.matrix("XYZ", empty=np.nan)
     line = np.full(len(xyz), -1, dtype=np.int64)
     if table.has("line"):
         line, _ = table.names("line")

@@ -71,23 +71,24 @@ def result_of(
 ) -> Result:
     """Make the result of an adjustment; covariances are scaled by the a priori unit variance."""
     factor = solution.variance_factor
-    cameras = tuple(
-        _adjusted_camera(camera, values, covariance)
-        for camera, values, covariance in zip(
-            assembly.network.cameras, solution.cameras, solution.camera_covariance, strict=True
-        )
-    )
+    sigma = np.sqrt(np.diagonal(solution.camera_covariance, axis1=1, axis2=2))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    correlation = solution.camera_covariance / (scale[:, :, None] * scale[:, None, :])
+    given = zip(assembly.network.cameras, solution.cameras, sigma, correlation, strict=True)
+    cameras = tuple(camera.adjusted(*figures) for camera, *figures in given)
     values, covariance = given_exposures(assembly, solution)
     points = _points(block, assembly, solution)
-    observed = np.bincount(block.observations.point, minlength=len(block.points.names)) > 0
+    seen = block.observations
+    observed = np.bincount(seen.point, minlength=len(block.points.names)) > 0
+    rejected = np.setdiff1d(np.arange(len(seen.image)), assembly.rays)
     return Result(
         software=Software("photocal", importlib.metadata.version("photocal")),
         block=BlockFacts(
             block.name,
             block.frame,
             block.datum,
-            block.observations.unit,
-            block.observations.axes,
+            seen.unit,
+            seen.axes,
             block.height,
             refraction=block.refraction,
             curvature=block.curvature,
@@ -113,7 +114,10 @@ def result_of(
             for part in components
         ),
         readouts=assembly.readouts,
-        rejected=_rejected(block, assembly),
+        rejected=tuple(
+            RejectedRay(block.images.names[seen.image[row]], block.points.names[seen.point[row]])
+            for row in rejected
+        ),
         unobserved=tuple(block.points.names[j] for j in np.flatnonzero(~observed)),
         repetition=block.repetition,
         fiducials=tuple(_fiducials(fit) for fit in block.fiducial_fits),
@@ -201,12 +205,6 @@ def _with_shutter(camera: Camera, result: Camera) -> Camera:
         readout_direction=result.readout_direction,
         shake=result.shake,
     )
-
-
-def _adjusted_camera(camera: Camera, values: Floats, covariance: Floats) -> Camera:
-    sigma = np.sqrt(np.diag(covariance))
-    scale = np.where(sigma > 0, sigma, 1.0)
-    return camera.adjusted(values, sigma, covariance / np.outer(scale, scale))
 
 
 def _mounting(block: Block, solution: Solution) -> dict[str, MountingValue] | None:
@@ -308,14 +306,6 @@ def _fiducials(fit: FiducialFit) -> dict[str, Any]:
             for name, (vx, vy) in zip(fit.fiducials, fit.residuals.tolist(), strict=True)
         ],
     }
-
-
-def _rejected(block: Block, assembly: NetworkOfBlock) -> tuple[RejectedRay, ...]:
-    seen = block.observations
-    return tuple(
-        RejectedRay(block.images.names[seen.image[row]], block.points.names[seen.point[row]])
-        for row in np.setdiff1d(np.arange(len(seen.image)), assembly.rays)
-    )
 
 
 def _checks(
@@ -429,11 +419,14 @@ def adjust_block(
     block = read(source)
     read_s = time.perf_counter() - began
     result, assembly, solution = _adjusted_block(block, snooping, report, wanted)
-    result = replace(
-        result,
-        block=_with_origin(result.block, source, block, output),
-        timing_s={"read": read_s, **result.timing_s},
-    )
+    root, setup = source, ""
+    if source.is_file():
+        setup = next(file.path for file in block.inputs if Path(file.path).name == source.name)
+        root = source.parents[len(Path(setup).parts) - 1]
+    # Inputs and run may move to another place together; the run folder alone need not.
+    seen = Path(os.path.relpath(root.resolve(), output.resolve())).as_posix()
+    facts = replace(result.block, source=seen, setup=setup)
+    result = replace(result, block=facts, timing_s={"read": read_s, **result.timing_s})
     with output_folder(output) as aside:
         write_result(aside, result)
         write_more(aside, block, assembly, solution, result.points.covariance, wanted)
@@ -462,17 +455,6 @@ def _adjusted_block(
     result = result_of(block, assembly, solution, snooping=snooping, components=components, timing_s=timing)
     result = replace(result, **more_figures(block, assembly, result.points, wanted))
     return result, assembly, solution
-
-
-def _with_origin(facts: BlockFacts, source: Path, block: Block, output: Path) -> BlockFacts:
-    """Add where the inputs lie, seen from the run folder, and which of them is the set-up file."""
-    root, setup = source, ""
-    if source.is_file():
-        setup = next(file.path for file in block.inputs if Path(file.path).name == source.name)
-        root = source.parents[len(Path(setup).parts) - 1]
-    # Together they may move to another place; the run folder alone need not.
-    seen = Path(os.path.relpath(root.resolve(), output.resolve())).as_posix()
-    return replace(facts, source=seen, setup=setup)
 
 
 def adjusted(

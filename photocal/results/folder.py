@@ -19,7 +19,7 @@ from drivers.arrays import Floats, Integers, as_plain
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import fingerprint
-from photocal.block.table import read_table
+from photocal.block.table import known_rows, read_table
 from photocal.geometry.camera import (
     MOTION,
     PARAMETERS,
@@ -372,19 +372,14 @@ def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:
     path = folder / "images.csv"
     table = read_table(path, ("image", "camera", *PLACE, *ANGLES), (*IMAGE_SIGMAS, *MOTION, *SHAKE))
     names = table.unique_names("image")
-    which, found = table.names("camera")
-    number = {name: k for k, name in enumerate(cameras)}
-    for name in found:
-        if name not in number:
-            raise InputMalformedError(f"camera {name} is not in {RESULT}", where=path, remedy=AGAIN)
-    values = np.column_stack([table.numbers(column) for column in (*ANGLES, *PLACE)]) / SHOWN
-    sigma = np.column_stack([table.numbers(column, empty=np.nan) for column in IMAGE_SIGMAS]) / SHOWN
-    camera_of = np.array([number[name] for name in found], dtype=np.int64)[which]
+    values = table.matrix((*ANGLES, *PLACE)) / SHOWN
+    sigma = table.matrix(IMAGE_SIGMAS, empty=np.nan) / SHOWN
+    camera_of = known_rows(table, "camera", tuple(cameras), RESULT)
     covariance = image_covariances(folder, names, sigma)
     movement = None
     if all(table.has(column) for column in MOTION):
         columns = MOTION + SHAKE if table.has(SHAKE[0]) else MOTION
-        movement = np.column_stack([table.numbers(column) for column in columns])
+        movement = table.matrix(columns)
         movement /= np.r_[SHOWN[::-1], np.full(len(SHAKE), SHOWN[0])][: len(columns)]
     return OrientedImages(names, tuple(cameras.values()), camera_of, values, covariance, movement)
 
@@ -399,12 +394,12 @@ def _points(folder: Path) -> AdjustedPoints:
     table = read_table(folder / "points.csv", ("point", "role", *PLACE), (*(f"s{a}" for a in PLACE), "rays"))
     names = table.unique_names("point")
     index, roles = table.names("role")
-    sigma = np.column_stack([table.numbers("s" + axis, empty=np.nan) for axis in PLACE])
+    sigma = table.matrix(("sX", "sY", "sZ"), empty=np.nan)
     whole = read_covariances(folder / COVARIANCE, "point", names, PLACE)
     return AdjustedPoints(
         names,
         tuple(roles[k] for k in index),
-        np.column_stack([table.numbers(axis) for axis in PLACE]),
+        table.matrix(PLACE),
         np.where(np.isfinite(whole), whole, _diagonal(sigma)),
         table.numbers("rays", empty=0.0).astype(np.int64),
     )
@@ -416,18 +411,11 @@ def _diagonal(sigma: Floats) -> Floats:
 
 def _residuals(path: Path, images: tuple[str, ...]) -> Residuals:
     table = read_table(path, ("image", "point", "x", "y", "vx", "vy"), ("rx", "ry", "wx", "wy"))
-    index, names = table.names("image")
+    image = known_rows(table, "image", images, "images.csv")
     point, point_names = table.names("point")
-    number = {name: k for k, name in enumerate(images)}
-    for name in names:
-        if name not in number:
-            raise InputMalformedError(f"image {name} is not in images.csv", where=path, remedy=AGAIN)
 
-    def pair(prefix: str, empty: float | None = np.nan) -> Floats:
-        return np.column_stack([table.numbers(prefix + axis, empty=empty) for axis in "xy"])
-
-    image = np.array([number[name] for name in names], dtype=np.int64)[index]
-    return Residuals(images, point_names, image, point, pair("", None), pair("v"), pair("r"), pair("w"))
+    v, r, w = (table.matrix((f"{name}x", f"{name}y"), empty=np.nan) for name in "vrw")
+    return Residuals(images, point_names, image, point, table.matrix("xy"), v, r, w)
 
 
 def read_covariances(path: Path, kind: str, names: tuple[str, ...], unknowns: Sequence[str]) -> Floats:

@@ -16,7 +16,7 @@ from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import BILINEAR
 from photocal.products.oriented import oriented
-from photocal.products.ortho_job import image_points, terrain_points
+from photocal.products.ortho_job import terrain_points
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.raster import read_image
 from photocal.products.terrain import Grid, Terrain, grid_of_points, read_terrain_points
@@ -83,7 +83,7 @@ def _same_as_peers(
     x, y = grid.centers(0, 0, grid.columns, grid.rows)
     xs, ys = np.meshgrid(x, y)
     given = np.column_stack([xs.ravel(), ys.ravel(), terrain.at(xs, ys).ravel()])
-    place = image_points(one, 0, frame.to_local(given)).reshape(*xs.shape, 2)
+    place = one.project(np.full(len(given), 0), frame.to_local(given)).reshape(*xs.shape, 2)
     seen = np.isfinite(place).all(axis=2) & (tile.chosen >= 0)
     assert seen.mean() > 0.9
     low, high = (np.floor(edge(place[seen], axis=0)).astype(int) for edge in (np.min, np.max))

@@ -21,7 +21,7 @@ from photocal.geometry.frames import ShiftedFrame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
 from photocal.products.oriented import ideal_limit
-from photocal.products.ortho_job import displacement, image_points, terrain_points
+from photocal.products.ortho_job import displacement, terrain_points
 from photocal.products.orthophoto import ImageStore, Recipe, Tile, orthophoto
 from photocal.products.terrain import Grid, Terrain, ground_points
 from photocal.results.folder import write_result
@@ -183,7 +183,7 @@ def test_points_go_to_the_image_and_back() -> None:
     x, y = random.uniform(470, 530, 50), random.uniform(670, 730, 50)
     given = np.column_stack([x, y, height(x, y)])
     one = shots_of(PHOTO)
-    pixel = image_points(one, 0, FRAME.to_local(given))
+    pixel = one.project(np.full(len(given), 0), FRAME.to_local(given))
     assert pixel == pytest.approx(PHOTO.pixels(given), abs=1e-7)
     assert terrain_points(one, 0, pixel, slope(), FRAME) == pytest.approx(given, abs=1e-4)
 
