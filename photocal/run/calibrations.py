@@ -126,15 +126,14 @@ def cameras_of(flights: Sequence[Calibrated]) -> "CameraFile":
 
     raises ConfigurationError: when a result cannot be compared.
     """
-    from photocal.analysis.stability.camera_file import CameraFile
+    from photocal.analysis.stability.camera_file import CameraFile, Comparison
 
-    return CameraFile(
-        tuple(
-            replace(camera, id=f"{flight.name} {name}" if len(flight.cameras) > 1 else flight.name)
-            for flight in flights
-            for name, camera in flight.cameras.items()
-        )
+    calibrations = tuple(
+        replace(camera, id=f"{flight.name} {name}" if len(flight.cameras) > 1 else flight.name)
+        for flight in flights
+        for name, camera in flight.cameras.items()
     )
+    return CameraFile(calibrations, (), Comparison())
 
 
 def repeated(flights: Sequence[Calibrated]) -> dict[str, tuple[Repeatability, ...]]:

@@ -58,7 +58,9 @@ class Comparison(Table):
     """
 
     grid_step_px: PositiveFloat | None = None
-    thresholds_px: Annotated[list[PositiveFloat], Field(min_length=1), AfterValidator(sorted)] = [0.33, 0.5]
+    thresholds_px: Annotated[list[PositiveFloat], AfterValidator(sorted)] = Field(
+        default=[0.33, 0.5], min_length=1
+    )
     terrain: tuple[Terrain, ...] = (
         Terrain(height_m=250.0, relief_m=100.0),
         Terrain(height_m=250.0, relief_m=20.0),
@@ -85,8 +87,8 @@ class CameraFile:
     """What a comparison was asked for."""
 
     calibrations: tuple[Camera, ...]
-    printed: tuple[Printed, ...] = ()
-    comparison: Comparison = Comparison()
+    printed: tuple[Printed, ...]
+    comparison: Comparison
 
 
 def read_camera_file(path: Path) -> CameraFile:
