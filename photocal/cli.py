@@ -15,6 +15,7 @@ from photocal.commands import (
     plan,
     products,
     project,
+    radiometry,
     verify,
 )
 
@@ -38,6 +39,7 @@ app.command()(check.check)
 app.command()(plan.plan)
 app.command()(plan.flown)
 app.command()(forms.forms)
+app.command()(radiometry.radiometry)
 app.command()(navigation.ppk)
 app.command()(navigation.exposures)
 app.command()(navigation.survey)

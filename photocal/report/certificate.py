@@ -226,6 +226,7 @@ def _sections(
         block_sections.global_test(say("test.section"), run, say),
         *_judgements(run, particulars, known, overall(run, known, warnings), say),
         required_sections.laboratory(say("laboratory.section"), particulars, number, say),
+        *required_sections.radiometry(say("radiometry.section"), particulars, say),
         block_sections.inputs(say("inputs.section"), run, say),
         required_sections.signature(say("signature.section"), particulars, say),
     )

@@ -124,6 +124,20 @@ class ConditionKeys(Table):
     state: str = ""
 
 
+class RadiometryKeys(Table):
+    """Section `[radiometry]`: as `photocal radiometry` writes it."""
+
+    edge_slant_deg: PositiveFloat | None = None
+    mtf50_cycles_px: PositiveFloat | None = None
+    mtf10_cycles_px: PositiveFloat | None = None
+    mtf_at_nyquist: FiniteFloat | None = None
+    star_limit_cycles_px: PositiveFloat | None = None
+    ground_resolution_cm: PositiveFloat | None = None
+    corner_brightness: PositiveFloat | None = None
+    linearity_error: Annotated[float, Field(ge=0)] | None = None
+    linearity_r2: FiniteFloat | None = None
+
+
 class UncertaintyKeys(Table):
     """Section `[uncertainty]`: standard uncertainties of c by source, in the unit of the camera."""
 
@@ -153,6 +167,7 @@ class Metadata(Table):
     responsible: ResponsibleKeys = ResponsibleKeys()
     laboratory: LaboratoryKeys = LaboratoryKeys()
     conditions: ConditionKeys = ConditionKeys()
+    radiometry: RadiometryKeys = RadiometryKeys()
     uncertainty: UncertaintyKeys = UncertaintyKeys()
 
 

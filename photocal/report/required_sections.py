@@ -67,6 +67,17 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
     return Section(title, (KeyValues(rows), notes))
 
 
+def radiometry(title: str, particulars: Metadata, say: Catalogue) -> tuple[Section, ...]:
+    """Give the radiometric annex, where anything of it was measured."""
+    units = {"deg": "°", "cycles_px": say("radiometry.cycles"), "cm": "cm"}
+    rows = []
+    for key, value in particulars.radiometry:
+        if value is not None:
+            unit = next((text for end, text in units.items() if key.endswith(end)), "")
+            rows.append((say(f"radiometry.{key}"), f"{say.as_given(value)} {unit}".strip()))
+    return (Section(title, (KeyValues(tuple(rows)), Paragraph(say("radiometry.note")))),) if rows else ()
+
+
 def uncertainty(title: str, run: Run, particulars: Metadata, say: Catalogue) -> Section:
     """Give the budget of each principal distance and its expanded uncertainty.
 

@@ -37,6 +37,7 @@ MORE = {
     "photocal mark": ("marking", "guide/processing"),
     "photocal measure": ("block-folder", "guide/processing"),
     "photocal forms": ("guide/field",),
+    "photocal radiometry": ("guide/certificate",),
     "photocal plan": ("guide/planning",),
     "photocal ppk": ("guide/processing",),
     "photocal targets": ("guide/planning",),

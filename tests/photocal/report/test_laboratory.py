@@ -43,3 +43,26 @@ def test_what_nobody_typed_comes_from_the_pictures(tmp_path: Path, run_folder: P
     assert record["particulars"]["conditions"]["aperture"] == "f/2.8, f/4 (EXIF)"
     assert record["particulars"]["conditions"]["firmware"] == "v02"
     assert record["particulars"]["conditions"]["focus"] == ""
+
+
+@pytest.mark.parametrize(
+    ("language", "words"),
+    [
+        ("en", ("Radiometric annex", "0.283 cycles/px", "6.53 cm", "1012.5 hPa", "55 %")),
+        ("pt-BR", ("Anexo radiométrico", "0,283 ciclos/px", "6,53 cm", "1012,5 hPa", "55 %")),
+    ],
+)
+def test_the_example_prints_annex_and_air(
+    tmp_path: Path, run_folder: Path, language: str, words: tuple[str, ...]
+) -> None:
+    example = Path(__file__).parents[3] / "configs" / "certificates" / "example_particulars.toml"
+    # The example's camera is another one.
+    parts = example.read_text(encoding="utf-8").split("\n\n")
+    given = tmp_path / "given.toml"
+    kept = [part for part in parts if part.startswith(("[conditions]", "[radiometry]"))]
+    given.write_text("\n\n".join(kept), encoding="utf-8")
+    asked = ["certificate", str(run_folder), "-o", str(tmp_path / "c"), "--particulars", str(given)]
+    assert CliRunner().invoke(app, [*asked, "--language", language]).exit_code == 0
+    page = (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
+    for word in words:
+        assert word in page
