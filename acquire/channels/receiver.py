@@ -192,7 +192,7 @@ def _hpposllh(batch: Batch) -> _Fixes:
         height_m=f["height"] * 1e-3 + f["_HPheight"] * 1e-4,
         horizontal_m=f["hAcc"] * 1e-4,
         vertical_m=f["vAcc"] * 1e-4,
-        valid=(f["flags_bit"] & 1) == 0,
+        valid=(f["flags"] & 1) == 0,
     )
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from drivers import nmea, rtcm3
 from drivers.arrays import Integers
 from drivers.frames import Batch
-from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S, gps_to_utc_ns, utc_date_ns, week_to_ns
+from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S, gps_to_utc_ns, week_to_ns
 from drivers.ubx import decode as ubx
 
 # Messages whose only time is the time of week: they need the week of one that has it.
@@ -59,17 +59,15 @@ class ReceiverClock:
         parts = {"RXM-RAWX": (epochs.index[usable], gps_to_utc_ns(gps, leap(epochs.index[usable])))}
         timegps = ubx.decode(batch, ubx.NAV_TIMEGPS)
         f = timegps.fields
-        sure = (f["valid_bit"] & 3) == 3
+        sure = (f["valid"] & 3) == 3
         gps = week_to_ns(f["week"], f["iTOW"] * 1e-3 + f["fTOW"] * 1e-9)[sure]
         parts["NAV-TIMEGPS"] = (timegps.index[sure], gps_to_utc_ns(gps, leap(timegps.index[sure])))
-        told = (("NAV-PVT", ubx.NAV_PVT, "valid", 3), ("NAV-TIMEUTC", ubx.NAV_TIMEUTC, "validflags_bit", 4))
+        told = (("NAV-PVT", ubx.NAV_PVT, "valid", 3), ("NAV-TIMEUTC", ubx.NAV_TIMEUTC, "validflags", 4))
         for name, kind, flags, mask in told:
             civil = ubx.decode(batch, kind)
             f = civil.fields
             sure = (f[flags] & mask) == mask
-            seconds = f["hour"].astype(np.int64) * 3600 + f["min"].astype(np.int64) * 60 + f["sec"]
-            utc = utc_date_ns(f["year"], f["month"], f["day"]) + seconds * SECOND_NS + f["nano"]
-            parts[name] = (civil.index[sure], utc[sure])
+            parts[name] = (civil.index[sure], ubx.civil_utc_ns(f)[sure])
         parts["RMC/ZDA"] = nmea.decode_times(batch)
         parts["RTCM 1013"] = rtcm3.decode_dates(batch)
         self.sources |= {name for name, (index, _) in parts.items() if len(index)}

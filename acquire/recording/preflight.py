@@ -14,10 +14,9 @@ from acquire.recording.reader import MOST_AT_ONCE, left_behind, start_readers
 from acquire.recording.recorder import Host
 from acquire.transports.sources import LinkLostError, Source
 from drivers.frames import Batch, StreamFramer, Wire, wires_of
-from drivers.gnsstime import utc_date_ns
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import Dialect
-from drivers.ubx.decode import NAV_PVT, RXM_RAWX
+from drivers.ubx.decode import NAV_PVT, RXM_RAWX, civil_utc_ns
 from drivers.ubx.decode import decode as decode_ubx
 
 _MB = 1_000_000
@@ -129,10 +128,7 @@ def _hear_receiver(heard: _Heard, batch: Batch, time_ns: int) -> None:
     heard.fix_good = int(last["fixType"]) in (3, 4) and bool(int(last["flags"]) & 1)
     heard.fix = f"{'3d' if heard.fix_good else 'none'}{carrier}, {int(last['numSV'])} satellites"
     if int(last["valid"]) & 3 == 3:
-        date = int(utc_date_ns(last["year"], last["month"], last["day"]))
-        seconds = int(last["hour"]) * 3600 + int(last["min"]) * 60 + int(last["sec"])
-        device_ns = date + seconds * 1_000_000_000 + int(last["nano"])
-        heard.host_minus_device_s = (time_ns - device_ns) / 1e9
+        heard.host_minus_device_s = (time_ns - int(civil_utc_ns(last))) / 1e9
 
 
 def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:

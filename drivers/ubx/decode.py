@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch, Wire, gather
-from drivers.gnsstime import week_to_ns
+from drivers.gnsstime import SECOND_NS, utc_date_ns, week_to_ns
 
 NAV_POSLLH, NAV_PVT, NAV_HPPOSLLH, NAV_TIMEGPS, NAV_TIMEUTC, NAV_SVIN = (
     0x0102, 0x0107, 0x0114, 0x0120, 0x0121, 0x013B,
@@ -27,56 +27,40 @@ _NEW_FALLING, _TIME_VALID, _NEW_RISING, _BASE_SHIFT = 0x04, 0x40, 0x80, 3
 BASE_RECEIVER, BASE_GNSS, BASE_UTC = 0, 1, 2
 
 
-def _layout(*members: tuple[str, str] | tuple[str, str, int]) -> np.dtype[Any]:
-    return np.dtype([(m[0], "<" + m[1], *m[2:]) for m in members])
-
-
-_PVT = _layout(
-    ("iTOW", "u4"), ("year", "u2"), ("month", "u1"), ("day", "u1"), ("hour", "u1"), ("min", "u1"), ("sec",
-    "u1"), ("valid", "u1"), ("tAcc", "u4"), ("nano", "i4"), ("fixType", "u1"), ("flags", "u1"), ("flags2",
-    "u1"), ("numSV", "u1"), ("lon", "i4"), ("lat", "i4"), ("height", "i4"), ("hMSL", "i4"), ("hAcc", "u4"),
-    ("vAcc", "u4"), ("velN", "i4"), ("velE", "i4"), ("velD", "i4"), ("gSpeed", "i4"), ("headMot", "i4"),
-    ("sAcc", "u4"), ("headAcc", "u4"), ("pDOP", "u2"), ("flags3", "u1"), ("reserved1", "u1", 5), ("headVeh",
-    "i4"), ("magDec", "i2"), ("magAcc", "u2"),
-)  # fmt: skip
-_TM2 = _layout(
-    ("ch", "u1"), ("flags", "u1"), ("count", "u2"), ("wnR", "u2"), ("wnF", "u2"), ("towMsR", "u4"),
-    ("towSubMsR", "u4"), ("towMsF", "u4"), ("towSubMsF", "u4"), ("accEst", "u4"),
-)  # fmt: skip
-_SFRBX = _layout(
-    ("gnssId", "u1"), ("svId", "u1"), ("reserved1", "u1"), ("freqId", "u1"), ("numWords", "u1"), ("chn",
-    "u1"), ("version", "u1"), ("reserved2", "u1"),
-)  # fmt: skip
-_RAWX = _layout(
-    ("rcvTow", "f8"), ("week", "u2"), ("leapS", "i1"), ("numMeas", "u1"), ("recStat", "u1"), ("version",
-    "u1"), ("reserved1", "u1", 2),
-)  # fmt: skip
-_SIGNAL = _layout(
-    ("prMes", "f8"), ("cpMes", "f8"), ("doMes", "f4"), ("gnssId", "u1"), ("svId", "u1"), ("sigId", "u1"),
-    ("freqId", "u1"), ("locktime", "u2"), ("cno", "u1"), ("prStdev", "u1"), ("cpStdev", "u1"), ("doStdev",
-    "u1"), ("trkStat", "u1"), ("reserved2", "u1"),
-)  # fmt: skip
-# The messages that come at high rates, or of which more is needed than the table of pyubx2 has.
-_HOT = {NAV_PVT: _PVT, TIM_TM2: _TM2, RXM_SFRBX: _SFRBX, RXM_RAWX: _RAWX}
 _TYPES = {"U": "u", "I": "i", "X": "u", "R": "f", "E": "u", "L": "u"}
+# Where pyubx2 departs from the names of the interface description.
+_NAMES = {"second": "sec"}
 
 
 @cache
 def layout(kind: int) -> np.dtype[Any]:
-    """Return the layout of a message of fixed size: of hot ones ours, of all others that of pyubx2.
+    """Return the layout of a message by the table of pyubx2: of one with a repeated group its head.
 
-    pyubx2 calls parts that it adds to other fields and fields of flags ``_HPlon`` and ``valid_bit``.
+    pyubx2 calls parts that it adds to other fields ``_HPlon`` and the like.
     """
-    if kind in _HOT:
-        return _HOT[kind]
     from pyubx2.ubxtypes_get import UBX_PAYLOADS_GET
 
+    return _row(UBX_PAYLOADS_GET[kind_name(kind)])
+
+
+@cache
+def signal_layout() -> np.dtype[Any]:
+    """Return the layout of one signal of RXM-RAWX."""
+    from pyubx2.ubxtypes_get import UBX_PAYLOADS_GET
+
+    return _row(UBX_PAYLOADS_GET["RXM-RAWX"]["meas_grp"][1])
+
+
+def _row(table: dict[str, Any]) -> np.dtype[Any]:
     members: list[tuple[str, str]] = []
-    for name, form in UBX_PAYLOADS_GET[kind_name(kind)].items():
+    for name, form in table.items():
+        if name.endswith("_grp"):
+            continue
         text = form if isinstance(form, str) else form[0]
         letter, size = text[0], int(text[1:])
-        whole = size in (1, 2, 4, 8)
-        members.append((name, f"<{_TYPES[letter]}{size}" if whole and letter in _TYPES else f"V{size}"))
+        whole = size in (1, 2, 4, 8) and letter in _TYPES
+        ours = _NAMES.get(name, name.removesuffix("_bit"))
+        members.append((ours, f"<{_TYPES[letter]}{size}" if whole else f"V{size}"))
     return np.dtype(members)
 
 
@@ -111,6 +95,13 @@ def correction_age_s(pvt: NDArray[Any]) -> Floats:
     of each, infinite for 120 s or more, NaN where it tells none.
     """
     return np.asarray(_AGES_S[pvt["flags3"] >> 1 & 0x0F])
+
+
+def civil_utc_ns(fields: Any) -> Integers:
+    """Return UTC, nanoseconds since 1970, of calendar date and time as NAV-PVT and NAV-TIMEUTC tell them."""
+    hours, minutes = fields["hour"].astype(np.int64), fields["min"].astype(np.int64)
+    seconds = hours * 3600 + minutes * 60 + fields["sec"]
+    return utc_date_ns(fields["year"], fields["month"], fields["day"]) + seconds * SECOND_NS + fields["nano"]
 
 
 def decode(batch: Batch, kind: int) -> Messages:
@@ -178,13 +169,13 @@ class RawObservations:
 
 def decode_rawx(batch: Batch) -> RawObservations:
     """Decode all RXM-RAWX messages whose length agrees with their number of signals."""
-    found = decode(batch, RXM_RAWX)
+    found, signal = decode(batch, RXM_RAWX), signal_layout()
     count = found.fields["numMeas"].astype(np.int64)
-    whole = batch.length[found.index] == 24 + _SIGNAL.itemsize * count
+    whole = batch.length[found.index] == 24 + signal.itemsize * count
     epochs = Messages(found.index[whole], found.fields[whole])
     count = count[whole]
     epoch = np.repeat(np.arange(len(count)), count)
     within = np.arange(len(epoch)) - (np.cumsum(count) - count)[epoch]
-    start = batch.start[epochs.index][epoch] + 22 + _SIGNAL.itemsize * within
-    signals = gather(batch.data, start, np.full(len(start), _SIGNAL.itemsize), _SIGNAL)
+    start = batch.start[epochs.index][epoch] + 22 + signal.itemsize * within
+    signals = gather(batch.data, start, np.full(len(start), signal.itemsize), signal)
     return RawObservations(epochs, epoch, signals)

@@ -15,19 +15,13 @@ from acquire.simulate.gnss.time_marks import Events
 from drivers import rtcm3, ubx
 from drivers.arrays import Floats, Integers
 from drivers.gnsstime import SECOND_NS, WEEK_S
+from drivers.ubx.decode import signal_layout
 
 KIND = 0x0215
 # From the measurement until the message is complete on a fast line.
 _LATENCY_NS = 60_000_000
 _LEAP_KNOWN, _CLOCK_RESET, _VERSION = 0x01, 0x02, 1
 _LONGEST_LOCK_MS = 64_500
-_SIGNAL = np.dtype(
-    [
-        *[("code", "<f8"), ("phase", "<f8"), ("doppler", "<f4"), ("system", "u1"), ("satellite", "u1")],
-        *[("signal", "u1"), ("slot", "u1"), ("lock", "<u2"), ("cn0", "u1"), ("code_sigma", "u1")],
-        *[("phase_sigma", "u1"), ("doppler_sigma", "u1"), ("status", "u1"), ("reserved", "u1")],
-    ]
-)
 Timed = tuple[int, bytes]
 
 
@@ -50,20 +44,20 @@ def messages(observations: Observations, leap_s: int) -> Iterator[tuple[int, byt
 def _records(observations: Observations) -> NDArray[np.void]:
     rows = observations.rows
     satellites = observations.satellites
-    out = np.zeros(len(rows), _SIGNAL)
+    out = np.zeros(len(rows), signal_layout())
     systems = np.array([UBX_SYSTEM[s.system] for s in satellites], np.uint8)
     numbers = np.array([s.truth.number for s in satellites], np.uint8)
     signals = np.array([[signal.ubx for signal in SIGNALS[s.system]] for s in satellites], np.uint8)
-    out["code"], out["phase"], out["doppler"] = rows["code_m"], rows["phase_cycles"], rows["doppler_hz"]
-    out["system"], out["satellite"] = systems[rows["satellite"]], numbers[rows["satellite"]]
-    out["signal"] = signals[rows["satellite"], rows["signal"]]
-    out["lock"] = np.minimum(np.floor(rows["lock_s"] * 1e3), _LONGEST_LOCK_MS)
-    out["cn0"] = np.rint(rows["cn0_dbhz"])
-    out["code_sigma"] = _power_of_two(rows["code_sigma_m"], 0.01)
+    out["prMes"], out["cpMes"], out["doMes"] = rows["code_m"], rows["phase_cycles"], rows["doppler_hz"]
+    out["gnssId"], out["svId"] = systems[rows["satellite"]], numbers[rows["satellite"]]
+    out["sigId"] = signals[rows["satellite"], rows["signal"]]
+    out["locktime"] = np.minimum(np.floor(rows["lock_s"] * 1e3), _LONGEST_LOCK_MS)
+    out["cno"] = np.rint(rows["cn0_dbhz"])
+    out["prStdev"] = _power_of_two(rows["code_sigma_m"], 0.01)
     phase_sigma = np.clip(np.ceil(rows["phase_sigma_cycles"] / 0.004), 1, 15)
-    out["phase_sigma"] = np.where(rows["has_phase"], phase_sigma, 15)
-    out["doppler_sigma"] = _power_of_two(rows["doppler_sigma_hz"], 0.002)
-    out["status"] = (
+    out["cpStdev"] = np.where(rows["has_phase"], phase_sigma, 15)
+    out["doStdev"] = _power_of_two(rows["doppler_sigma_hz"], 0.002)
+    out["trkStat"] = (
         1 + 2 * rows["has_phase"].astype(np.uint8) + 4 * rows["half_valid"] + 8 * rows["half_subtracted"]
     )
     return out
