@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.arrays import Integers
 from drivers.frames import Batch, Wire, gather
 from drivers.gnsstime import gps_to_utc_ns, week_to_ns
-from drivers.logged import NOTHING, WAIT, RecordFramer, Records
+from drivers.logged import NOTHING, WAIT, RecordFramer, Records, placed, since_boot_ns
 
 HEAD = b"\xa3\x95"
 HEAD_BYTES = 3
@@ -29,7 +29,7 @@ _GPS = ("GPS", "GPS2")
 
 
 class DataflashFramer(RecordFramer):
-    """Records of a DataFlash log; the kind of a frame is its type number. A `Framer`."""
+    """Records of a DataFlash log; the kind of a frame is its type number."""
 
     wire = Wire.DATAFLASH
 
@@ -126,21 +126,12 @@ class DataflashFormats:
             if unit is None or self._rows[kind][unit[0]].kind not in "iu":
                 continue
             index = batch.where(Wire.DATAFLASH, kind)
-            boot[index] = _ns(self._fields(batch, index, kind)[unit[0]], unit[1])
+            boot[index] = since_boot_ns(self._fields(batch, index, kind)[unit[0]], unit[1])
         return boot
 
     def told_utc(self, batch: Batch) -> tuple[Integers, Integers]:
         """Return times since the start and UTC (nanoseconds) of the records of receivers with a 3D fix."""
-        boots, told = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-        all_boot = self.boot_ns(batch)
-        for name in _GPS:
-            found = self.decode(batch, name)
-            week, tow = found.number("GWk", "Week"), found.number("GMS", "TimeMS")
-            boot = all_boot[found.index]
-            good = (week > 0) & (week < 1 << 16) & (tow >= 0) & (found.number("Status") >= 3) & (boot >= 0)
-            boots.append(boot[good])
-            told.append(gps_to_utc_ns(week_to_ns(week[good], tow[good] * 1e-3)))
-        return np.concatenate(boots), np.concatenate(told)
+        return placed(self.boot_ns(batch), [_utc(self.decode(batch, name)) for name in _GPS])
 
     def _fields(self, batch: Batch, index: Integers, kind: int) -> NDArray[Any]:
         start, length = batch.start[index] + HEAD_BYTES, batch.length[index] - HEAD_BYTES
@@ -156,9 +147,7 @@ def _time_column(name: str, columns: tuple[str, ...]) -> tuple[str, int] | None:
     return ("TimeMS", _MILLISECOND_NS) if "TimeMS" in columns else None
 
 
-def _ns(values: NDArray[Any], unit_ns: int) -> Integers:
-    """Return nanoseconds; what no running time of an autopilot can be (over a year) becomes -1."""
-    wide = values.astype(np.uint64)
-    return np.where(wide < 366 * 86_400 * 10**9 // unit_ns, wide, 0).astype(np.int64) * unit_ns - (
-        wide >= 366 * 86_400 * 10**9 // unit_ns
-    )
+def _utc(records: Records) -> tuple[Integers, Integers]:
+    week, tow = records.number("GWk", "Week"), records.number("GMS", "TimeMS")
+    good = (week > 0) & (week < 1 << 16) & (tow >= 0) & (records.number("Status") >= 3)
+    return records.index[good], gps_to_utc_ns(week_to_ns(week[good], tow[good] * 1e-3))

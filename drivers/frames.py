@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,30 +102,20 @@ class Batch:
         return np.flatnonzero((self.kind == kind) & (self.wire == wire) & self.known)
 
 
-class Framer(Protocol):
-    """Turns the bytes of a stream into frames; nothing is lost and nothing is invented.
-
-    Every byte that was fed comes out exactly once: in a frame, as a time stamp of a recording format, or as
-    damage. The frames do not depend on how the stream was cut into pieces.
-    """
-
-    @property
-    def stamped(self) -> bool:
-        """Whether the stream carries the time of receipt of each frame."""
-        ...
-
-    @property
-    def cut(self) -> int:
-        """Number of bytes of a frame that the end of the stream cut off; 0 until `close`."""
-        ...
-
-    def feed(self, data: bytes) -> Batch:
-        """Take the next bytes of the stream and return the frames that are complete."""
-        ...
-
-    def close(self) -> Batch:
-        """Return what is left when the stream has ended."""
-        ...
+def batch_of(
+    wire: Integers | Wire,
+    data: bytes,
+    base: int,
+    columns: tuple[Integers, Integers, Integers],
+    damage: Integers,
+    known: Any = True,
+    host_ns: Integers | None = None,
+) -> Batch:
+    """Return frames as a batch; `columns`: start, length and kind of each."""
+    start, length, kind = columns
+    wires = np.broadcast_to(wire, len(start)).astype(np.uint8)
+    knowns = np.broadcast_to(known, len(start)).astype(bool)
+    return Batch(data, base, start, length, wires, kind, knowns, damage, host_ns)
 
 
 def gather(data: bytes, start: Integers, length: Integers, row: np.dtype[Any]) -> NDArray[Any]:
@@ -156,20 +146,22 @@ def wires_of(protocol: str) -> tuple[Wire, ...]:
     return (Wire.MAVLINK,) if protocol == Wire.MAVLINK.encoding else GNSS
 
 
-class PiecewiseFramer(ABC):
-    """What framers share: the bytes that wait for more, and what the end of the stream cut off."""
+class Framer(ABC):
+    """Turns the bytes of a stream into frames; nothing is lost and nothing is invented.
+
+    Every byte that was fed comes out exactly once: in a frame, as a time stamp of a recording format, or as
+    damage. The frames do not depend on how the stream was cut into pieces.
+
+    stamped: whether the stream carries the time of receipt of each frame.
+    cut: number of bytes of a frame that the end of the stream cut off; 0 until `close`.
+    """
 
     stamped = False
 
     def __init__(self) -> None:
+        self.cut = 0
         self._pending = b""
         self._offset = 0
-        self._cut = 0
-
-    @property
-    def cut(self) -> int:
-        """Number of bytes of a frame that the end of the stream cut off; 0 until `close`."""
-        return self._cut
 
     def feed(self, data: bytes) -> Batch:
         """Take the next bytes of the stream and return the frames that are complete."""
@@ -180,7 +172,7 @@ class PiecewiseFramer(ABC):
         """Return what is left when the stream has ended."""
         rest = len(self._pending) if self._begun() else 0
         batch = self._take(closed=True)
-        self._cut = 0 if len(batch) else rest
+        self.cut = 0 if len(batch) else rest
         return batch
 
     @abstractmethod
@@ -199,8 +191,8 @@ class PiecewiseFramer(ABC):
         return data, base
 
 
-class StreamFramer(PiecewiseFramer):
-    """Frames of any mixture of protocols on one stream of bytes; a `Framer`.
+class StreamFramer(Framer):
+    """Frames of any mixture of protocols on one stream of bytes.
 
     At each place where one of the protocols could begin the frame is tested with its checksum; where there is
     none, the search goes on with the next byte. So damage costs the frame that it lies in and no other.
@@ -248,14 +240,5 @@ class StreamFramer(PiecewiseFramer):
         damage: scan.Rows = np.empty((0, 2), np.int64),  # noqa: B008
         consumed: int = 0,
     ) -> Batch:
-        data, base = self._consumed(consumed)
-        return Batch(
-            data=data,
-            base=base,
-            start=frames[:, 0],
-            length=frames[:, 1],
-            wire=frames[:, 2].astype(np.uint8),
-            kind=frames[:, 3],
-            known=frames[:, 4].astype(bool),
-            damage=damage,
-        )
+        start, length, wire, kind, known = frames.T
+        return batch_of(wire, *self._consumed(consumed), (start, length, kind), damage, known)

@@ -5,7 +5,7 @@ import numpy as np
 from drivers import mrk, nmea, ulog
 from drivers.arrays import Bytes, Integers
 from drivers.checksums import x25
-from drivers.frames import Batch, Wire
+from drivers.frames import Batch, Wire, batch_of
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V2, Dialect
 from drivers.ubx.decode import kind_name as ubx_name
 
@@ -37,16 +37,7 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
         kind = np.full(len(payloads), mrk.EVENT_KIND)
     else:
         kind = np.array([nmea.kind_of(payload[1:9]) for payload in payloads], np.int64)
-    return Batch(
-        data=data,
-        base=0,
-        start=start,
-        length=length,
-        wire=np.full(len(payloads), wire, np.uint8),
-        kind=kind,
-        known=known,
-        damage=np.empty((0, 2), np.int64),
-    )
+    return batch_of(wire, data, 0, (start, length, kind), np.empty((0, 2), np.int64), known)
 
 
 def _ulog_kind(payload: bytes) -> int:

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import Flags, Floats, Integers
-from drivers.frames import Batch, PiecewiseFramer, Wire
+from drivers.frames import Batch, Framer, Wire, batch_of
 
 # What an examination answers besides a length.
 NOTHING, WAIT = 0, -1
+_YEAR_NS = 366 * 86_400 * 10**9
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,19 @@ class Records:
         return Records(self.index[kept], {name: column[kept] for name, column in self.columns.items()})
 
 
+def since_boot_ns(values: NDArray[Any], unit_ns: int) -> Integers:
+    """Return nanoseconds; what no running time of an autopilot can be (over a year) becomes -1."""
+    sure = values.astype(np.uint64) < _YEAR_NS // unit_ns
+    return np.where(sure, np.where(sure, values, 0).astype(np.int64) * unit_ns, -1)
+
+
+def placed(boot_ns: Integers, told: list[tuple[Integers, Integers]]) -> tuple[Integers, Integers]:
+    """Return time since the start and UTC of records (their places and UTC, by kinds) that have both."""
+    index, utc = (np.concatenate(column) for column in zip(*told, strict=True))
+    known = boot_ns[index] >= 0
+    return boot_ns[index[known]], utc[known]
+
+
 def batch_of_rows(
     wire: Wire, data: bytes, base: int, rows: list[tuple[int, int, int]], damage: list[tuple[int, int]]
 ) -> Batch:
@@ -56,20 +70,11 @@ def batch_of_rows(
     table = np.array(rows, np.int64).reshape(-1, 3)
     lost = np.array(damage, np.int64).reshape(-1, 2)
     lost[:, 0] += base
-    return Batch(
-        data=data,
-        base=base,
-        start=table[:, 0],
-        length=table[:, 1],
-        wire=np.full(len(table), wire, np.uint8),
-        kind=table[:, 2],
-        known=np.ones(len(table), bool),
-        damage=lost,
-    )
+    return batch_of(wire, data, base, (table[:, 0], table[:, 1], table[:, 2]), lost)
 
 
-class RecordFramer(PiecewiseFramer):
-    """Finds the records of a log; a `Framer`.
+class RecordFramer(Framer):
+    """Finds the records of a log.
 
     A record is taken where its head can be meant and another one, or the end, follows. One that is followed
     by damage is taken unless a record that is followed properly begins inside it: then bytes are missing in

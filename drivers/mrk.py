@@ -9,7 +9,7 @@ import re
 import numpy as np
 
 from drivers.arrays import Integers
-from drivers.frames import Batch, PiecewiseFramer, Wire
+from drivers.frames import Batch, Framer, Wire
 from drivers.gnsstime import week_to_ns
 from drivers.logged import Records, batch_of_rows
 
@@ -32,8 +32,8 @@ def parse_event(line: str) -> tuple[float, ...] | None:
     return None if found is None else tuple(float(value) for value in found.groups())
 
 
-class MrkFramer(PiecewiseFramer):
-    """Lines of an event list that are events, the last one also without its end; a `Framer`."""
+class MrkFramer(Framer):
+    """Lines of an event list that are events, the last one also without its end."""
 
     def _begun(self) -> bool:
         return False

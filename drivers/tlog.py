@@ -7,7 +7,7 @@ import numpy as np
 from drivers import scan
 from drivers.arrays import Bytes, Integers
 from drivers.checksums import REVERSED, x25
-from drivers.frames import Batch, PiecewiseFramer, Wire
+from drivers.frames import Batch, Framer, Wire, batch_of
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V1, V2, Dialect, ardupilotmega
 from drivers.scan import EARLIEST_US, LATEST_US, STAMP_BYTES
 
@@ -22,8 +22,8 @@ _LARGE = 2048
 _WINDOWS = (512, _LARGE - 1, _LARGE - 1, _LARGE - 1)
 
 
-class TlogFramer(PiecewiseFramer):
-    """Frames of a telemetry log, with their host stamps; a `Framer`.
+class TlogFramer(Framer):
+    """Frames of a telemetry log, with their host stamps.
 
     Intact records follow each other, so their places are found by walking along the lengths and all checksums
     are tested at once. From the first that fails on, `drivers.scan` searches byte by byte; a frame whose
@@ -71,7 +71,9 @@ class TlogFramer(PiecewiseFramer):
             at += rest
             if last:
                 break
-        return self._batch(np.concatenate(found), np.concatenate(lost), at)
+        start, length, kind, known, stamp_us = np.concatenate(found).T
+        columns, damage = (start, length, kind), np.concatenate(lost)
+        return batch_of(Wire.MAVLINK, *self._consumed(at), columns, damage, known, stamp_us * 1000)
 
     def _walk(self, at: int) -> Integers:
         """Walk along the lengths of records; return them up to the first that is not plainly intact."""
@@ -148,20 +150,6 @@ class TlogFramer(PiecewiseFramer):
         explained = _REVERSED[np.maximum(stepped, 0) ^ (remainder >> 8)].astype(np.int64)
         seeds = np.where(sound & ((seed < 0) | ~fits) & (stepped >= 0), explained, -1)
         return np.stack(rows, axis=1).astype(np.int64), seeds
-
-    def _batch(self, rows: Integers, damage: Integers, consumed: int) -> Batch:
-        data, base = self._consumed(consumed)
-        return Batch(
-            data=data,
-            base=base,
-            start=rows[:, 0],
-            length=rows[:, 1],
-            wire=np.full(len(rows), Wire.MAVLINK, np.uint8),
-            kind=rows[:, 2],
-            known=rows[:, 3].astype(bool),
-            damage=damage,
-            host_ns=rows[:, 4] * 1000,
-        )
 
 
 def _little24(octets: Bytes, at: Integers) -> Integers:

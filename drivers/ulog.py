@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Integers
 from drivers.frames import Batch, Wire, gather
-from drivers.logged import NOTHING, WAIT, RecordFramer, Records
+from drivers.logged import NOTHING, WAIT, RecordFramer, Records, placed, since_boot_ns
 
 MAGIC = b"ULog\x01\x12\x35"
 FILE_HEAD_BYTES, HEAD_BYTES = 16, 3
@@ -36,7 +36,6 @@ _LONGEST_TEXT = 512
 # Within so many bytes the name of a format ends.
 _NAME_BYTES = 80
 _LONGEST_FORMAT, _LONGEST_ARRAY, _DEEPEST = 4096, 4096, 8
-_YEAR_US = 366 * 86_400 * 10**6
 _PUBLISHED = ("vehicle_gps_position", "sensor_gps")
 
 
@@ -128,25 +127,15 @@ class UlogFormats:
             if row is None or "timestamp" not in (row.names or ()) or row["timestamp"] != np.dtype("<u8"):
                 continue
             index = batch.where(Wire.ULOG, kind)
-            boot[index] = _since_boot_ns(self._fields(batch, index, kind & 0xFFFF)["timestamp"])
+            boot[index] = since_boot_ns(self._fields(batch, index, kind & 0xFFFF)["timestamp"], 1000)
         index = batch.where(Wire.ULOG, TEXT << 16)
         stamp = gather(batch.data, batch.start[index] + 4, batch.length[index] - 4, np.dtype([("t", "<u8")]))
-        boot[index] = _since_boot_ns(stamp["t"])
+        boot[index] = since_boot_ns(stamp["t"], 1000)
         return boot
 
     def told_utc(self, batch: Batch) -> tuple[Integers, Integers]:
         """Return times since the start and UTC (nanoseconds) of the records of receivers with a 3D fix."""
-        boots, told = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-        all_boot = self.boot_ns(batch)
-        for topic in _PUBLISHED:
-            found = self.decode(batch, topic)
-            utc_us = found.number("time_utc_usec")
-            boot = all_boot[found.index]
-            good = (utc_us > 946_684_800e6) & (utc_us < 4_102_444_800e6) & (found.number("fix_type") >= 3)
-            good &= boot >= 0
-            boots.append(boot[good])
-            told.append(utc_us[good].astype(np.int64) * 1000)
-        return np.concatenate(boots), np.concatenate(told)
+        return placed(self.boot_ns(batch), [_utc(self.decode(batch, topic)) for topic in _PUBLISHED])
 
     def _fields(self, batch: Batch, index: Integers, number: int) -> NDArray[Any]:
         head = HEAD_BYTES + 2
@@ -154,7 +143,7 @@ class UlogFormats:
 
 
 class UlogFramer(RecordFramer):
-    """Records of a ULog; the kind of a frame is its letter * 65536 + number of the topic. A `Framer`."""
+    """Records of a ULog; the kind of a frame is its letter * 65536 + number of the topic."""
 
     wire = Wire.ULOG
 
@@ -251,7 +240,7 @@ def _parameter(record: bytes) -> tuple[str, float]:
     return name, float(struct.unpack(form, record[at:])[0]) if form and len(record) - at == 4 else math.nan
 
 
-def _since_boot_ns(time_us: NDArray[np.uint64]) -> Integers:
-    """Return nanoseconds; what no running time of an autopilot can be (over a year) becomes -1."""
-    sure = time_us < _YEAR_US
-    return np.where(sure, np.where(sure, time_us, 0).astype(np.int64) * 1000, -1)
+def _utc(records: Records) -> tuple[Integers, Integers]:
+    utc_us = records.number("time_utc_usec")
+    good = (utc_us > 946_684_800e6) & (utc_us < 4_102_444_800e6) & (records.number("fix_type") >= 3)
+    return records.index[good], utc_us[good].astype(np.int64) * 1000
