@@ -1,7 +1,7 @@
 """Import of recordings: bytes to frames to the flight log, link after link."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from acquire.importing.timing import way_of
 from acquire.log.writer import LogWriter
 from acquire.outputs import output_file
 from drivers.errors import ConfigurationError
-from drivers.frames import Batch
 from drivers.mavlink.dialect import Dialect, ardupilotmega
 
 CHUNK_BYTES = 1 << 20
@@ -120,15 +119,7 @@ def _import(
     way = way_of(source, form, link, dialect, near_ns)
     log = LinkLog(writer, link, [way.decoder])
 
-    def batches() -> Iterator[Batch]:
-        done = 0
-        for piece in source.pieces():
-            yield framer.feed(piece)
-            advance(source.position() - done)
-            done = source.position()
-        yield framer.close()
-
-    for batch, log_ns in way.timed(batches()):
+    for batch, log_ns in way.timed(source.batches(framer, advance)):
         log.write(batch, log_ns)
         if writer.open_bytes > CHUNK_BYTES:
             writer.end_chunk()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drivers.dataflash import DataflashFramer
 from drivers.errors import InputMalformedError, InputNotFoundError, reading
-from drivers.frames import GNSS, Framer, StreamFramer
+from drivers.frames import GNSS, Batch, Framer, StreamFramer
 from drivers.mavlink.dialect import Dialect
 from drivers.mrk import MrkFramer
 from drivers.tlog import TlogFramer
@@ -79,9 +79,14 @@ class Source:
                     return
                 yield piece
 
-    def position(self) -> int:
-        """Return how much of the file has been read, bytes."""
-        return self._raw.tell()
+    def batches(self, framer: Framer, advance: Callable[[float], None] = lambda _: None) -> Iterator[Batch]:
+        """Yield the frames; `advance` is told how much more of the file was read, bytes."""
+        done = 0
+        for piece in self.pieces():
+            yield framer.feed(piece)
+            advance(self._raw.tell() - done)
+            done = self._raw.tell()
+        yield framer.close()
 
     def size(self) -> int:
         """Return the size of the file, bytes."""

@@ -1,32 +1,40 @@
 """What a recording of each format needs to be imported: where its times come from, and what decodes it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from acquire.channels.decoded import Decoder
-from acquire.channels.log_decoder import BootTime, boot_time
+from acquire.channels.log_decoder import (
+    BootTime,
+    DataflashDecoder,
+    EventListClock,
+    EventListDecoder,
+    UlogDecoder,
+    boot_time,
+)
+from acquire.channels.receiver import ReceiverDecoder
+from acquire.channels.receiver_time import ReceiverClock
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.importing.recording import DATAFLASH_LOG, EVENT_LIST, PX4_LOG, TELEMETRY_LOG, Format, Source
 from drivers.arrays import Integers
+from drivers.dataflash import DataflashFormats
 from drivers.errors import InputMalformedError
 from drivers.frames import Batch
 from drivers.gnsstime import expiry_warning
 from drivers.mavlink.dialect import Dialect
+from drivers.ulog import UlogFormats
 
-if TYPE_CHECKING:
-    from acquire.channels.log_decoder import EventListClock
-    from acquire.channels.receiver_time import ReceiverClock
-    from drivers.dataflash import DataflashFormats
-    from drivers.ulog import UlogFormats
-
-    Clock = ReceiverClock | EventListClock
-    Definitions = UlogFormats | DataflashFormats
-
+Clock = ReceiverClock | EventListClock
+Definitions = UlogFormats | DataflashFormats
+# What decodes an autopilot's own log, what it defines, and what is to be known of its times.
+_LOGS: dict[Format, tuple[Any, type[Definitions], Callable[[int], str]]] = {
+    DATAFLASH_LOG: (DataflashDecoder, DataflashFormats, expiry_warning),
+    PX4_LOG: (UlogDecoder, UlogFormats, lambda _: ""),
+}
 HOST_TIME = "host stamps of the recording"
 
 Timed = Iterator[tuple[Batch, Integers]]
@@ -107,59 +115,29 @@ class Way:
 
 def way_of(source: Source, form: Format, link: str, dialect: Dialect, near_ns: int) -> Way:
     """Return the way of a recording."""
-    # Each format brings its own modules: an import of a small log takes little longer than theirs.
     if form is TELEMETRY_LOG:
         # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.
         return Way(VehicleDecoder(link, dialect), stamped, lambda: HOST_TIME, lambda _: "")
-    if form is DATAFLASH_LOG:
-        from acquire.channels.log_decoder import DataflashDecoder
-        from drivers.dataflash import DataflashFormats
-
-        boot = _boot(source, form, dialect, DataflashFormats())
-        return _logged(DataflashDecoder(link, boot), boot, DataflashFormats(), expiry_warning)
-    if form is PX4_LOG:
-        from acquire.channels.log_decoder import UlogDecoder
-        from drivers.ulog import UlogFormats
-
-        boot = _boot(source, form, dialect, UlogFormats())
-        return _logged(UlogDecoder(link, boot), boot, UlogFormats(), lambda _: "")
-    if form is EVENT_LIST:
-        from acquire.channels.log_decoder import EventListClock, EventListDecoder
-
-        return _self_timed(EventListDecoder(link), EventListClock(), source, near_ns)
-    from acquire.channels.receiver import ReceiverDecoder
-    from acquire.channels.receiver_time import ReceiverClock
-
-    return _self_timed(ReceiverDecoder(link), ReceiverClock(near_ns), source, near_ns)
-
-
-def _self_timed(decoder: Decoder, clock: Clock, source: Source, near_ns: int) -> Way:
-    return Way(
-        decoder, lambda batches: derived(batches, clock, source.path), lambda: _derivation(clock, near_ns)
-    )
-
-
-def _logged(decoder: Decoder, boot: BootTime, formats: Definitions, warned: Callable[[int], str]) -> Way:
-    told = f"running time of the autopilot, tied to UTC by {boot.pairs} times of its GNSS receiver"
-    return Way(decoder, lambda batches: since_boot(batches, formats, boot), lambda: told, warned)
-
-
-def _boot(source: Source, form: Format, dialect: Dialect, definitions: Definitions) -> BootTime:
-    framer = form.framer(dialect)
-
-    def batches() -> Iterator[Batch]:
-        for piece in source.pieces():
-            yield framer.feed(piece)
-        yield framer.close()
-
-    found = boot_time(batches(), definitions)
-    if found is None:
-        raise InputMalformedError(
-            "the autopilot's receiver never told UTC with a 3D fix: its times cannot be placed",
-            where=source.path,
-            remedy="import a log that was recorded outdoors",
+    if form in _LOGS:
+        decoder, formats, warned = _LOGS[form]
+        boot = boot_time(source.batches(form.framer(dialect)), formats())
+        if boot is None:
+            raise InputMalformedError(
+                "the autopilot's receiver never told UTC with a 3D fix: its times cannot be placed",
+                where=source.path,
+                remedy="import a log that was recorded outdoors",
+            )
+        told = f"running time of the autopilot, tied to UTC by {boot.pairs} times of its GNSS receiver"
+        return Way(
+            decoder(link, boot), partial(since_boot, definitions=formats(), boot=boot), lambda: told, warned
         )
-    return found
+    events = form is EVENT_LIST
+    clock: Clock = EventListClock() if events else ReceiverClock(near_ns)
+    return Way(
+        EventListDecoder(link) if events else ReceiverDecoder(link),
+        partial(derived, clock=clock, where=source.path),
+        lambda: _derivation(clock, near_ns),
+    )
 
 
 def _derivation(clock: Clock, near_ns: int) -> str:

@@ -3,6 +3,7 @@
 import zlib
 from collections import defaultdict
 from collections.abc import Mapping
+from io import RawIOBase
 from typing import BinaryIO
 
 import numpy as np
@@ -26,7 +27,7 @@ class LogWriter:
     what is there.
     """
 
-    def __init__(self, stream: BinaryIO, library: str = LIBRARY) -> None:
+    def __init__(self, stream: BinaryIO | RawIOBase, library: str = LIBRARY) -> None:
         self._stream = stream
         self._library = library
         self._position = 0
@@ -45,7 +46,7 @@ class LogWriter:
         self._put(records.MAGIC)
         self._put(encoded(mcap.Header("", library)))
 
-    def continued(self, stream: BinaryIO) -> "LogWriter":
+    def continued(self, stream: BinaryIO | RawIOBase) -> "LogWriter":
         """Return the writer of a next file, which takes over what is not in this one yet.
 
         The channels keep their numbers and are defined again, so each file stands for itself.

@@ -81,7 +81,7 @@ class FloodWatch:
     _told: dict[str, tuple[float, tuple[int, int, bool]]] = field(default_factory=dict)
 
     def look(self, inboxes: dict[str, Inbox], steady_s: float, time_ns: int) -> list[Alarm]:
-        """Return the alarms of links that flood."""
+        """Return the alarms of links that flood; at an infinite time the last figures."""
         found = []
         for link, inbox in inboxes.items():
             state = (inbox.dropped, inbox.missed, inbox.slowed)
@@ -90,10 +90,6 @@ class FloodWatch:
                 self._told[link] = (steady_s, state)
                 found.append(Alarm("flood", link, flood_text(inbox), time_ns))
         return found
-
-    def end(self, inboxes: dict[str, Inbox], time_ns: int) -> list[Alarm]:
-        """Return the last figures."""
-        return self.look(inboxes, np.inf, time_ns)
 
 
 def flood_text(inbox: Inbox) -> str:

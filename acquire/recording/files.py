@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 from acquire.log import records
 from acquire.log.records import Channel
@@ -135,7 +134,7 @@ class LogFiles:
         path = self._folders[0]
         try:
             path, self._stream = new_log(path, clock_ns(), make)
-            self._writer = LogWriter(_binary(self._stream))
+            self._writer = LogWriter(self._stream)
             begin(self._writer)
         except OSError as failure:
             raise OutputError(
@@ -236,7 +235,7 @@ class LogFiles:
             path, stream = new_log(self._folders[self._place], self._clock_ns(), self._make)
         except OSError as failure:
             return self._move(failure)
-        following = self._writer.continued(_binary(stream))
+        following = self._writer.continued(stream)
         told = self._finish()
         self._writer, self._stream = following, stream
         self.paths.append(path)
@@ -259,7 +258,7 @@ class LogFiles:
             made = None
             try:
                 made = path, stream = new_log(self._folders[place], self._clock_ns(), self._make)
-                self._writer = self._writer.continued(_binary(stream))
+                self._writer = self._writer.continued(stream)
                 self._begin(self._writer)
                 self._writer.end_chunk()
             except OSError:
@@ -300,7 +299,3 @@ class LogFiles:
             where=self.paths[-1],
             remedy="make room or name a spare folder, then acquire recover this file",
         )
-
-
-def _binary(stream: WholeWrites) -> BinaryIO:
-    return stream  # type: ignore[return-value]

@@ -31,37 +31,30 @@ class ReceiverDialogue:
         self._attempts = 0
         self._losses = 0
         self._asked_s = 0.0
-        self._over = False
-
-    @property
-    def finished(self) -> bool:
-        """Whether the configuration holds or was given up."""
-        return self._over
+        # Whether the configuration holds or was given up.
+        self.finished = False
 
     def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> Said:  # noqa: ARG002
         """Take what was received and return what is to be said now."""
         notes: list[str] = []
         alarms: list[str] = []
-        if self._over:
-            return Said()
-        if batch is not None:
-            for kind, payload in _ubx(batch):
-                if self.finished:
-                    break
-                try:
-                    self._take(kind, payload, notes)
-                except DeviceError as refusal:
-                    self._give_up(str(refusal), alarms)
-        if self.finished:
-            return Said((), tuple(notes), tuple(alarms))
-        if self._attempts and steady_s - self._asked_s < _PATIENCE_S:
-            return Said((), tuple(notes), tuple(alarms))
-        if self._attempts == _ATTEMPTS:
-            self._give_up("the receiver does not answer; check cable, speed and port", alarms)
-            return Said((), tuple(notes), tuple(alarms))
-        self._attempts += 1
-        self._asked_s = steady_s
-        return Said((self._question(),), tuple(notes), tuple(alarms))
+        frames: tuple[bytes, ...] = ()
+        for row in [] if batch is None else (batch.wire == Wire.UBX).nonzero()[0].tolist():
+            if self.finished:
+                break
+            frame = batch.frame(row)
+            try:
+                self._take(frame.kind, frame.data[6:-2], notes)
+            except DeviceError as refusal:
+                self._give_up(str(refusal), alarms)
+        if not self.finished and not (self._attempts and steady_s - self._asked_s < _PATIENCE_S):
+            if self._attempts == _ATTEMPTS:
+                self._give_up("the receiver does not answer; check cable, speed and port", alarms)
+            else:
+                self._attempts += 1
+                self._asked_s = steady_s
+                frames = (self._question(),)
+        return Said(frames, tuple(notes), tuple(alarms))
 
     def _question(self) -> bytes:
         if self._steps is None:
@@ -71,10 +64,10 @@ class ReceiverDialogue:
     def _take(self, kind: int, payload: bytes, notes: list[str]) -> None:
         if self._steps is None:
             if kind == configure.MON_VER and len(payload) >= 40:
-                version = configure.read_version(payload)
-                self._steps = configure.steps(version, *self._wanted)
+                generation, software = configure.read_version(payload)
+                self._steps = configure.steps(generation, *self._wanted)
                 self._attempts = 0
-                notes.append(f"is a u-blox receiver of generation {version.generation}, {version.software}")
+                notes.append(f"is a u-blox receiver of generation {generation}, {software}")
             return
         current = self._steps[0]
         answer = configure.acknowledged(kind, payload)
@@ -101,15 +94,9 @@ class ReceiverDialogue:
             self._verifying = False
             self._attempts = 0
             if not self._steps:
-                self._over = True
+                self.finished = True
                 notes.append("is configured, verified")
 
     def _give_up(self, why: str, alarms: list[str]) -> None:
-        self._over = True
+        self.finished = True
         alarms.append(f"is not configured: {why}")
-
-
-def _ubx(batch: Batch) -> list[tuple[int, bytes]]:
-    rows = (batch.wire == Wire.UBX).nonzero()[0].tolist()
-    frames = [batch.frame(row) for row in rows]
-    return [(frame.kind, frame.data[6:-2]) for frame in frames]

@@ -1,5 +1,6 @@
 """The recording itself: one thread per link reads, one writes; the file is safe at least once a second."""
 
+import math
 import mimetypes
 import os
 import shutil
@@ -195,7 +196,7 @@ class _Flight:
         until = time.monotonic() + patience_s
         while any(map(len, inboxes.values())) and time.monotonic() < until:
             self._take(inboxes, self._host.steady_s())
-        self._raise(self._flood.end(inboxes, self._host.clock_ns()))
+        self._raise(self._flood.look(inboxes, math.inf, self._host.clock_ns()))
         for name, session in self.sessions.items():
             if len(inboxes[name]):
                 text = "not all of it was framed before the end: acquire recover frames the rest"

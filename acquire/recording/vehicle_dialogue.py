@@ -6,7 +6,7 @@ import numpy as np
 
 from acquire.recording.receiver_dialogue import Said
 from drivers.frames import Batch
-from drivers.mavlink.decode import FRAGMENT_BYTES, FRAGMENTS, Messages, decode, encode, fragments
+from drivers.mavlink.decode import FRAGMENT_BYTES, FRAGMENTS, decode, encode, fragments
 from drivers.mavlink.dialect import Dialect
 
 # Not the 255 of a ground station: a failsafe that waits for the pilot's station must not take us for it. For
@@ -50,11 +50,6 @@ class VehicleDialogue:
         self._sequence = 0
         self._carried = 0
         self._too_long: set[int] = set()
-
-    @property
-    def finished(self) -> bool:
-        """Whether all rates and parameters were answered or given up."""
-        return not self._open and self._unread is None
 
     def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> Said:
         """Take what was received and return what is to be said now."""
@@ -146,8 +141,11 @@ class VehicleDialogue:
         return [self.frame("PARAM_REQUEST_READ", {**values, "param_id": name.encode()})]
 
     def _take_answers(self, batch: Batch, notes: list[str], alarms: list[str]) -> None:
-        answers = self._of_target(decode(batch, self._dialect.number("COMMAND_ACK"), self._dialect))
-        for command, result in answers:
+        if self._target is None:
+            return
+        answers = decode(batch, self._dialect.number("COMMAND_ACK"), self._dialect)
+        fields = answers.fields[(answers.system == self._target[0]) & (answers.component == self._target[1])]
+        for command, result in zip(fields["command"].tolist(), fields["result"].tolist(), strict=True):
             if command != SET_MESSAGE_INTERVAL or not self._open or not self._attempts:
                 continue
             if result == _ACCEPTED:
@@ -156,13 +154,6 @@ class VehicleDialogue:
                 notes.append(f"sends {name} at {rate:g} Hz")
             else:
                 self._refuse(_RESULTS[result] if result < len(_RESULTS) else f"result {result}", alarms)
-
-    def _of_target(self, messages: Messages) -> list[tuple[int, int]]:
-        if self._target is None:
-            return []
-        own = (messages.system == self._target[0]) & (messages.component == self._target[1])
-        fields = messages.fields[own]
-        return list(zip(fields["command"].tolist(), fields["result"].tolist(), strict=True))
 
     def _refuse(self, why: str, alarms: list[str]) -> None:
         name, rate = self._open.pop(0)

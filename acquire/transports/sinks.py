@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
-from urllib.parse import urlsplit
 
 from acquire.operating_system import has_reader, pseudo_terminal, waiting_bytes
+from acquire.transports.sources import host_and_port
 from drivers.errors import ConfigurationError, DeviceError
 
 # A reader that takes nothing for so long is given up.
@@ -148,14 +148,18 @@ def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
         with _pty() as opened:
             yield opened
         return
-    host, port = _address(url)
+    address = host_and_port(url) if url.startswith(("udp://", "tcp://")) else None
+    if address is None:
+        raise ConfigurationError(
+            "is no address to send to", where=url, remedy="give udp://HOST:PORT, tcp://HOST:PORT or pty"
+        )
     try:
         if url.startswith("udp://"):
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams:
-                datagrams.connect((host, port))
+                datagrams.connect(address)
                 yield UdpSink(datagrams), url
         else:
-            with socket.create_server((host, port)) as server:
+            with socket.create_server(address) as server:
                 server.settimeout(PATIENCE_S)
                 yield _TcpSink(server), "tcp://{}:{}".format(*server.getsockname()[:2])
     except OSError as failure:
@@ -204,17 +208,3 @@ def _drain(theirs: int) -> None:
         now = time.monotonic()
         if waiting_bytes(theirs):
             taken = now
-
-
-def _address(url: str) -> tuple[str, int]:
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        host, port = None, None
-        parts = urlsplit("")
-    if parts.scheme not in ("udp", "tcp") or host is None or port is None:
-        raise ConfigurationError(
-            "is no address to send to", where=url, remedy="give udp://HOST:PORT, tcp://HOST:PORT or pty"
-        )
-    return host, port

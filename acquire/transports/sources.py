@@ -7,10 +7,11 @@ import struct
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
 from drivers.errors import ConfigurationError
@@ -27,39 +28,50 @@ class LinkLostError(Exception):
     """The port, connection or file of a source has ended or gone away."""
 
 
-class Source(Protocol):
-    """Bytes of one link as they arrive."""
+class Source(ABC):
+    """Bytes of one link as they arrive, by a port that is open or not: a failure of it loses the link.
+
+    lossy: whether what is not read is lost without being counted.
+    """
+
+    lossy = False
+
+    def __init__(self) -> None:
+        self._port: Any = None
 
     @property
     def peer(self) -> str:
         """Who sent last, where that can change; otherwise empty."""
-        ...
-
-    @property
-    def lossy(self) -> bool:
-        """Whether what is not read is lost without being counted."""
-        ...
+        return ""
 
     @property
     def missed(self) -> int:
         """Number of datagrams that the system could not hold until they were read."""
-        ...
+        return 0
 
+    @abstractmethod
     def open(self, stop: threading.Event, /) -> None:
         """Open the port; raises `LinkLostError` when that is not possible now, or `stop` is set."""
-        ...
 
+    @abstractmethod
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived, nothing after `timeout_s`; raises `LinkLostError` when all is over."""
-        ...
 
+    @abstractmethod
     def write(self, data: bytes) -> None:
         """Send bytes to the device; raises `LinkLostError` when that is not possible."""
-        ...
 
     def close(self) -> None:
         """Close the port."""
-        ...
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    @property
+    def _opened(self) -> Any:
+        if self._port is None:
+            raise LinkLostError("not open")
+        return self._port
 
 
 class Patience:
@@ -101,25 +113,6 @@ def connect(host: str, port: int, patience: Patience) -> socket.socket:
     raise LinkLostError(f"{host}: {reason}")
 
 
-class _Port:
-    """What all sources share: a port that is open or not, and that a failure of it loses the link."""
-
-    def __init__(self) -> None:
-        self._port: Any = None
-
-    @property
-    def _opened(self) -> Any:
-        if self._port is None:
-            raise LinkLostError("not open")
-        return self._port
-
-    def close(self) -> None:
-        """Close the port."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
-
-
 @contextmanager
 def _losing(*failures: type[Exception]) -> Iterator[None]:
     """Within it such failures mean that the link is lost."""
@@ -129,7 +122,7 @@ def _losing(*failures: type[Exception]) -> Iterator[None]:
         raise LinkLostError(str(failure)) from failure
 
 
-class UdpSource(_Port):
+class UdpSource(Source):
     """Datagrams that arrive at a local address; answers go to whoever sent last.
 
     A sender that changes its port is followed.
@@ -191,16 +184,10 @@ class UdpSource(_Port):
         """Address of the last sender; empty before the first."""
         return f"{self._sender[0]}:{self._sender[1]}" if self._sender else ""
 
-    @property
-    def local_port(self) -> int:
-        """The port that is bound, also where any free one was asked for."""
-        return int(self._opened.getsockname()[1])
 
-
-class TcpSource(_Port):
+class TcpSource(Source):
     """A stream from a server that we connect to."""
 
-    peer, lossy, missed = "", False, 0
     # How a connection says that nothing has come yet.
     _not_yet: tuple[type[OSError], ...] = (TimeoutError,)
 
@@ -235,13 +222,11 @@ class TcpSource(_Port):
             self._opened.sendall(data)
 
 
-class SerialSource(_Port):
+class SerialSource(Source):
     """A serial port, or what pyserial makes look like one.
 
     url: device path, or a URL of pyserial (``socket://``, ``loop://``, ``rfc2217://``).
     """
-
-    peer, lossy, missed = "", False, 0
 
     def __init__(self, url: str, baud: int) -> None:
         super().__init__()
@@ -279,23 +264,21 @@ class SerialSource(_Port):
             self._opened.write(data)
 
 
-class FileSource:
+class FileSource(Source):
     """The bytes of a file, once; then the link is silent."""
 
-    peer, lossy, missed = "", False, 0
-
     def __init__(self, path: Path) -> None:
+        super().__init__()
         self._path = path
-        self._stream: Any = None
 
     def open(self, _stop: threading.Event) -> None:
         """Open the file, the first time only."""
         with _losing(OSError):
-            self._stream = self._stream or self._path.open("rb")
+            self._port = self._port or self._path.open("rb")
 
     def read(self, timeout_s: float) -> bytes:
         """Return the next bytes."""
-        data = bytes(self._stream.read(PIECE_BYTES))
+        data = bytes(self._port.read(PIECE_BYTES))
         if not data:
             time.sleep(timeout_s)
         return data
@@ -304,9 +287,18 @@ class FileSource:
         """Take nothing: a file does not listen."""
 
     def close(self) -> None:
-        """Close the file."""
-        if self._stream is not None:
-            self._stream.close()
+        """Close the file, for good: its bytes come once."""
+        if self._port is not None:
+            self._port.close()
+
+
+def host_and_port(url: str) -> tuple[str, int] | None:
+    """Return host and port of a URL; None when it has not both."""
+    try:
+        host, port = urlsplit(url).hostname, urlsplit(url).port
+    except ValueError:
+        return None
+    return None if host is None or port is None else (host, port)
 
 
 def source_of(url: str, baud: int) -> Source:
@@ -318,14 +310,8 @@ def source_of(url: str, baud: int) -> Source:
         return SerialSource(url, baud)
     if scheme == "file" and rest:
         return FileSource(Path(rest))
-    if scheme in ("udp", "tcp"):
-        try:
-            parts = urlsplit(url)
-            host, port = parts.hostname, parts.port
-        except ValueError:
-            host = port = None
-        if host is not None and port is not None:
-            return UdpSource(host, port) if scheme == "udp" else TcpSource(host, port)
+    if scheme in ("udp", "tcp") and (address := host_and_port(url)) is not None:
+        return UdpSource(*address) if scheme == "udp" else TcpSource(*address)
     raise ConfigurationError(
         "is no address of a link",
         where=url,

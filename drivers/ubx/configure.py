@@ -17,18 +17,8 @@ MESSAGES = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX, "RXM-SFRBX": RXM_SFRBX, "T
 _RAM = 1
 
 
-@dataclass(frozen=True)
-class Version:
-    """What a receiver is: generation (8, 9, 10) and its own words."""
-
-    generation: int
-    software: str
-    hardware: str
-    extensions: tuple[str, ...]
-
-
-def read_version(payload: bytes) -> Version:
-    """Read the answer to a poll of MON-VER.
+def read_version(payload: bytes) -> tuple[int, str]:
+    """Read the generation (8, 9, 10) and the software of a receiver from the answer to a poll of MON-VER.
 
     raises DeviceError: when the receiver belongs to no generation that can be configured here.
     """
@@ -45,7 +35,7 @@ def read_version(payload: bytes) -> Version:
             "8, 9 and 10 are",
             remedy="configure it with u-center and leave [link.ublox] out",
         )
-    return Version(generation, software, hardware, tuple(extensions))
+    return generation, software
 
 
 @dataclass(frozen=True)
@@ -64,14 +54,14 @@ class Step:
     expected: tuple[tuple[int, int], ...]
 
 
-def steps(version: Version, port: str, messages: tuple[str, ...], rate_ms: int) -> list[Step]:
+def steps(generation: int, port: str, messages: tuple[str, ...], rate_ms: int) -> list[Step]:
     """Return the requests that switch messages on and set the time between measurements.
 
     Settings go to the working memory only: they are gone with the next cold start.
     """
     from pyubx2 import POLL, SET, UBXMessage, cfgname2key
 
-    if version.generation >= 9:
+    if generation >= 9:
         wanted = [(f"CFG_MSGOUT_UBX_{name.replace('-', '_')}_{port.upper()}", 1) for name in messages]
         wanted.append(("CFG_RATE_MEAS", rate_ms))
         keys = tuple((int(cfgname2key(name)[0]), value) for name, value in wanted)

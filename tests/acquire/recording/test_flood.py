@@ -221,12 +221,12 @@ def test_datagrams_that_the_system_threw_away_are_counted() -> None:
     source.open(threading.Event())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for _ in range(2000):
-            sender.sendto(bytes(2000), ("127.0.0.1", source.local_port))
+            sender.sendto(bytes(2000), ("127.0.0.1", source._opened.getsockname()[1]))
     read = 0
     while source.read(0.01):
         read += 1
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        sender.sendto(b"last", ("127.0.0.1", source.local_port))
+        sender.sendto(b"last", ("127.0.0.1", source._opened.getsockname()[1]))
     assert source.read(1.0) == b"last"
     assert 0 < read < 2000
     assert read + source.missed == 2000

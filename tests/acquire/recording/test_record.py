@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 
 from acquire.log.recovery import recover
 from acquire.recording.reader import Arrival, Inbox, read_link
-from acquire.transports.sources import LinkLostError
+from acquire.transports.sources import LinkLostError, Source
 from drivers import ubx
 from tests.acquire.live import Recorder, await_frame, frames_in, free_port, is_bound, until
 
@@ -170,12 +170,11 @@ def test_a_file_that_cannot_grow_is_followed_by_the_next_and_nothing_is_lost(
     assert found == sent
 
 
-class FlakySource:
+class FlakySource(Source):
     """The twin of a port that vanishes and returns."""
 
-    peer, lossy, missed = "", False, 0
-
     def __init__(self, script: list[bytes | None]) -> None:
+        super().__init__()
         self._script = script
         self.opened = 0
 

@@ -92,7 +92,7 @@ def test_a_stream_of_a_server(scheme: str, server: Server) -> None:
 def test_datagrams_of_a_sender_that_moves() -> None:
     source = UdpSource("127.0.0.1", 0)
     source.open(threading.Event())
-    there = "127.0.0.1", source.local_port
+    there = "127.0.0.1", source._opened.getsockname()[1]
     assert source.read(0.01) == b""
     source.write(ANSWER)  # to nobody yet
     for _ in range(2):
