@@ -39,10 +39,11 @@ class ReceiverDialogue:
         notes: list[str] = []
         alarms: list[str] = []
         frames: tuple[bytes, ...] = ()
-        for row in [] if batch is None else (batch.wire == Wire.UBX).nonzero()[0].tolist():
+        for frame in batch or ():
             if self.finished:
                 break
-            frame = batch.frame(row)
+            if frame.wire != Wire.UBX:
+                continue
             try:
                 self._take(frame.kind, frame.data[6:-2], notes)
             except DeviceError as refusal:

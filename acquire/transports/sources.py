@@ -31,23 +31,17 @@ class LinkLostError(Exception):
 class Source(ABC):
     """Bytes of one link as they arrive, by a port that is open or not: a failure of it loses the link.
 
+    peer: who sent last, where that can change; otherwise empty.
     lossy: whether what is not read is lost without being counted.
+    missed: number of datagrams that the system could not hold until they were read.
     """
 
+    peer = ""
     lossy = False
+    missed = 0
 
     def __init__(self) -> None:
         self._port: Any = None
-
-    @property
-    def peer(self) -> str:
-        """Who sent last, where that can change; otherwise empty."""
-        return ""
-
-    @property
-    def missed(self) -> int:
-        """Number of datagrams that the system could not hold until they were read."""
-        return 0
 
     @abstractmethod
     def open(self, stop: threading.Event, /) -> None:
@@ -156,12 +150,13 @@ class UdpSource(Source):
         with _losing(OSError):
             try:
                 data, self._sender = port.recvfrom(PIECE_BYTES)
+                self.peer = f"{self._sender[0]}:{self._sender[1]}"
             except TimeoutError:
                 return b""
         return bytes(data)
 
     @property
-    def missed(self) -> int:
+    def missed(self) -> int:  # type: ignore[override]
         """Number of datagrams that the system could not hold; known on Linux."""
         if self._port is None or self.lossy:
             return self._missed_before
@@ -178,11 +173,6 @@ class UdpSource(Source):
         """Close the port."""
         self._missed_before = self.missed
         super().close()
-
-    @property
-    def peer(self) -> str:
-        """Address of the last sender; empty before the first."""
-        return f"{self._sender[0]}:{self._sender[1]}" if self._sender else ""
 
 
 class TcpSource(Source):

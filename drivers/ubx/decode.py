@@ -101,7 +101,8 @@ def civil_utc_ns(fields: Any) -> Integers:
     """Return UTC, nanoseconds since 1970, of calendar date and time as NAV-PVT and NAV-TIMEUTC tell them."""
     hours, minutes = fields["hour"].astype(np.int64), fields["min"].astype(np.int64)
     seconds = hours * 3600 + minutes * 60 + fields["sec"]
-    return utc_date_ns(fields["year"], fields["month"], fields["day"]) + seconds * SECOND_NS + fields["nano"]
+    date_ns = utc_date_ns(fields["year"], fields["month"], fields["day"])
+    return np.asarray(date_ns + seconds * SECOND_NS + fields["nano"])
 
 
 def decode(batch: Batch, kind: int) -> Messages:

@@ -261,32 +261,27 @@ def camera(
     Parameters are as the attributes of `Camera`.
     raises KeyError: for a name that is no parameter.
     """
-    values = np.zeros(len(PARAMETERS))
-    estimated = np.zeros(len(PARAMETERS), dtype=np.bool_)
-    sigma = np.full(len(PARAMETERS), np.inf)
     index = {name: i for i, name in enumerate(PARAMETERS)}
-    for name, value in parameters.items():
-        values[index[name]] = value
-    for name in estimate:
-        estimated[index[name]] = True
-    for name, value in (prior_sigma or {}).items():
-        sigma[index[name]] = value
-    deviation = np.zeros(len(PARAMETERS))
-    for name, value in (photo_variant or {}).items():
-        deviation[index[name]] = value
+
+    def row(named: dict[str, float] | None, other: float = 0.0) -> Floats:
+        values = np.full(len(PARAMETERS), other)
+        for name, value in (named or {}).items():
+            values[index[name]] = value
+        return values
+
     return Camera(
         camera_id,
         model,
         unit,
         size_px,
         pitch,
-        values,
-        estimated,
-        sigma,
+        row(parameters),
+        row(dict.fromkeys(estimate, 1.0)) > 0,
+        row(prior_sigma, np.inf),
         reference_radius,
         affinity or ("after" if MODELS[model].relative else "additive"),
         affinity_form,
-        deviation,
+        row(photo_variant),
         focus_m,
     )
 

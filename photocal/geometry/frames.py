@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.geometry.rotation import enu_axes
 
 
 class Frame(Protocol):
@@ -82,11 +83,7 @@ class ReferenceFrame:
     def _axes(self) -> tuple[Floats, Floats]:
         """Geocentric origin and rotation from geocentric to east, north, up."""
         longitude, latitude, _ = self._geodetic(self.origin[None])[0]
-        (sl, cl), (sb, cb) = (
-            (np.sin(np.radians(angle)), np.cos(np.radians(angle))) for angle in (longitude, latitude)
-        )
-        rotation = np.array([[-sl, cl, 0.0], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]])
-        return self._geocentric(self.origin[None])[0], rotation
+        return self._geocentric(self.origin[None])[0], enu_axes(latitude, longitude)
 
     def _geodetic(self, given: Floats) -> Floats:
         from pyproj.exceptions import ProjError

@@ -65,7 +65,8 @@ def interior_orientation(
     if kind == "conformal":
         matrix = _conformal(unit_readings, unit_known, mirrored)
     elif kind == "affine":
-        matrix = _affine(unit_readings, unit_known)
+        design = np.column_stack([unit_readings, np.ones(len(readings))])
+        matrix = np.vstack([np.linalg.lstsq(design, unit_known, rcond=None)[0].T, [0.0, 0.0, 1.0]])
     else:
         matrix = _projective(unit_readings, unit_known)
     matrix = np.linalg.inv(from_unit) @ matrix @ to_unit
@@ -109,12 +110,6 @@ def _normalised(system: Floats) -> tuple[Floats, Floats]:
 def _transform(matrix: Floats, plane: Floats) -> Floats:
     moved = np.asarray(plane, dtype=float) @ matrix[:, :2].T + matrix[:, 2]
     return np.asarray(moved[:, :2] / moved[:, 2:])
-
-
-def _affine(readings: Floats, known: Floats) -> Floats:
-    design = np.column_stack([readings, np.ones(len(readings))])
-    rows = np.linalg.lstsq(design, known, rcond=None)[0].T
-    return np.vstack([rows, [0.0, 0.0, 1.0]])
 
 
 def _conformal(readings: Floats, known: Floats, mirrored: bool) -> Floats:

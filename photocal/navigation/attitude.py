@@ -6,12 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Flags, Floats
-from photocal.geometry.rotation import object_to_body
+from photocal.geometry.rotation import TO_NED, object_to_body
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import LARGEST_GAP_S, local_mean_square
 
-# East, north, up to north, east, down.
-_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # A camera's own axes when its body's forward axis is the line of sight: x right, y up, z backwards.
 LINE_OF_SIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 _LEAST_TRIALS = 20
@@ -44,7 +42,7 @@ class Attitudes:
     @property
     def angles(self) -> Floats:
         """Roll, pitch, yaw of the body in north, east, down; radians, NaN where unknown (n, 3)."""
-        r = self.rotation @ _TO_NED
+        r = self.rotation @ TO_NED
         pitch = np.arcsin(np.clip(-r[:, 0, 2], -1.0, 1.0))
         return np.stack(
             [np.arctan2(r[:, 1, 2], r[:, 2, 2]), pitch, np.arctan2(r[:, 0, 1], r[:, 0, 0])], axis=1
@@ -91,7 +89,7 @@ class AttitudeTrack:
 def rotations_of_quaternions(wxyz: Floats) -> Floats:
     """Return rotations from east, north, up to body axes of quaternions (n, 4), w first, body to NED."""
     from_ned = Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).inv()
-    return np.asarray(from_ned.as_matrix() @ _TO_NED)
+    return np.asarray(from_ned.as_matrix() @ TO_NED)
 
 
 def at_instants(track: AttitudeTrack, time: GpsTime, sigma: Floats | None) -> Attitudes:

@@ -1,6 +1,6 @@
 """Least squares of GNSS baselines: coordinates of control points, with blunders found and named."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from drivers.arrays import Floats
 from drivers.errors import IllPosedError
 from photocal.adjustment.reliability import noncentrality
 from photocal.adjustment.solution import GlobalTest, global_test
-from photocal.navigation.trajectory import enu_axes, geodetic
+from photocal.navigation.trajectory import enu_axes_at
 
 # Two-sided 0.1 % for one component (Baarda 1968: alpha 0.001, beta 0.80 give lambda 17.075).
 CRITICAL = 3.2905
@@ -107,9 +107,8 @@ def adjust_baselines(baselines: list[Baseline], control: list[Mark]) -> NetworkS
         if suspect is None:
             break
         blunders.append(suspect[1])
-        rest = [b for i, b in enumerate(used) if i != suspect[0]]
-        used = rest
-    return NetworkSolution(**{**vars(solution), "blunders": blunders})
+        del used[suspect[0]]
+    return replace(solution, blunders=blunders)
 
 
 def _adjust(
@@ -123,8 +122,7 @@ def _adjust(
     design, reduced, weight = np.zeros((m, n)), np.zeros(m), np.zeros((m, m))
     axes = []
     for i, b in enumerate(baselines):
-        lat, lon, _ = geodetic(start[b.start][None])
-        turn = enu_axes(float(lat[0]), float(lon[0]))
+        turn = enu_axes_at(start[b.start])
         axes.append(turn)
         rows = slice(3 * i, 3 * i + 3)
         design[rows, place[b.start] : place[b.start] + 3] = -turn
@@ -173,7 +171,7 @@ def _adjust(
         detectable.reshape(-1, 3),
         _local(moved, np.stack([start[name] for name in names]), detectable),
         (detectable * np.sqrt(np.maximum(inner, 0.0))).reshape(-1, 3),
-        baselines,
+        list(baselines),
         [],
         dof,
         squared / dof if dof > 0 else float("nan"),
@@ -196,9 +194,7 @@ def _adjust(
 
 def _local(moved: Floats, places: Floats, detectable: Floats) -> Floats:
     """Return the effect of detectable errors on the marks, east, north, up (m, 3, n, 3)."""
-    lat, lon, _ = geodetic(places)
-    turn = np.array([enu_axes(a, b) for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
-    each = np.einsum("nij,njk->kni", turn, moved.reshape(len(places), 3, -1))
+    each = np.einsum("nij,njk->kni", enu_axes_at(places), moved.reshape(len(places), 3, -1))
     known = np.isfinite(detectable)
     effects = np.where(known[:, None, None], each * np.where(known, detectable, 0.0)[:, None, None], np.inf)
     return np.asarray(effects.reshape(-1, 3, len(places), 3))

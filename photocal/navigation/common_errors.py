@@ -1,11 +1,11 @@
 """Errors that all exposures of a flight share: base, lasting multipath, air between base and rover."""
 
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats
+from drivers.arrays import Floats, as_plain
 from photocal.navigation.engine_output import (
     PER_METRE,
     SatelliteResiduals,
@@ -13,7 +13,7 @@ from photocal.navigation.engine_output import (
     shift_by_zenith_delay,
 )
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_axes, geodetic
+from photocal.navigation.trajectory import Trajectory, geodetic
 from photocal.navigation.troposphere import DelayLapse, Weather, remaining_lapse
 
 
@@ -57,34 +57,13 @@ class CommonErrors:
         return np.zeros(3) if moved is None else moved * self.lapse.value
 
     def as_json(self) -> dict[str, Any]:
-        """Give them as a JSON value."""
-        moved = self.shift_by_zenith_delay
-        return {
-            "shift_sigma_m": self.shift_sigma_m.tolist(),
+        """Give them as a JSON value, which `drivers.arrays.from_plain` reads back."""
+        derived = {
+            "shift_sigma_m": self.shift_sigma_m,
             "zenith_scale_sigma": self.zenith_scale_sigma,
-            "correlation_time_s": self.correlation_time_s,
-            "base_sigma_m": None if self.base_sigma_m is None else self.base_sigma_m.tolist(),
-            "lasting_sigma_m": self.lasting_sigma_m.tolist(),
-            "base_height_m": self.base_height_m,
-            "lapse": vars(self.lapse),
-            "shift_by_zenith_delay": None if moved is None else moved.tolist(),
-            "correction_per_metre": self.correction_per_metre.tolist(),
+            "correction_per_metre": self.correction_per_metre,
         }
-
-    @classmethod
-    def from_json(cls, figures: dict[str, Any]) -> Self:
-        """Read what `as_json` gave."""
-        vectors = ("base_sigma_m", "lasting_sigma_m", "shift_by_zenith_delay")
-        given: dict[str, Any] = {
-            name: None if figures[name] is None else np.array(figures[name]) for name in vectors
-        }
-        lapse = DelayLapse(**figures["lapse"])
-        return cls(
-            correlation_time_s=figures["correlation_time_s"],
-            base_height_m=figures["base_height_m"],
-            lapse=lapse,
-            **given,
-        )
+        return dict(as_plain({**vars(self), **derived}))
 
     def corrected(self, trajectory: Trajectory) -> Trajectory:
         """Return a trajectory with the expected effect of the air between base and rover taken out.
@@ -94,13 +73,8 @@ class CommonErrors:
         """
         if not self.correction_per_metre.any():
             return trajectory
-        t = trajectory
-        above = t.height_m - self.base_height_m
-        offset = above[:, None] * self.correction_per_metre
-        # Axes of the flight's middle serve all its positions: corrections are centimetres.
-        axes = enu_axes(float(np.median(t.lat_deg)), float(np.median(t.lon_deg)))
-        place = geodetic(t.xyz_m + offset @ axes)
-        return replace(t, lat_deg=place[0], lon_deg=place[1], height_m=place[2])
+        above = trajectory.height_m - self.base_height_m
+        return trajectory.moved(above[:, None] * self.correction_per_metre)
 
 
 def common_errors(
@@ -112,7 +86,7 @@ def common_errors(
 ) -> CommonErrors:
     """Estimate what all positions of a flight share."""
     t = trajectory
-    (lat,), _, (height,) = geodetic(base_m[None])
+    lat, _, height = geodetic(base_m)
     lapse = remaining_lapse(float(lat), float(height), day_of_year(t.time), weather)
     lasts = correlation_time_s(satellites)
     moved = shift_by_zenith_delay(satellites)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,10 +68,6 @@ class EngineSolution(Geodetic):
         row = np.where(left <= right, place - 1, np.minimum(place, len(self) - 1))
         near = np.minimum(left, right) <= tolerance_ns
         return np.where(near, row, -1)
-
-    def with_quality(self, quality: Integers, covariance_m2: Floats) -> Self:
-        """Return the same positions with another judgement."""
-        return replace(self, quality=quality, covariance_m2=covariance_m2)
 
 
 def read_solution(path: Path) -> EngineSolution:
@@ -275,12 +270,11 @@ def static_position(forward: EngineSolution, combined: EngineSolution) -> Engine
     multipath: the root mean square of the way that the estimates of both directions lie from it is added.
     """
     last = forward.rows(np.array([len(forward) - 1]))
-    origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
     steady = combined.rows(combined.quality == last.quality[0])
-    apart = steady.offsets(origin)
+    apart = steady.offsets(last.place[0])
     wander = np.sqrt(np.mean(apart**2, axis=0)) if len(apart) else np.zeros(3)
     spread = np.maximum(wander, STATIC_FLOOR_M)
-    return last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
+    return replace(last, covariance_m2=last.covariance_m2 + np.diag(spread**2))
 
 
 def in_order(solution: EngineSolution) -> EngineSolution:

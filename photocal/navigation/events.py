@@ -20,7 +20,7 @@ from drivers.ubx import decode as ubx
 from photocal.navigation.device_clocks import AutopilotClock
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime
-from photocal.navigation.trajectory import enu_axes, geocentric, geodetic
+from photocal.navigation.trajectory import Placed
 
 RISING, FALLING = "rising", "falling"
 _COUNTER = 1 << 16
@@ -218,19 +218,12 @@ class CameraEventList:
     """Events with the position that the vehicle computed in flight.
 
     offset_enu_m (n, 3): from the antenna's phase centre to the camera's sensor, east, north, up.
-    lat_deg, lon_deg, height_m (n,): position of the camera as the vehicle computed it (the maker: after
-        compensation of the offset), ellipsoidal height.
-    sigma_enu_m (n, 3): standard deviations.
-    status: ``fixed``, ``float`` or ``single``.
+    placed: the camera as the vehicle computed it (the maker: after compensation of the offset).
     """
 
     events: Events
     offset_enu_m: Floats
-    lat_deg: Floats
-    lon_deg: Floats
-    height_m: Floats
-    sigma_enu_m: Floats
-    status: NDArray[np.str_]
+    placed: Placed
 
 
 def read_mrk(path: Path) -> CameraEventList:
@@ -265,21 +258,16 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
     count = t[:, 0].astype(np.int64)
     time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])
     events = Events(name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
-    return CameraEventList(
-        events,
-        np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3,
-        t[:, 6],
-        t[:, 7],
-        t[:, 8],
-        t[:, [10, 9, 11]],
+    n, sigma_enu_m = len(t), t[:, [10, 9, 11]]
+    lat, lon, height = t[:, 6:9].T
+    placed = Placed(
+        np.ones(n, bool),
+        np.zeros(n),
+        lat,
+        lon,
+        height,
+        np.full((n, 3), np.nan),
+        sigma_enu_m[:, :, None] ** 2 * np.eye(3),
         np.array([_STATUS.get(int(q), "single") for q in t[:, 12]], "U6"),
     )
-
-
-def moved(
-    lat_deg: Floats, lon_deg: Floats, height_m: Floats, offset_enu_m: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return geodetic positions moved by east, north, up offsets: from the antenna to the camera."""
-    at = geocentric(lat_deg, lon_deg, height_m)
-    turn = np.stack([enu_axes(a, b) for a, b in zip(lat_deg.tolist(), lon_deg.tolist(), strict=True)])
-    return geodetic(at + np.einsum("nji,nj->ni", turn, offset_enu_m))
+    return CameraEventList(events, np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3, placed)

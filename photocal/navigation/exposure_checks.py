@@ -15,7 +15,7 @@ from photocal.navigation.position_comparison import PositionPairs, compare_posit
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig, check_mounting
 from photocal.navigation.time import leap_seconds
-from photocal.navigation.trajectory import Trajectory, enu_offsets, interpolate
+from photocal.navigation.trajectory import Trajectory, enu_offsets, plainly
 from photocal.navigation.vehicle import VehicleTrack
 
 # Heights above sea level of autopilots drift by metres with the air pressure.
@@ -102,31 +102,29 @@ def _height_kind(e: Evidence) -> Finding:
 
 def _above_sea(e: Evidence) -> float | None:
     """Return by how much the trajectory lies above the autopilot's heights above sea level."""
-    if e.vehicle is None or e.trajectory is None or len(e.vehicle.position_time) < 2:
+    if e.vehicle is None or e.trajectory is None or len(e.vehicle.path) < 2:
         return None
-    v = e.vehicle
-    n = len(v.position_time)
-    ours = interpolate(e.trajectory, v.position_time, np.zeros(n), np.zeros((n, 3)))
+    path = e.vehicle.path
+    ours = plainly(e.trajectory, path.time)
     if not ours.placed.any():
         return None
-    return float(np.median((ours.height_m - v.height_msl_m)[ours.placed]))
+    return float(np.median((ours.height_m - path.height_m)[ours.placed]))
 
 
 def _autopilot_clock(e: Evidence) -> Finding:
     """Hold the autopilot's positions against the trajectory: a time offset lies along the velocity."""
     code = "autopilot-clock"
-    if e.vehicle is None or e.trajectory is None or len(e.vehicle.position_time) < 2:
+    if e.vehicle is None or e.trajectory is None or len(e.vehicle.path) < 2:
         return untested(code, "no-autopilot-positions")
-    v = e.vehicle
-    n = len(v.position_time)
-    ours = interpolate(e.trajectory, v.position_time, np.zeros(n), np.zeros((n, 3)))
+    path = e.vehicle.path
+    ours = plainly(e.trajectory, path.time)
     rows = ours.placed & (np.linalg.norm(np.nan_to_num(ours.velocity_m_s), axis=1) > 1.0)
     if rows.sum() < 20:
         return untested(code, "hardly-moved")
-    origin = np.array([np.mean(c[rows]) for c in (ours.lat_deg, ours.lon_deg, ours.height_m)])
+    origin = np.mean(ours.place[rows], axis=0)
     here = ours.rows(rows).offsets(origin)
     # Heights of an autopilot follow the air pressure: they say nothing of the time.
-    theirs = enu_offsets(v.lat_deg[rows], v.lon_deg[rows], ours.height_m[rows], origin)
+    theirs = enu_offsets(path.lat_deg[rows], path.lon_deg[rows], ours.height_m[rows], origin)
     unknown = np.full((int(rows.sum()), 3, 3), np.nan)
     pairs = PositionPairs(here, theirs, ours.velocity_m_s[rows] * [1, 1, 0], unknown, None, "shift")
     try:
@@ -164,8 +162,7 @@ def _sources(e: Evidence) -> list[tuple[str, Floats, str, str]]:
     n = len(e.antenna)
     sources = []
     if e.listed is not None and e.trajectory is not None:
-        place = np.stack([e.listed.lat_deg, e.listed.lon_deg, e.listed.height_m], axis=1)
-        sources.append(("vehicle-event-list", place, "shift", "camera"))
+        sources.append(("vehicle-event-list", e.listed.placed.place, "shift", "camera"))
     if e.trajectory is not None and e.events.claimed is not None:
         sources.append(("event-source", e.events.claimed[:, :3], "shift", "antenna"))
     by_name = {image.name: image.facts for image in e.images}

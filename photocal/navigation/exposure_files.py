@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import write_rows
+from acquire.outputs import output_picture, write_rows
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
+from photocal.geometry.rotation import enu_axes
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, Orientations, orientations
 from photocal.navigation.rig import Rig
-from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells, enu_axes, enu_offsets
+from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells, enu_offsets
 
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
 _SHOWN_GAP_S = 60.0
@@ -29,25 +30,19 @@ IMAGE_COLUMNS = (
 
 def plot_exposures(run: ExposureRun, path: Path) -> None:
     """Draw where the exposures lie on the track, their heights, the timing, and the epochs around them."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    track, height, timing, gaps = figure.subplots(2, 2).ravel()
     minutes = (run.exposures.time.ns - run.exposures.time.ns[0]) / 60e9
-    if run.exposures.placed.placed.any():
-        _places(run, minutes, track, height)
-    _timing(run, minutes, timing)
-    _gaps(run, minutes, gaps)
-    figure.savefig(path, dpi=120)
+    with output_picture(path, (11, 8), 10.0, 120) as figure:
+        track, height, timing, gaps = figure.subplots(2, 2).ravel()
+        if run.exposures.placed.placed.any():
+            _places(run, minutes, track, height)
+        _timing(run, minutes, timing)
+        _gaps(run, minutes, gaps)
 
 
 def _places(run: ExposureRun, minutes: Floats, track: Any, height: Any) -> None:
     p, t = run.exposures.placed, run.trajectory
     rows = p.placed
-    origin = np.array([np.mean(p.lat_deg[rows]), np.mean(p.lon_deg[rows]), np.mean(p.height_m[rows])])
+    origin = np.mean(p.place[rows], axis=0)
     if t is not None:
         east, north, _ = t.offsets(origin).T
         track.plot(east, north, "-", lw=0.5, color="0.7", zorder=0)
@@ -167,9 +162,9 @@ def _oriented(
 ) -> tuple[Integers, Floats, tuple[Floats, Floats], dict[str, Any]]:
     """Rows with images, their coordinates, angles with covariances, and the frame of all these."""
     rows, p = with_images(exposures), exposures.placed
-    lat, lon, height = p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows]
-    origin = np.array([np.mean(lat), np.mean(lon), np.mean(height)])
-    xyz, turn, frame = in_frame(lat, lon, height, origin, crs)
+    place = p.place[rows]
+    lat, lon, height = place.T
+    xyz, turn, frame = in_frame(lat, lon, height, np.mean(place, axis=0), crs)
     whole = orientations(exposures, rig)
     return rows, xyz, Orientations(whole.rotation[rows], whole.covariance[rows]).in_frame(turn), frame
 
@@ -193,8 +188,7 @@ def in_frame(
     """Coordinates, turns from local east, north, up, and the frame: a system, or topocentric at `origin`."""
     if crs is not None:
         return *projected(lat, lon, height, crs), {"frame": crs}
-    axes = enu_axes(float(origin[0]), float(origin[1]))
-    turn = np.array([axes @ enu_axes(a, b).T for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
+    turn = enu_axes(*origin[:2]) @ np.swapaxes(enu_axes(lat, lon), 1, 2)
     frame = {"frame": "local", "origin_lat_lon_height": origin.tolist()}
     return enu_offsets(lat, lon, height, origin), turn, frame
 

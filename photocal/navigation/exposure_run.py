@@ -1,14 +1,15 @@
 """The whole way from flight logs and images to exposures."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drivers.arrays import Floats, from_plain
 from drivers.errors import ConfigurationError
 from photocal.findings.finding import Finding
-from photocal.navigation.attitude import Attitudes
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.engine import Rtklib
@@ -23,7 +24,6 @@ from photocal.navigation.exposure_sources import (
     events_of,
     events_of_images,
     placed_by,
-    vehicle_positions,
 )
 from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_events, match_images
 from photocal.navigation.flight_log import FlightLog
@@ -34,7 +34,7 @@ from photocal.navigation.ppk_report import solved
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
 from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import HostTime
-from photocal.navigation.trajectory import Trajectory
+from photocal.navigation.trajectory import Trajectory, plainly
 from photocal.navigation.troposphere import measured_weather
 from photocal.navigation.vehicle import VehicleTrack, autopilot_time, read_vehicle
 from photocal.project import Project
@@ -116,7 +116,7 @@ def place_exposures(
     What the engine leaves of the air between base and rover is taken out of the positions.
     """
     if trajectory is not None and ppk is not None and "common" in ppk:
-        trajectory = CommonErrors.from_json(ppk["common"]).corrected(trajectory)
+        trajectory = from_plain(CommonErrors, ppk["common"]).corrected(trajectory)
     sources = choices.sources
     receivers = read_receivers(sources.log)
     gnss = _receiver_clock(receivers.get(sources.rover_link))
@@ -179,26 +179,24 @@ def _without_events(choices: Choices, flight: _Flight) -> ExposureRun:
         )
     if not choices.sources.log:
         events, placed = events_of_images(images)
-        by_name = {image.name: image for image in images}
         ordered = sorted(images, key=clock_time_s)
+        camera, vehicle, _ = attitudes_of_images(ordered, choices.rig)
         names = [image.name for image in ordered]
-        camera, vehicle, _ = attitudes_of_images([by_name[name] for name in names], choices.rig)
         made = at_events(events, placed, camera, events.accuracy_s, names, OF_IMAGES)
-        antenna = replace(
-            made, carrier=vehicle, above_take_off_m=_above_take_off([by_name[name] for name in names])
-        )
+        antenna = replace(made, carrier=vehicle, above_take_off_m=_above_take_off(ordered))
         return _judged(choices, flight, events, [], antenna, antenna, None, [], None)
-    vehicle_track = flight.vehicle
-    if vehicle_track is None or len(vehicle_track.position_time) < 2:
+    track = flight.vehicle
+    if track is None or len(track.path) < 2:
         raise ConfigurationError(
             "has no positions of an autopilot", where=choices.sources.log, remedy="check the log"
         )
     host = HostTime(np.array([round(clock_time_s(image) * 1e9) for image in images], np.int64))
-    time, sigma = autopilot_time(vehicle_track, host)
+    time, sigma = autopilot_time(track, host)
     events = Events("time of receipt in file names", time, np.arange(len(images)), sigma)
-    placed = vehicle_positions(vehicle_track, time)
-    flown: Attitudes = attitudes_of_vehicle(vehicle_track, time, choices.rig)
-    antenna = at_events(events, placed, flown, sigma, [image.name for image in images], SEA_LEVEL)
+    flown = attitudes_of_vehicle(track, time, choices.rig)
+    antenna = at_events(
+        events, plainly(track.path, time), flown, sigma, [image.name for image in images], SEA_LEVEL
+    )
     return _judged(choices, flight, events, [], antenna, antenna, None, [], None)
 
 
@@ -213,13 +211,12 @@ def _judged(
     cameras: list[CameraMatch],
     ppk: dict[str, Any] | None,
 ) -> ExposureRun:
-    # The file's positions are those of the camera already.
-    exposures = later if flight.listed is not None else at_camera(later, choices.rig)
-    rover = flight.receivers.get(choices.sources.rover_link)
-    clocks = [] if flight.vehicle is None else list(flight.vehicle.clocks)
-    gnss = _receiver_clock(rover)
-    clocks += [] if gnss is None else [gnss]
     vehicle, listed, images = flight.vehicle, flight.listed, flight.images
+    # The file's positions are those of the camera already.
+    exposures = later if listed is not None else at_camera(later, choices.rig)
+    rover = flight.receivers.get(choices.sources.rover_link)
+    gnss = _receiver_clock(rover)
+    clocks = [*([] if vehicle is None else vehicle.clocks), *([] if gnss is None else [gnss])]
     evidence = Evidence(choices.rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk)
     checks = check_exposures(evidence)
     if choices.oriented is not None:
@@ -242,13 +239,9 @@ def _receiver_clock(rover: ReceiverRecording | None) -> ComparedClocks | None:
     return device_by_arrival("GNSS time by the recording computer's clock (RXM-RAWX)", epochs, arrivals)
 
 
-def _above_take_off(images: list[ImageMetadata | None]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    return np.array(
-        [
-            np.nan if image is None or image.facts is None else image.facts.relative_altitude_m
-            for image in images
-        ]
-    )
+def _above_take_off(images: Sequence[ImageMetadata | None]) -> Floats:
+    facts = [None if image is None else image.facts for image in images]
+    return np.array([np.nan if fact is None else fact.relative_altitude_m for fact in facts])
 
 
 def choices_of_project(project: Project) -> Choices:
@@ -274,11 +267,9 @@ def choices_of_project(project: Project) -> Choices:
     )
     images = project.contents.images
     keys = project.contents.rig
-    rig = (
-        Rig()
-        if keys is None
-        else rig_of_mounting(keys.mounting(), np.radians(np.asarray(keys.attitude_sigma_deg, np.float64)))
-    )
+    rig = Rig()
+    if keys is not None:
+        rig = rig_of_mounting(keys.mounting(), np.radians(np.asarray(keys.attitude_sigma_deg, np.float64)))
     return Choices(
         sources,
         None if images is None else images.folder or images.times,

@@ -1,5 +1,6 @@
 """Where events, positions and attitudes of exposures come from, the best source first."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,6 @@ from photocal.navigation.events import (
     Events,
     boot_exposures,
     logged_exposures,
-    moved,
     time_marks,
 )
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
@@ -20,7 +20,7 @@ from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime, UtcTime
-from photocal.navigation.trajectory import Placed, Trajectory, interpolate
+from photocal.navigation.trajectory import Placed, Trajectory, interpolate, plainly
 from photocal.navigation.vehicle import VehicleTrack
 
 ELLIPSOIDAL, SEA_LEVEL = "ellipsoidal", "above mean sea level, as the autopilot computes it"
@@ -68,46 +68,15 @@ def placed_by(
         if listed is None:
             return placed, ELLIPSOIDAL
         # The file's own offsets lead from the antenna, which PPK gives, to the camera.
-        lat, lon, height = moved(placed.lat_deg, placed.lon_deg, placed.height_m, listed.offset_enu_m)
-        return replace(placed, lat_deg=lat, lon_deg=lon, height_m=height), ELLIPSOIDAL
+        return placed.moved(listed.offset_enu_m), ELLIPSOIDAL
     if listed is not None:
-        return _listed(listed), ELLIPSOIDAL
-    if vehicle is None or len(vehicle.position_time) < 2:
+        return listed.placed, ELLIPSOIDAL
+    if vehicle is None or len(vehicle.path) < 2:
         raise ConfigurationError(
             "nothing tells positions: neither raw frames of a rover and a base nor an autopilot's positions",
             remedy="give RINEX files, or a log with GLOBAL_POSITION_INT",
         )
-    return vehicle_positions(vehicle, events.time), SEA_LEVEL
-
-
-def _listed(listed: CameraEventList) -> Placed:
-    n = len(listed.events)
-    return Placed(
-        np.ones(n, bool),
-        np.zeros(n),
-        listed.lat_deg,
-        listed.lon_deg,
-        listed.height_m,
-        np.full((n, 3), np.nan),
-        listed.sigma_enu_m[:, :, None] ** 2 * np.eye(3),
-        listed.status,
-    )
-
-
-def vehicle_positions(vehicle: VehicleTrack, time: GpsTime) -> Placed:
-    """Return the autopilot's own positions at instants, between its messages; their sigma is not known."""
-    n, m = len(time), len(vehicle.position_time)
-    path = Trajectory(
-        vehicle.position_time,
-        vehicle.lat_deg,
-        vehicle.lon_deg,
-        vehicle.height_msl_m,
-        np.full(m, "single"),
-        np.full((m, 3, 3), np.nan),
-        np.full((m, 3), np.nan),
-        np.nan,
-    )
-    return interpolate(path, time, np.zeros(n), np.zeros((n, 3)))
+    return plainly(vehicle.path, events.time), SEA_LEVEL
 
 
 def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: Rig) -> Attitudes:
@@ -119,7 +88,9 @@ def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: Rig) 
     return replace(found, covariance=found.covariance + turn)
 
 
-def attitudes_of_images(images: list[ImageMetadata | None], rig: Rig) -> tuple[Attitudes, Attitudes, Flags]:
+def attitudes_of_images(
+    images: Sequence[ImageMetadata | None], rig: Rig
+) -> tuple[Attitudes, Attitudes, Flags]:
     """Return the attitudes that the images themselves state (XMP of gimbal and vehicle)."""
     facts = [None if image is None else image.facts for image in images]
     unknown = (np.nan, np.nan, np.nan)

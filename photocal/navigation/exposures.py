@@ -9,7 +9,7 @@ from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
 from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
 from photocal.navigation.attitude import Attitudes
-from photocal.navigation.events import Events, moved
+from photocal.navigation.events import Events
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
 from photocal.navigation.matching import Matching, match
 from photocal.navigation.rig import Rig
@@ -108,8 +108,6 @@ def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
     back = np.swapaxes(np.where(body.known[:, None, None], body.rotation, np.eye(3)), 1, 2)
     p = exposures.placed
     offset = -np.einsum("nij,j->ni", back, rig.lever_m)
-    lat, lon, height = p.lat_deg.copy(), p.lon_deg.copy(), p.height_m.copy()
-    lat[there], lon[there], height[there] = moved(lat[there], lon[there], height[there], offset[there])
     # The body turns by exp(-[t]x): -R' l changes by -R' [t]x l = R' [l]x t.
     jacobian = back @ skew(rig.lever_m)
     transposed = np.swapaxes(jacobian, 1, 2)
@@ -120,7 +118,7 @@ def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
         both = cross @ transposed
         covariance = covariance + both + np.swapaxes(both, 1, 2)
         cross = cross + jacobian @ body.covariance
-    placed = replace(p, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance)
+    placed = replace(p.moved(offset), covariance_m2=covariance)
     return replace(exposures, placed=placed, cross=cross)
 
 

@@ -1,6 +1,6 @@
 """Fixed must mean fixed: doubtful fixes become float, and float sigmas become honest."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import label
@@ -51,7 +51,7 @@ def judge(
     ratio: float,
 ) -> Judgement:
     """Validate the fixes of a combined solution and rescale the sigmas of the rest."""
-    origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
+    origin = combined.place[0]
     here = combined.offsets(origin)
     fore, back = forward.at(combined.time), backward.at(combined.time)
     difference = forward.offsets(origin)[fore] - backward.offsets(origin)[back]
@@ -82,7 +82,7 @@ def judge(
     quality = np.where(fixed & ~left, FLOAT, combined.quality)
     factor = _float_factor(forward, fore, backward, back, separation)
     covariance = _covariance(combined, quality, factor, separation)
-    judged = combined.with_quality(quality, covariance)
+    judged = replace(combined, quality=quality, covariance_m2=covariance)
     return Judgement(judged, demoted, factor, separation, directions, sigma)
 
 

@@ -64,8 +64,7 @@ def places_of(exposures: Exposures) -> Floats:
     known = p.placed
     if not known.any():
         return np.full((len(exposures), 3), np.nan)
-    origin = np.array([np.mean(c[known]) for c in (p.lat_deg, p.lon_deg, p.height_m)])
-    return p.offsets(origin)
+    return p.offsets(np.mean(p.place[known], axis=0))
 
 
 def stored_turns(pairs: list[PairRotation]) -> dict[int, int]:

@@ -1,5 +1,6 @@
 """Images of a flight with the times of their own clock: from EXIF and XMP, file names or a table."""
 
+import contextlib
 import csv
 import datetime as dt
 import math
@@ -45,29 +46,22 @@ def read_images(source: Path) -> list[ImageMetadata]:
     """
     if source.is_file():
         return _table(source)
-    return [read_image(path) for path in list_images(source)]
-
-
-def read_image(path: Path) -> ImageMetadata:
-    """Read the metadata of one image, see `read_images`."""
-    return image_of(path, read_facts(path))
+    return [image_of(path, read_facts(path)) for path in list_images(source)]
 
 
 def image_of(path: Path, facts: ImageFacts) -> ImageMetadata:
     """Metadata of an image that was read."""
     camera = " ".join(part for part in (facts.make, facts.model, facts.serial) if part) or "unknown"
-    if facts.taken:
-        found = _parsed(facts.taken)
-        time, resolution = (None, 1.0) if found is None else found
-        return ImageMetadata(path.name, camera, time, resolution, False, facts, path)
+    time: float | None = None
+    resolution, from_name = 1.0, False
     stamp = _IN_NAME.search(path.stem)
-    if stamp is None:
-        return ImageMetadata(path.name, camera, None, 1.0, False, facts, path)
-    try:
-        moment = dt.datetime.strptime(stamp[1], "%Y%m%d%H%M%S").replace(tzinfo=dt.UTC)
-    except ValueError:
-        return ImageMetadata(path.name, camera, None, 1.0, False, facts, path)
-    return ImageMetadata(path.name, camera, moment.timestamp() + int(stamp[2]) / 100, 0.01, True, facts, path)
+    if facts.taken:
+        time, resolution = _parsed(facts.taken) or (None, 1.0)
+    elif stamp is not None:
+        with contextlib.suppress(ValueError):
+            moment = dt.datetime.strptime(stamp[1], "%Y%m%d%H%M%S").replace(tzinfo=dt.UTC)
+            time, resolution, from_name = moment.timestamp() + int(stamp[2]) / 100, 0.01, True
+    return ImageMetadata(path.name, camera, time, resolution, from_name, facts, path)
 
 
 def clock_time_s(image: ImageMetadata) -> float:

@@ -271,7 +271,7 @@ def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: Rig, free
     known = p.placed & np.isfinite(theirs).all(axis=1)
     if known.sum() < 8:
         return untested(code, "few-common", {**beside, "n": float(known.sum())})
-    origin = np.array([np.mean(c[known]) for c in (p.lat_deg, p.lon_deg, p.height_m)])
+    origin = np.mean(p.place[known], axis=0)
     here = p.rows(known).offsets(origin)
     if free == "similarity":
         aligned = similarity(theirs[known], here)

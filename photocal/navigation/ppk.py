@@ -10,11 +10,11 @@ import numpy as np
 from acquire.console import numbers_of
 from drivers.arrays import Flags, Floats
 from drivers.errors import ConfigurationError, IllPosedError
+from photocal.geometry.rotation import enu_axes
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Mode, ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import (
     EngineSolution,
-    SatelliteResiduals,
     in_order,
     static_position,
     trajectory_of,
@@ -27,7 +27,7 @@ from photocal.navigation.precise_results import (
     read_antennas,
 )
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic
+from photocal.navigation.trajectory import Trajectory, enu_axes_at, geocentric, geodetic
 from photocal.navigation.troposphere import Weather
 
 # Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.
@@ -46,7 +46,7 @@ def between_directions(
     """Replace combined positions that lie apart from both directions."""
     # The engine now and then inverts a covariance that has lost its digits; its combination is then up to
     # some decimetres off although both directions agree.
-    origin = np.array([combined.lat_deg[0], combined.lon_deg[0], combined.height_m[0]])
+    origin = combined.place[0]
     here, fore, back = (s.offsets(origin) for s in (combined, forward, backward))
     f, b = forward.at(combined.time), backward.at(combined.time)
     # A direction with the worse status took no part.
@@ -65,12 +65,10 @@ def between_directions(
     larger = (variance[0] >= variance[1])[:, None, None]
     covariance = combined.covariance_m2.copy()
     covariance[off] = np.where(larger, forward.covariance_m2[f], backward.covariance_m2[b])
-    centre = geocentric(origin[None, 0], origin[None, 1], origin[None, 2])
-    place = [values.copy() for values in (combined.lat_deg, combined.lon_deg, combined.height_m)]
-    for values, moved in zip(place, geodetic(mean @ enu_axes(*origin[:2]) + centre), strict=True):
-        values[off] = moved
-    lat, lon, height = place
-    return (replace(combined, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance), off)
+    place = combined.place
+    place[off] = np.column_stack(geodetic(mean @ enu_axes(*origin[:2]) + geocentric(*origin)))
+    lat, lon, height = place.T
+    return replace(combined, lat_deg=lat, lon_deg=lon, height_m=height, covariance_m2=covariance), off
 
 
 @dataclass(frozen=True)
@@ -202,31 +200,23 @@ def process(
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         if mode == "static":
             both, whole = pool.map(run, ("combined", "forward"))
-            found = static_position(_differential(whole, inputs), _differential(both, inputs))
-            trajectory = trajectory_of(found, 0.0, inputs.base_m)
-            common = _common(inputs, trajectory, engine.satellite_residuals(mode, inputs.rover.path, folder))
-            return PpkResult(
-                inputs, options, mode, engine.name, found, None, trajectory, off_m, gaps, common=common
-            )
-        alone = pool.submit(engine.solve, "single", "forward", rover_alone, options, None, folder)
-        both, forward, backward = pool.map(run, ("combined", "forward", "backward"))
-        code = alone.result()
-    combined = _differential(both, inputs)
-    forward, backward = in_order(forward), in_order(backward)
-    combined, replaced = between_directions(combined, forward, backward)
-    judgement = judge(combined, forward, backward, code, options.ratio)
-    row = code.at(combined.time)
-    velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
-    trajectory = trajectory_of(judgement.solution, judgement.velocity_sigma_m_s, inputs.base_m, velocity)
-    common = _common(inputs, trajectory, engine.satellite_residuals(mode, inputs.rover.path, folder))
-    count = int(replaced.sum())
+            combined = static_position(_differential(whole, inputs), _differential(both, inputs))
+            judgement, count, trajectory = None, 0, trajectory_of(combined, 0.0, inputs.base_m)
+        else:
+            alone = pool.submit(engine.solve, "single", "forward", rover_alone, options, None, folder)
+            both, forward, backward = pool.map(run, ("combined", "forward", "backward"))
+            code, forward, backward = alone.result(), in_order(forward), in_order(backward)
+            combined, replaced = between_directions(_differential(both, inputs), forward, backward)
+            judgement, count = judge(combined, forward, backward, code, options.ratio), int(replaced.sum())
+            row = code.at(combined.time)
+            velocity = np.where((row >= 0)[:, None], code.velocity_m_s[row], np.nan)
+            sigma = judgement.velocity_sigma_m_s
+            trajectory = trajectory_of(judgement.solution, sigma, inputs.base_m, velocity)
+    satellites = engine.satellite_residuals(mode, inputs.rover.path, folder)
+    common = common_errors(trajectory, satellites, inputs.base_m, inputs.base_sigma_m, inputs.weather)
     return PpkResult(
         inputs, options, mode, engine.name, combined, judgement, trajectory, off_m, gaps, count, common
     )
-
-
-def _common(inputs: Inputs, trajectory: Trajectory, satellites: SatelliteResiduals) -> CommonErrors:
-    return common_errors(trajectory, satellites, inputs.base_m, inputs.base_sigma_m, inputs.weather)
 
 
 def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
@@ -256,7 +246,7 @@ def parse_position(text: str) -> Floats:
     lat, lon, height = numbers_of(text, "--base-position", form)
     if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 20_000):
         raise ConfigurationError(f"{text!r} is no position", where="--base-position", remedy=f"give {form}")
-    return np.asarray(geocentric(np.array([lat]), np.array([lon]), np.array([height]))[0])
+    return np.asarray(geocentric(lat, lon, height))
 
 
 def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Rtklib, folder: Path) -> Floats:
@@ -264,8 +254,7 @@ def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Rtklib, f
     alone = [inputs.base.path, *inputs.navigation]
     code = engine.solve("single", "forward", alone, options, None, folder)
     middle = np.median(code.xyz_m, axis=0)
-    lat, lon, _ = geodetic(inputs.base_m[None])
-    apart = enu_axes(float(lat[0]), float(lon[0])) @ (inputs.base_m - middle)
+    apart = enu_axes_at(inputs.base_m) @ (inputs.base_m - middle)
     off = float(np.linalg.norm(apart))
     if off > _BASE_LIMIT_M:
         raise IllPosedError(

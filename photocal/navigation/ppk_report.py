@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import write_json
+from acquire.outputs import output_picture, write_json
 from drivers.arrays import Floats
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
@@ -50,7 +50,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     rover, base = result.inputs.rover.time, result.inputs.base.time
     trajectory = result.trajectory
     first, last = max(rover.ns[0], base.ns[0]), min(rover.ns[-1], base.ns[-1])
-    lat, lon, height = (float(v[0]) for v in geodetic(result.inputs.base_m[None]))
+    lat, lon, height = (float(v) for v in geodetic(result.inputs.base_m))
     counts = {name: int((trajectory.status == name).sum()) for name in ("fixed", "float", "single")}
     say = catalogue("en")
     figures: dict[str, Any] = {
@@ -232,47 +232,42 @@ def _validation_text(validation: dict[str, Any]) -> list[str]:
 
 def plot_ppk(result: PpkResult, path: Path) -> None:
     """Draw track, height, separation of the directions and ratio."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib.figure import Figure
-
     t = result.trajectory
-    origin = np.array([np.median(t.lat_deg), np.median(t.lon_deg), np.median(t.height_m)])
-    east, north, _ = t.offsets(origin).T
+    east, north, _ = t.offsets(np.median(t.place, axis=0)).T
     minutes = (t.time.ns - t.time.ns[0]) / 60e9
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    track, height, apart, ratio = figure.subplots(2, 2).ravel()
-    for name, colour in (("single", "tab:red"), ("float", "tab:orange"), ("fixed", "tab:green")):
-        rows = t.status == name
-        track.plot(east[rows], north[rows], ".", ms=3, color=colour, label=f"{name} {int(rows.sum())}")
-        height.plot(minutes[rows], t.height_m[rows], ".", ms=3, color=colour)
-    track.set(
-        xlabel="east / m",
-        ylabel="north / m",
-        title="Track\n(fixed: centimetres; float: decimetres; single: metres)",
-        aspect="equal",
-    )
-    track.legend()
-    height.set(
-        xlabel="time / min", ylabel="ellipsoidal height / m", title="Height\n(colours as in the track)"
-    )
-    if result.judgement is not None:
-        for column, letter in enumerate("ENU"):
-            distance = np.abs(result.judgement.separation_m[:, column])
-            apart.semilogy(minutes, np.maximum(distance, 1e-4), ".", ms=2, label=letter)
-        apart.legend()
-    apart.set(
-        xlabel="time / min",
-        ylabel="|forward - backward| / m",
-        title="Separation of the directions\n(millimetres where both are fixed; more where one is float)",
-    )
-    ratio.semilogy(minutes, np.maximum(result.combined.ratio, 1.0), ".", ms=2)
-    ratio.axhline(result.options.ratio, color="k", lw=0.8, label=f"least for a fix: {result.options.ratio:g}")
-    ratio.legend()
-    ratio.set(
-        xlabel="time / min",
-        ylabel="ratio",
-        title="Ratio test of the ambiguities\n(second best to best; fixes lie above the line)",
-    )
-    figure.savefig(path, dpi=120)
+    with output_picture(path, (11, 8), 10.0, 120) as figure:
+        track, height, apart, ratio = figure.subplots(2, 2).ravel()
+        for name, colour in (("single", "tab:red"), ("float", "tab:orange"), ("fixed", "tab:green")):
+            rows = t.status == name
+            track.plot(east[rows], north[rows], ".", ms=3, color=colour, label=f"{name} {int(rows.sum())}")
+            height.plot(minutes[rows], t.height_m[rows], ".", ms=3, color=colour)
+        track.set(
+            xlabel="east / m",
+            ylabel="north / m",
+            title="Track\n(fixed: centimetres; float: decimetres; single: metres)",
+            aspect="equal",
+        )
+        track.legend()
+        height.set(
+            xlabel="time / min", ylabel="ellipsoidal height / m", title="Height\n(colours as in the track)"
+        )
+        if result.judgement is not None:
+            for column, letter in enumerate("ENU"):
+                distance = np.abs(result.judgement.separation_m[:, column])
+                apart.semilogy(minutes, np.maximum(distance, 1e-4), ".", ms=2, label=letter)
+            apart.legend()
+        apart.set(
+            xlabel="time / min",
+            ylabel="|forward - backward| / m",
+            title="Separation of the directions\n(millimetres where both are fixed; more where one is float)",
+        )
+        ratio.semilogy(minutes, np.maximum(result.combined.ratio, 1.0), ".", ms=2)
+        ratio.axhline(
+            result.options.ratio, color="k", lw=0.8, label=f"least for a fix: {result.options.ratio:g}"
+        )
+        ratio.legend()
+        ratio.set(
+            xlabel="time / min",
+            ylabel="ratio",
+            title="Ratio test of the ambiguities\n(second best to best; fixes lie above the line)",
+        )

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError, reading
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import enu_axes, geodetic
+from photocal.navigation.trajectory import enu_axes_at
 
 _GPS_EPOCH = dt.date(1980, 1, 6)
 _EPOCH_3 = pattern(r"> (\d{4}) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2}\d\.\d+)")
@@ -135,8 +135,7 @@ class PreciseResult:
     @property
     def sigma_enu_m(self) -> Floats:
         """Standard deviations east, north, up, shape (3,)."""
-        lat, lon, _ = geodetic(self.position_m[None])
-        turn = enu_axes(float(lat[0]), float(lon[0]))
+        turn = enu_axes_at(self.position_m)
         return np.asarray(np.sqrt(np.diag(turn @ self.covariance_m2 @ turn.T)))
 
     @property
@@ -177,8 +176,7 @@ def _of_csrs(lines: list[str]) -> PreciseResult:
         for column, text in enumerate(cells[first + 1 + total : first + 1 + total + row]):
             correlation[row, column] = correlation[column, row] = float(text)
     local = correlation * np.outer(sigma, sigma) + np.diag(whole**2 - sigma**2)
-    lat, lon, _ = geodetic(position[None])
-    north_east_up = enu_axes(float(lat[0]), float(lon[0]))[[1, 0, 2]]
+    north_east_up = enu_axes_at(position)[[1, 0, 2]]
     covariance = north_east_up.T @ local @ north_east_up
     return PreciseResult(position, covariance, rows["X"][2], _year(rows["X"][3]))
 

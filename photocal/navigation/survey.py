@@ -10,6 +10,7 @@ from pydantic import Field
 from acquire.checked_toml import Table
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError
+from photocal.geometry.rotation import enu_axes
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajectory_of
@@ -18,7 +19,7 @@ from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, wit
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
-from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric
+from photocal.navigation.trajectory import Trajectory, geocentric
 from photocal.navigation.troposphere import measured_weather
 from photocal.project import AirAtBase
 
@@ -133,7 +134,7 @@ def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
 
 
 def _mark(mark: KnownMark) -> Mark:
-    xyz = geocentric(np.array([mark.lat_deg]), np.array([mark.lon_deg]), np.array([mark.height_m]))[0]
+    xyz = geocentric(mark.lat_deg, mark.lon_deg, mark.height_m)
     axes = enu_axes(mark.lat_deg, mark.lon_deg)
     return Mark(mark.name, xyz, axes.T @ np.diag(np.square(mark.sigma_m)) @ axes)
 
@@ -237,9 +238,8 @@ def _duration(minutes: float, survey: Survey) -> dict[str, Any]:
 
 def _earth_centred(t: Trajectory) -> tuple[Floats, Floats]:
     """Return the position of a static run and its covariance in earth-centred axes."""
-    axes = enu_axes(float(t.lat_deg[0]), float(t.lon_deg[0]))
-    place = t.xyz_m[0]
-    return np.asarray(place), np.asarray(axes.T @ t.covariance_m2[0] @ axes)
+    axes = enu_axes(*t.place[0, :2])
+    return t.xyz_m[0], np.asarray(axes.T @ t.covariance_m2[0] @ axes)
 
 
 def _precise_point(
@@ -261,9 +261,7 @@ def _precise_point(
             remedy="check that the products cover the observations",
         )
     last = epochs.rows(np.array([len(epochs) - 1]))
-    origin = np.array([last.lat_deg[0], last.lon_deg[0], last.height_m[0]])
-    half = epochs.rows(np.arange(len(epochs) // 2, len(epochs)))
-    way = half.offsets(origin)
+    way = epochs.rows(np.arange(len(epochs) // 2, len(epochs))).offsets(last.place[0])
     spread = np.maximum(np.sqrt(np.mean(way**2, axis=0)), 10 * STATIC_FLOOR_M)
-    settled = last.with_quality(last.quality, last.covariance_m2 + np.diag(spread**2))
-    return trajectory_of(settled, 0.0, geocentric(*origin[:, None])[0])
+    settled = replace(last, covariance_m2=last.covariance_m2 + np.diag(spread**2))
+    return trajectory_of(settled, 0.0, last.xyz_m[0])

@@ -10,7 +10,7 @@ from drivers.arrays import Floats
 from photocal.adjustment.ellipses import ellipses
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
-from photocal.navigation.trajectory import enu_axes, geodetic
+from photocal.navigation.trajectory import enu_axes_at, geodetic
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
 _PROBABILITY = 0.95
@@ -57,7 +57,7 @@ def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
 
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
     lat, lon, height = geodetic(solution.xyz_m)
-    local = _local_covariances(solution, lat, lon)
+    local = _local_covariances(solution)
     found = ellipses(local, _PROBABILITY)
     return [
         {
@@ -73,8 +73,8 @@ def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
     ]
 
 
-def _local_covariances(solution: NetworkSolution, lat: Floats, lon: Floats) -> Floats:
-    turn = np.array([enu_axes(a, b) for a, b in zip(lat.tolist(), lon.tolist(), strict=True)])
+def _local_covariances(solution: NetworkSolution) -> Floats:
+    turn = enu_axes_at(solution.xyz_m)
     blocks = np.array(
         [solution.covariance_m2[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(len(solution.names))]
     )
@@ -88,7 +88,7 @@ def _finite(values: Floats) -> list[float | None]:
 def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict[str, Any]:
     """Write the block's `points.csv` with full covariances; return the frame of its coordinates."""
     lat, lon, height = geodetic(solution.xyz_m)
-    local = _local_covariances(solution, lat, lon)
+    local = _local_covariances(solution)
     xyz, turn, frame = in_frame(lat, lon, height, np.array([lat[0], lon[0], height[0]]), crs)
     rows = []
     for i, name in enumerate(solution.names):

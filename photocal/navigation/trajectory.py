@@ -1,13 +1,15 @@
 """Positions of an antenna, and between two epochs, with what the interpolation adds to their uncertainty."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.outputs import write_rows
 from drivers.arrays import Columns, Flags, Floats, Integers
+from photocal.geometry.rotation import enu_axes
 from photocal.navigation.time import GpsTime
 
 COLUMNS = (
@@ -37,6 +39,21 @@ class Geodetic(Columns):
     def xyz_m(self) -> Floats:
         """Earth-centred coordinates (n, 3)."""
         return geocentric(self.lat_deg, self.lon_deg, self.height_m)
+
+    @property
+    def place(self) -> Floats:
+        """Latitude, longitude and height (n, 3)."""
+        return np.stack([self.lat_deg, self.lon_deg, self.height_m], axis=1)
+
+    def placed_at(self, xyz_m: Floats) -> Self:
+        """Return the same at other places, earth-centred (n, 3)."""
+        lat, lon, height = geodetic(xyz_m)
+        return replace(self, lat_deg=lat, lon_deg=lon, height_m=height)  # type: ignore[type-var]
+
+    def moved(self, offset_enu_m: Floats) -> Self:
+        """Return the same moved by offsets east, north, up (n, 3): from the antenna to the camera."""
+        turn = enu_axes(self.lat_deg, self.lon_deg)
+        return self.placed_at(self.xyz_m + np.einsum("nji,nj->ni", turn, offset_enu_m))
 
     def offsets(self, origin: Floats) -> Floats:
         """Return topocentric east, north, up (n, 3) about a place (latitude, longitude, height)."""
@@ -86,32 +103,26 @@ def write_trajectory(path: Path, trajectory: Trajectory) -> None:
 
 def enu_offsets(lat_deg: Floats, lon_deg: Floats, height_m: Floats, origin: Floats) -> Floats:
     """Return topocentric east, north, up of geodetic positions on WGS 84."""
-    centre = geocentric(origin[None, 0], origin[None, 1], origin[None, 2])[0]
-    return np.asarray((geocentric(lat_deg, lon_deg, height_m) - centre) @ enu_axes(*origin[:2]).T)
-
-
-def enu_axes(lat_deg: float, lon_deg: float) -> Floats:
-    """Return the rotation (3, 3) from earth-centred to east, north, up axes."""
-    (sb, cb), (sl, cl) = ((np.sin(a), np.cos(a)) for a in np.radians([lat_deg, lon_deg]))
-    return np.array([[-sl, cl, 0.0], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]])
-
-
-def geocentric(lat_deg: Floats, lon_deg: Floats, height_m: Floats) -> Floats:
-    """Return earth-centred coordinates (n, 3) of geodetic ones on WGS 84 (Bowring 1976, section 1)."""
-    lat, lon = np.radians(lat_deg), np.radians(lon_deg)
-    normal = _SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(lat) ** 2)
-    return np.stack(
-        [
-            (normal + height_m) * np.cos(lat) * np.cos(lon),
-            (normal + height_m) * np.cos(lat) * np.sin(lon),
-            (normal * (1 - _ECCENTRICITY2) + height_m) * np.sin(lat),
-        ],
-        axis=-1,
+    return np.asarray(
+        (geocentric(lat_deg, lon_deg, height_m) - geocentric(*origin)) @ enu_axes(*origin[:2]).T
     )
 
 
+def enu_axes_at(xyz_m: Floats) -> Floats:
+    """Return the rotations (..., 3, 3) to east, north, up at earth-centred places (..., 3)."""
+    return enu_axes(*geodetic(xyz_m)[:2])
+
+
+def geocentric(lat_deg: Floats | float, lon_deg: Floats | float, height_m: Floats | float) -> Floats:
+    """Return earth-centred coordinates (..., 3) of geodetic ones on WGS 84 (Bowring 1976, section 1)."""
+    lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+    normal = _SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(lat) ** 2)
+    level, up = (normal + height_m) * np.cos(lat), (normal * (1 - _ECCENTRICITY2) + height_m) * np.sin(lat)
+    return np.stack([level * np.cos(lon), level * np.sin(lon), up], axis=-1)
+
+
 def geodetic(xyz_m: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return latitude, longitude (deg) and ellipsoidal height (m) of earth-centred coordinates (n, 3).
+    """Return latitude, longitude (deg) and ellipsoidal height (m) of earth-centred coordinates (..., 3).
 
     Iteration of the latitude (Torge and Mueller 2012, eq. 4.31), exact to 1e-12 rad near the earth.
     """
@@ -220,9 +231,7 @@ def interpolate(
     own = q * (gap**1.5 * (4 * u * (1 - u)) ** 1.5)[:, None]
     covariance = covariance + own[:, :, None] ** 2 * np.eye(3)
     covariance = covariance + time_sigma_s[:, None, None] ** 2 * velocity[:, :, None] * velocity[:, None, :]
-    axes = enu_axes(origin[0], origin[1])
-    centre = geocentric(origin[None, 0], origin[None, 1], origin[None, 2])[0]
-    lat, lon, height = geodetic(position @ axes + centre)
+    lat, lon, height = geodetic(position @ enu_axes(*origin[:2]) + geocentric(*origin))
     rank = np.array([{"fixed": 0, "float": 1}.get(s, 2) for s in trajectory.status.tolist()])
     worse = np.maximum(rank[before], rank[after])
     blank = np.where(placed, 1.0, np.nan)
@@ -238,10 +247,14 @@ def interpolate(
     )
 
 
+def plainly(trajectory: Trajectory, time: GpsTime) -> Placed:
+    """Return positions at instants whose uncertainty is not asked for."""
+    return interpolate(trajectory, time, np.zeros(len(time)), np.zeros((len(time), 3)))
+
+
 def _local(trajectory: Trajectory) -> tuple[Floats, Floats]:
-    t = trajectory
-    origin = np.array([np.median(t.lat_deg), np.median(t.lon_deg), np.median(t.height_m)])
-    return t.offsets(origin), origin
+    origin = np.median(trajectory.place, axis=0)
+    return trajectory.offsets(origin), origin
 
 
 def _hermite(

@@ -1,6 +1,6 @@
 """What the autopilot itself recorded: its positions and attitudes, by its own clock."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +19,7 @@ from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
 from photocal.navigation.time_sync import Received, TimeSync, VehicleClocks, vehicle_clocks
+from photocal.navigation.trajectory import Trajectory
 
 _STRAY_NS = 5_000_000_000
 _MILLISECOND_NS = 1_000_000
@@ -32,8 +33,8 @@ _KINDS = (*_TRACKS, "SYSTEM_TIME", "TIMESYNC", "GPS_RAW_INT")
 class VehicleTrack:
     """Positions and attitudes of the first autopilot of a log, in the order of its own clock.
 
-    position_time: by the autopilot's clock, never by arrival.
-    lat_deg, lon_deg, height_msl_m (n,): height above sea level as the autopilot computes it.
+    path: by the autopilot's clock, never by arrival; heights above sea level as the autopilot computes them.
+    position_host: arrival of its positions.
     attitude: rotations; of ATTITUDE and ATTITUDE_QUATERNION the one with more messages.
     clock_sigma_s: standard deviation of the autopilot's UTC.
     clocks: what is known of its clock and that of the recording computer.
@@ -43,11 +44,8 @@ class VehicleTrack:
     mounting: what its parameters tell of antenna and camera mount.
     """
 
-    position_time: GpsTime
+    path: Trajectory
     position_host: HostTime
-    lat_deg: Floats
-    lon_deg: Floats
-    height_msl_m: Floats
     attitude: AttitudeTrack | None
     clock_sigma_s: float = 0.0
     clocks: list[ComparedClocks] = field(default_factory=list)
@@ -69,13 +67,10 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
     p = tracks["GLOBAL_POSITION_INT"]
     none = np.empty(0, np.int64)
     scale = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3}
-    lat, lon, height = (np.empty(0) if p is None else p[2][key] * unit for key, unit in scale.items())
+    place = [np.empty(0) if p is None else p[2][key] * unit for key, unit in scale.items()]
     return VehicleTrack(
-        UtcTime(none if p is None else p[1]).to_gps(),
+        path_of(UtcTime(none if p is None else p[1]).to_gps(), place),
         HostTime(none if p is None else p[0]),
-        lat,
-        lon,
-        height,
         _attitude(tracks),
         0.0 if clock is None else clock.sigma_s,
         clocks.compared,
@@ -89,15 +84,19 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
 def _of_topics(log: FlightLog, link: str) -> VehicleTrack:
     utc, host, place = decoded_positions(log, link)
     return VehicleTrack(
-        UtcTime(utc).to_gps(),
+        path_of(UtcTime(utc).to_gps(), place.T),
         HostTime(host),
-        place[:, 0],
-        place[:, 1],
-        place[:, 2],
         decoded_attitude(log, link),
         _CARD_SIGMA_S,
         mounting=told_mounting(log, link),
     )
+
+
+def path_of(time: GpsTime, place: Sequence[Floats] | Floats) -> Trajectory:
+    """Return the autopilot's own latitudes, longitudes and heights as a path; their sigma is not known."""
+    n, (lat, lon, height) = len(time), place
+    unknown = np.full((n, 3, 3), np.nan)
+    return Trajectory(time, lat, lon, height, np.full(n, "single"), unknown, unknown[:, 0], np.nan)
 
 
 def _received(log: FlightLog, link: str | None) -> dict[str, Received]:
@@ -238,7 +237,7 @@ def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats
         return UtcTime(utc).to_gps(), np.hypot(sigma, more)
     arrival = track.position_host.ns
     order = np.argsort(arrival, kind="stable")
-    arrival, device = arrival[order], track.position_time.ns[order]
+    arrival, device = arrival[order], track.path.time.ns[order]
     after = np.clip(np.searchsorted(arrival, host.ns, side="right"), 1, max(len(arrival) - 1, 1))
     before = after - 1
     span = np.maximum(arrival[after] - arrival[before], 1)

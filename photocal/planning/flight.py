@@ -54,7 +54,7 @@ def best_azimuth(corners_m: Floats) -> float:
     hull = corners_m[ConvexHull(corners_m).vertices]
     sides = np.roll(hull, -1, axis=0) - hull
     azimuths = np.arctan2(sides[:, 0], sides[:, 1]) % math.pi
-    widths = [float(np.ptp(_across(hull, float(azimuth)))) for azimuth in azimuths]
+    widths = [float(np.ptp(_turned(hull, float(azimuth))[:, 1])) for azimuth in azimuths]
     return float(azimuths[int(np.argmin(widths))])
 
 
@@ -70,8 +70,8 @@ def plan_strips(
     """Cover a polygon, and a border about it, with parallel strips, flown to and fro."""
     if not (spacing_m > 0.0 and base_m > 0.0 and run_out_m >= 0.0 and border_m >= 0.0):
         raise ConfigurationError("the distances of strips and exposures must be positive")
-    along, across = _along(corners_m, azimuth_rad), _across(corners_m, azimuth_rad)
-    width, length = float(np.ptp(across)) + 2.0 * border_m, float(np.ptp(along))
+    rotated = _turned(corners_m, azimuth_rad)
+    length, width = (np.ptp(rotated, axis=0) + (0.0, 2.0 * border_m)).tolist()
     run_out_m += border_m
     count = max(1, math.ceil(width / spacing_m - 1e-9)) + 1
     if count * ((length + 2.0 * run_out_m) / base_m + 2.0) > _MOST_EXPOSURES:
@@ -79,9 +79,8 @@ def plan_strips(
             f"the plan would need more than {_MOST_EXPOSURES} exposures",
             remedy="look at height, overlap and area",
         )
-    lines = np.linspace(across.min() - border_m, across.max() + border_m, count)
+    lines = np.linspace(rotated[:, 1].min() - border_m, rotated[:, 1].max() + border_m, count)
     half = (lines[1] - lines[0]) / 2.0 + border_m
-    rotated = np.column_stack((along, across))
     strips = []
     for number, line in enumerate(lines):
         first, last = _extent_in_band(rotated, float(line - half), float(line + half))
@@ -90,21 +89,15 @@ def plan_strips(
         steps: Floats = middle + (np.arange(exposures, dtype=np.float64) - (exposures - 1) / 2.0) * base_m
         if number % 2:
             steps = steps[::-1]
-        strips.append(Strip(_to_plane(steps, float(line), azimuth_rad), height_m))
+        places = np.column_stack((steps, np.full(exposures, line)))
+        strips.append(Strip(_turned(places, azimuth_rad), height_m))
     return tuple(strips)
 
 
-def _along(points: Floats, azimuth: float) -> Floats:
-    return np.asarray(points @ np.array([math.sin(azimuth), math.cos(azimuth)]))
-
-
-def _across(points: Floats, azimuth: float) -> Floats:
-    return np.asarray(points @ np.array([math.cos(azimuth), -math.sin(azimuth)]))
-
-
-def _to_plane(along: Floats, across: float, azimuth: float) -> Floats:
+def _turned(points: Floats, azimuth: float) -> Floats:
+    """Turn east and north to along and across a flying direction, or back: it is its own inverse."""
     sine, cosine = math.sin(azimuth), math.cos(azimuth)
-    return np.column_stack((along * sine + across * cosine, along * cosine - across * sine))
+    return np.asarray(points @ np.array([[sine, cosine], [cosine, -sine]]))
 
 
 def _extent_in_band(rotated: Floats, low: float, high: float) -> tuple[float, float]:
@@ -290,10 +283,8 @@ def _candidates(corners: Floats, margin: float) -> Floats:
 def _corner_candidates(candidates: Floats, corners: Floats) -> list[int]:
     """Find the candidates farthest out in the four directions between the axes of the area."""
     azimuth = best_azimuth(corners)
-    along = np.array([math.sin(azimuth), math.cos(azimuth)])
-    across = np.array([along[1], -along[0]])
     # In units of the extent, so that the corners of a long area are its four corners too.
-    frame = np.column_stack([candidates @ axis / np.ptp(corners @ axis) for axis in (along, across)])
+    frame = _turned(candidates, azimuth) / np.ptp(_turned(corners, azimuth), axis=0)
     directions = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
     return list(dict.fromkeys(np.argmax(frame @ directions.T, axis=0).tolist()))
 

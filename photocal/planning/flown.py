@@ -78,38 +78,19 @@ def flown_block(
     parts = _cells_of_pixels(images, ground)
     below = _ground_below(images.station, ground)
     height = images.station[:, 2] - below
-    pixel = np.array(
-        [math.sqrt(camera.pitch[0] * camera.pitch[1]) / camera.values[0] for camera in images.cameras]
-    )
+    pixel = np.array([math.sqrt(math.prod(camera.pitch)) / camera.values[0] for camera in images.cameras])
     gsd = height * pixel[images.camera]
     tilt = np.arccos(np.clip(images.rotation[:, 2, 2], -1.0, 1.0))
     unknown = np.full(len(images), np.nan)
-    forward = np.array(
-        [
-            _share(parts[i], seen[i + 1]) if i + 1 < len(images) and strip[i] == strip[i + 1] else np.nan
-            for i in range(len(images))
-        ]
-    )
-    smear = np.array(
-        [
-            smear_px(time, speed, own)
-            for time, speed, own in zip(
-                unknown if exposure_s is None else exposure_s,
-                unknown if speed_m_s is None else speed_m_s,
-                gsd,
-                strict=True,
-            )
-        ]
-    )
+    forward = unknown.copy()
+    for i in np.flatnonzero(strip[1:] == strip[:-1]).tolist():
+        forward[i] = _share(parts[i], seen[i + 1])
+    exposure, speed = (unknown if values is None else values for values in (exposure_s, speed_m_s))
+    smear = smear_px(exposure, speed, gsd)
     rays = np.bincount(np.concatenate([*seen, np.zeros(0, np.int64)]), minlength=len(ground.places))
     side = _side_overlaps(images.station, height, strip, seen, parts)
     inside = _below_the_flight(images.station, ground)
     return FlownBlock(images.names, strip, height, gsd, tilt, forward, side, smear, ground, rays, inside)
-
-
-def level_ground(images: OrientedImages, height_m: float) -> Ground:
-    """Take the ground as level: before any point of it is known."""
-    return _cells(images, height_m)
 
 
 def ground_through(images: OrientedImages, points: Floats) -> Ground:
@@ -122,7 +103,7 @@ def ground_through(images: OrientedImages, points: Floats) -> Ground:
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 3:
         raise IllPosedError("fewer than three points tell no ground", remedy="give the height of the ground")
-    ground = _cells(images, float(np.median(points[:, 2])))
+    ground = level_ground(images, float(np.median(points[:, 2])))
     plane = ground.places[:, :2]
     inner = LinearNDInterpolator(points[:, :2], points[:, 2])(plane)
     outer = NearestNDInterpolator(points[:, :2], points[:, 2])(plane)
@@ -220,7 +201,8 @@ def _circle(station: Floats, border: Floats, low: float, high: float) -> tuple[F
     return station[:2] + middle, float(np.linalg.norm(reach - middle, axis=1).max())
 
 
-def _cells(images: OrientedImages, height_m: float) -> Ground:
+def level_ground(images: OrientedImages, height_m: float) -> Ground:
+    """Take the ground as level: before any point of it is known."""
     circles = [
         _circle(at, border, height_m, height_m)
         for at, border in zip(images.station, _directions(images, _BORDER), strict=True)

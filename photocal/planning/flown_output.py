@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_folder, write_json, write_rows
+from acquire.outputs import output_folder, output_picture, write_json, write_rows
 from drivers.arrays import Floats
 from photocal.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
 from photocal.planning.flown import FEWEST_RAYS, FlownBlock, gaps
@@ -79,20 +79,11 @@ def write_flown(
 
     raises OutputError: when the folder cannot be written.
     """
-    columns = (
-        block.height_m,
-        block.gsd_m,
-        np.degrees(block.tilt_rad),
-        block.forward,
-        block.smear_px,
-        speed_m_s,
-    )
-    rows = [
-        (name, int(strip), *values)
-        for name, strip, values in zip(
-            block.names, block.strip, np.column_stack(columns).tolist(), strict=True
-        )
-    ]
+    tilt_deg = np.degrees(block.tilt_rad)
+    columns = (block.height_m, block.gsd_m, tilt_deg, block.forward, block.smear_px, speed_m_s)
+    numbers = np.column_stack(columns).tolist()
+    named = zip(block.names, block.strip.tolist(), numbers, strict=True)
+    rows = [(name, strip, *values) for name, strip, values in named]
     with output_folder(folder) as aside:
         write_json(aside / "flown.json", figures)
         cells = (
@@ -137,28 +128,19 @@ def _cells(block: FlownBlock, to_given: Callable[[Floats], Floats]) -> list[Feat
 
 def _draw(block: FlownBlock, stations: Floats, path: Path) -> None:
     """Draw how many images show each place, with the stations and the gaps."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     ground = block.ground
-    rays = np.where(block.rays > 0, block.rays, np.nan).reshape(-1, ground.columns)
+    shape = (-1, ground.columns)
+    rays = np.where(block.rays > 0, block.rays, np.nan).reshape(shape)
     half = ground.cell_m / 2.0
-    west, south = ground.places[0, :2] - half
-    east, north = ground.places[-1, :2] + half
-    with mpl.rc_context({"svg.hashsalt": "photocal", "svg.fonttype": "path", "font.size": 8}):
-        figure = Figure(figsize=(6.7, 6.0), layout="constrained")
+    (west, south), (east, north) = ground.places[0, :2] - half, ground.places[-1, :2] + half
+    extent = (west, east, south, north)
+    with output_picture(path, (6.7, 6.0)) as figure:
         axes = figure.add_subplot()
-        shown = axes.imshow(rays, origin="lower", extent=(west, east, south, north), cmap="viridis")
-        axes.contour(
-            block.inside.reshape(-1, ground.columns), [0.5], colors="black", linewidths=0.8,
-            extent=(west, east, south, north),
-        )  # fmt: skip
+        shown = axes.imshow(rays, origin="lower", extent=extent, cmap="viridis")
+        axes.contour(block.inside.reshape(shape), [0.5], colors="black", linewidths=0.8, extent=extent)
         for strip in np.unique(block.strip):
-            mine = block.strip == strip
-            axes.plot(*stations[mine, :2].T, ".-", color="white", markersize=3, linewidth=0.6)
+            axes.plot(*stations[block.strip == strip, :2].T, ".-", color="white", markersize=3, linewidth=0.6)
         for x, y, _ in gaps(block):
             axes.plot([x], [y], "x", color="red", markersize=8)
-        axes.set_xlabel("m")
-        axes.set_ylabel("m")
+        axes.set(xlabel="m", ylabel="m")
         figure.colorbar(shown, ax=axes, shrink=0.8, label="images that show a place")
-        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})

@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 
 Side = Literal["columns", "rows"]
+Figure = TypeVar("Figure", float, Floats)
 
 # Konecny: from here on tilt changes the overlap; 5 degrees is the conventional tolerance of vertical
 # photographs (Alves Junior et al. 2015, section 4).
@@ -85,7 +87,7 @@ def exposure_interval(base_m: float, ground_speed_m_s: float) -> float:
     return base_m / ground_speed_m_s
 
 
-def smear_px(exposure_s: float, ground_speed_m_s: float, gsd_m: float) -> float:
+def smear_px(exposure_s: Figure, ground_speed_m_s: Figure, gsd_m: Figure) -> Figure:
     """Give the smear of the image by the motion during the exposure."""
     return exposure_s * ground_speed_m_s / gsd_m
 

@@ -143,11 +143,8 @@ def waypoint_file(items: tuple[Item, ...], home: Home) -> str:
 
 
 def _places(flight: Flight, points_m: Floats) -> list[tuple[float, float]]:
-    latitude, longitude = flight.plane.to_degrees(points_m)
-    return [
-        (float(np.round(lat, 8)), float(np.round(lon, 8)))
-        for lat, lon in zip(latitude, longitude, strict=True)
-    ]
+    places = np.round(np.column_stack(flight.plane.to_degrees(points_m)), 8)
+    return [(latitude, longitude) for latitude, longitude in places.tolist()]
 
 
 def _waypoint(place: tuple[float, float], height_m: float) -> Item:
@@ -214,10 +211,9 @@ def write_plan(
 def _exposures(flight: Flight) -> str:
     lines = ["strip,exposure,lat_deg,lon_deg,height_above_ground_m"]
     for number, strip in enumerate(flight.strips, start=1):
-        latitude, longitude = flight.plane.to_degrees(strip.exposures_m)
         lines += [
-            f"{number},{exposure},{lat:.8f},{lon:.8f},{strip.height_m:.2f}"
-            for exposure, (lat, lon) in enumerate(zip(latitude, longitude, strict=True), start=1)
+            f"{number},{exposure},{latitude:.8f},{longitude:.8f},{strip.height_m:.2f}"
+            for exposure, (latitude, longitude) in enumerate(_places(flight, strip.exposures_m), start=1)
         ]
     return "\n".join(lines) + "\n"
 
@@ -226,17 +222,11 @@ def _map(flight: Flight, layout: Layout) -> dict[str, Any]:
     """GeoJSON (RFC 7946) of area, strips and suggested points."""
 
     def positions(points_m: Floats) -> list[list[float]]:
-        latitude, longitude = flight.plane.to_degrees(points_m)
-        return [
-            [round(float(lon), 8), round(float(lat), 8)] for lat, lon in zip(latitude, longitude, strict=True)
-        ]
+        return [[longitude, latitude] for latitude, longitude in _places(flight, points_m)]
 
     def feature(geometry: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
-        return {
-            "type": "Feature",
-            "geometry": {"type": geometry, "coordinates": coordinates},
-            "properties": properties,
-        }
+        shape = {"type": geometry, "coordinates": coordinates}
+        return {"type": "Feature", "geometry": shape, "properties": properties}
 
     ring = positions(flight.corners_m)
     features = [feature("Polygon", [[*ring, ring[0]]], kind="area")]

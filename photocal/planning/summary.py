@@ -113,43 +113,30 @@ def remarks(
 
 def to_text(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ...]) -> str:
     """Write a planned flight for people."""
-    return "\n".join(
-        [
-            _heading(flight),
-            *(_level_text(level) for level in flight.levels),
-            *(_budget_text(target) for target in targets),
-            *(f"* {finding_text(finding, catalogue('en'))}" for finding in said),
-        ]
-    )
-
-
-def _heading(flight: Flight) -> str:
-    return (
+    area = (
         f"area {flight.area_m2 / 1e4:.2f} ha, {len(flight.strips)} strips, azimuth "
         f"{math.degrees(flight.azimuth_rad) % 180.0:.1f} deg, {flight.exposures} photos, "
         f"{flight.distance_m / 1e3:.2f} km, {flight.duration_s / 60.0:.1f} min at "
         f"{flight.wish.speed_m_s:g} m/s without take-off and return"
     )
-
-
-def _level_text(level: LevelGeometry) -> str:
-    width, height = level.footprint_m
-    sigma = level.precision
-    return (
-        f"height {level.height_m:.2f} m above ground: scale 1:{level.scale_denominator:.0f}, "
-        f"GSD {level.gsd_m * 100.0:.2f} cm\n"
-        f"  footprint {width:.1f} x {height:.1f} m ({width * height / 1e4:.2f} ha), "
-        f"base {level.base_m:.2f} m, strips {level.strip_spacing_m:.2f} m apart, "
-        f"a photo every {level.exposure_interval_s:.2f} s\n"
-        f"  expected from one pair, at 95 % of the image sides, 0.5 px: sigma X {sigma.x_m:.3f}, "
-        f"Y {sigma.y_m:.3f}, Z {sigma.z_m:.3f}, plane {sigma.plane_m:.3f} m\n"
-        f"  limit dz of the ministry's form: {level.dz_m * 100.0:.2f} cm"
-    )
-
-
-def _budget_text(target: Target) -> str:
-    stages = ", ".join(f"{name} {allowed:.3f} m" for name, allowed in error_budget(target.ep_m).items())
-    return f"error budget, {target.name}: {stages}"
+    lines = [area]
+    for level in flight.levels:
+        width, height = level.footprint_m
+        sigma = level.precision
+        lines.append(
+            f"height {level.height_m:.2f} m above ground: scale 1:{level.scale_denominator:.0f}, "
+            f"GSD {level.gsd_m * 100.0:.2f} cm\n"
+            f"  footprint {width:.1f} x {height:.1f} m ({width * height / 1e4:.2f} ha), "
+            f"base {level.base_m:.2f} m, strips {level.strip_spacing_m:.2f} m apart, "
+            f"a photo every {level.exposure_interval_s:.2f} s\n"
+            f"  expected from one pair, at 95 % of the image sides, 0.5 px: sigma X {sigma.x_m:.3f}, "
+            f"Y {sigma.y_m:.3f}, Z {sigma.z_m:.3f}, plane {sigma.plane_m:.3f} m\n"
+            f"  limit dz of the ministry's form: {level.dz_m * 100.0:.2f} cm"
+        )
+    for target in targets:
+        stages = ", ".join(f"{name} {allowed:.3f} m" for name, allowed in error_budget(target.ep_m).items())
+        lines.append(f"error budget, {target.name}: {stages}")
+    return "\n".join([*lines, *(f"* {finding_text(finding, catalogue('en'))}" for finding in said)])
 
 
 def _level(level: LevelGeometry) -> dict[str, Any]:

@@ -13,15 +13,15 @@ from mcap.reader import make_reader
 
 from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import Host, Recorded, record
-from acquire.transports.sources import LinkLostError
+from acquire.transports.sources import LinkLostError, Source
 from tests.acquire.live import until
 
 
-class Script:
+class Script(Source):
     """The twin of a port: gives what it is told to give, and keeps what was written."""
 
     def __init__(self, pieces: list[bytes | str]) -> None:
-        self.peer, self.lossy, self.missed = "", False, 0
+        super().__init__()
         self.written: list[bytes] = []
         self._pieces = pieces
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import record
+from acquire.transports.sources import Source
 from drivers import rtcm3
 from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
@@ -25,11 +26,11 @@ _METRES_PER_DEG = 111_195.0
 _BASE = (47.5006, 8.5011, 480.0)
 
 
-class Line:
+class Line(Source):
     """The twin of a port: gives what was put on it."""
 
     def __init__(self) -> None:
-        self.peer, self.lossy, self.missed = "", False, 0
+        super().__init__()
         self._pieces: Queue[bytes] = Queue()
 
     def put(self, data: bytes) -> None:

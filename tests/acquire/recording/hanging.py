@@ -7,6 +7,8 @@ import socket
 import threading
 import time
 
+from acquire.transports.sources import Source
+
 
 class HangingServer:
     """A server that gives one byte in 50 ms and never comes to an end.
@@ -67,10 +69,8 @@ class FullServer:
             line.close()
 
 
-class DeadPort:
+class DeadPort(Source):
     """A port whose driver does not come back for seconds."""
-
-    peer, lossy, missed = "", False, 0
 
     def open(self, _stop: threading.Event) -> None:
         pass

@@ -19,7 +19,6 @@ from photocal.navigation.events import (
     RISING,
     listed_in,
     logged_exposures,
-    moved,
     read_mrk,
     time_marks,
 )
@@ -28,7 +27,7 @@ from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import read_receivers
 from photocal.navigation.time import WEEK_NS, GpsTime, HostTime
-from photocal.navigation.vehicle import VehicleTrack
+from photocal.navigation.vehicle import VehicleTrack, path_of
 from tests.photocal.navigation.conftest import ImportLog, Run
 
 NEW_RISING_UTC, NEW_FALLING_UTC = 241, 117
@@ -98,11 +97,12 @@ def test_static_rover(m8p: Path, import_log: ImportLog) -> None:
 def test_event_list(shared: Path) -> None:
     found = read_mrk(shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk")
     assert len(found.events) == 176
-    assert (found.status == "fixed").all()
+    assert (found.placed.status == "fixed").all()
     assert (found.events.time.ns // WEEK_NS == 2211).all()
     # First line by hand: 3,N 0,E 75,V mm (north, east, down) and sigmas 0.014391, 0.013698, 0.029694.
     assert found.offset_enu_m[0].tolist() == [0.0, 0.003, -0.075]
-    assert found.sigma_enu_m[0].tolist() == [0.013698, 0.014391, 0.029694]
+    sigma = np.sqrt(np.diag(found.placed.covariance_m2[0]))
+    assert sigma == pytest.approx([0.013698, 0.014391, 0.029694])
 
 
 def test_offsets_from_antenna_to_camera(tmp_path: Path) -> None:
@@ -114,7 +114,7 @@ def test_offsets_from_antenna_to_camera(tmp_path: Path) -> None:
     )
     path.write_text(row)
     found = read_mrk(path)
-    lat, lon, height = moved(found.lat_deg, found.lon_deg, found.height_m, found.offset_enu_m)
+    lat, lon, height = found.placed.moved(found.offset_enu_m).place.T
     assert lat[0] == pytest.approx(1 / 110574.276, rel=1e-4)
     assert lon[0] == pytest.approx(2 / 111319.491, rel=1e-4)
     assert height[0] == pytest.approx(97.0, abs=1e-5)
@@ -152,7 +152,7 @@ def test_events_of_autopilot_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     rows += [Row("TRIG", 1.6e9 + k - 0.1, k) for k in range(4)]
     monkeypatch.setattr(FlightLog, "_read", lambda _: exposure_messages(rows, 0))
     none, empty = np.empty(0, np.int64), np.empty(0)
-    vehicle = VehicleTrack(GpsTime(none), HostTime(none), empty, empty, empty, None, 0.007)
+    vehicle = VehicleTrack(path_of(GpsTime(none), (empty,) * 3), HostTime(none), None, 0.007)
     best, others = events_of(Sources(), "rising", {}, vehicle)
     assert best is not None
     assert (best.source, len(best)) == ("CAM", 3)

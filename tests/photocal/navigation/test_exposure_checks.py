@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from photocal.findings.finding import Finding
+from photocal.geometry.rotation import enu_axes
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_checks import Evidence, check_exposures
@@ -18,8 +19,8 @@ from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime, HostTime
-from photocal.navigation.trajectory import Trajectory, enu_axes, geocentric, geodetic, interpolate
-from photocal.navigation.vehicle import VehicleTrack
+from photocal.navigation.trajectory import Trajectory, geocentric, geodetic, interpolate
+from photocal.navigation.vehicle import VehicleTrack, path_of
 from tests.photocal.findings.english import english
 
 Floats = NDArray[np.float64]
@@ -176,10 +177,9 @@ def evidence(path: Trajectory, late_s: float = 0.0, **changed: object) -> Eviden
     n = len(truth)
     late = GpsTime(truth.time.ns - round(late_s * 1e9))
     place = rng.normal(0, 0.3, (n, 2)) / 1.1e5
-    vehicle = VehicleTrack(
-        late, HostTime(late.ns), truth.lat_deg + place[:, 0], truth.lon_deg + place[:, 1],
-        truth.height_m - GEOID + rng.normal(1.5, 0.5, n), None,
-    )  # fmt: skip
+    height = truth.height_m - GEOID + rng.normal(1.5, 0.5, n)
+    path_of_vehicle = path_of(late, (truth.lat_deg + place[:, 0], truth.lon_deg + place[:, 1], height))
+    vehicle = VehicleTrack(path_of_vehicle, HostTime(late.ns), None)
     rover = ReceiverRecording("rover", geoid_m=[GEOID + 0.7])
     ppk = {"base": {"up_off_code_solution_m": 1.0}}
     made = Evidence(Rig(), events, [], exposures, path, rover, vehicle, None, [], ppk)
@@ -218,7 +218,7 @@ def test_no_clock_is_blamed_for_positions_that_wander() -> None:
         wander = lfilter([1.0], [1.0, -keep], steps, axis=0)[500:] * 2.5 / 1.1e5
         lat, lon = path.lat_deg + wander[:, 0], path.lon_deg + wander[:, 1]
         assert made.vehicle is not None
-        vehicle = replace(made.vehicle, lat_deg=lat, lon_deg=lon)
+        vehicle = replace(made.vehicle, path=replace(made.vehicle.path, lat_deg=lat, lon_deg=lon))
         check = verdict(replace(made, vehicle=vehicle), "autopilot-clock")
         surely = abs(check.figures["late_s"]) > check.figures["detectable_s"]
         assert (check.severity == "grave") == surely

@@ -144,13 +144,13 @@ def test_autopilot_time_orders_the_data(shared: Path, import_log: ImportLog) -> 
     log = import_log("dronekit", {"vehicle": shared / "data/mavlink-tlog-dronekit/flight.tlog"})
     track = read_vehicle(FlightLog((log,)))
     # Of 2833 messages 150 came before the autopilot knew the date.
-    assert len(track.position_time) == 2682
-    assert (np.diff(track.position_time.ns) > 0).all()
+    assert len(track.path.time) == 2682
+    assert (np.diff(track.path.time.ns) > 0).all()
     # Host less autopilot runs over two seconds: arrival would place the vehicle metres away.
-    late = (track.position_host.ns - track.position_time.to_utc().ns) / 1e9
+    late = (track.position_host.ns - track.path.time.to_utc().ns) / 1e9
     # README of the data: from -1.82 s to +0.38 s.
     assert (late.min(), late.max()) == pytest.approx((-1.82, 0.38), abs=0.02)
-    assert track.position_time[[0]].to_utc().iso()[0].startswith("2015-07-05 00:27")
+    assert track.path.time[[0]].to_utc().iso()[0].startswith("2015-07-05 00:27")
 
 
 @pytest.mark.shared
@@ -175,7 +175,7 @@ def test_logs_from_an_autopilots_card(
     assert track.attitude is not None
     assert (len(track.attitude), track.attitude.source) == (attitudes, source)
     assert track.attitude.time.to_utc().iso()[0].startswith(day)
-    assert (np.median(track.lat_deg), np.median(track.lon_deg)) == pytest.approx(place, abs=0.01)
+    assert (np.median(track.path.lat_deg), np.median(track.path.lon_deg)) == pytest.approx(place, abs=0.01)
     # On the ground or in level flight: the body's down axis is down.
     assert np.median(track.attitude.rotation[:, 2, 2]) < -0.95
     assert track.clock_sigma_s > 0
@@ -250,5 +250,5 @@ def test_decoded_topics_say_the_same_as_raw_frames(shared: Path, import_log: Imp
     assert np.abs(decoded.time.ns[place] - raw.attitude.time.ns[100:900]).max() < 150_000_000
     assert np.abs(decoded.rotation[place] - raw.attitude.rotation[100:900]).max() < 1e-6
     utc, _, position = decoded_positions(FlightLog((log,)), "vehicle")
-    assert len(utc) >= len(raw.position_time) - 2
-    assert np.median(position[:, 0]) == pytest.approx(np.median(raw.lat_deg), abs=1e-5)
+    assert len(utc) >= len(raw.path) - 2
+    assert np.median(position[:, 0]) == pytest.approx(np.median(raw.path.lat_deg), abs=1e-5)

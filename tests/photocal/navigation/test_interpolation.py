@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from photocal.geometry.rotation import enu_axes
 from photocal.navigation.events import RISING, time_marks
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.receiver_recording import read_receivers
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import (
     Trajectory,
-    enu_axes,
     enu_offsets,
     geocentric,
     geodetic,

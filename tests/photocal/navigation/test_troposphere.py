@@ -14,6 +14,7 @@ from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.session import simulate
 from acquire.simulate.gnss.settings import ROVER, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
+from drivers.arrays import from_plain
 from drivers.errors import ConfigurationError
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.engine import Rtklib
@@ -165,7 +166,7 @@ def test_common_errors_survive_a_file() -> None:
         remaining_lapse(-25.4, 913.9, 166.0),
         np.array([0.1, -0.1, 2.7]),
     )
-    again = CommonErrors.from_json(common.as_json())
+    again = from_plain(CommonErrors, common.as_json())
     assert again.as_json() == common.as_json()
     assert again.shift_sigma_m == pytest.approx([0.0102, 0.0102, 0.0204], abs=1e-4)
 
