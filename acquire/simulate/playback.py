@@ -128,36 +128,35 @@ class FlightClock:
 
 
 class _Tape:
-    """Gives the frames of a line as they become due."""
+    """Gives the frames of a line as they become due by the clock of the flight."""
 
-    def __init__(self, line: Wire) -> None:
-        self._line = line
+    def __init__(self, name: str, line: Wire, clock: FlightClock) -> None:
+        self.name, self.line, self.clock = name, line, clock
         self._next = 0
 
-    def until(self, time_s: float) -> list[int]:
+    def due(self) -> range:
         """Give the numbers of the frames that have become due."""
-        after = int(np.searchsorted(self._line.arrival_s, time_s, side="right"))
-        numbers = list(range(self._next, after))
+        after = int(np.searchsorted(self.line.arrival_s, self.clock.flight_s(), side="right"))
+        numbers = range(self._next, after)
         self._next = max(self._next, after)
         return numbers
 
 
-class FlownReceiver:
+class FlownReceiver(Receiver):
     """A receiver that sends what it recorded in flight, and answers to settings as a receiver does."""
 
     def __init__(self, name: str, line: Wire, clock: FlightClock) -> None:
-        self._name, self._line, self._clock = name, line, clock
-        self._tape = _Tape(line)
-        self._answers = Receiver()
+        super().__init__()
+        self._tape = _Tape(name, line, clock)
 
     def due(self, _time_s: float) -> bytes:
         """Return what is sent of its own accord."""
-        return b"".join(self._line.frames[k] for k in self._tape.until(self._clock.flight_s()))
+        return b"".join(self._tape.line.frames[k] for k in self._tape.due())
 
     def receive(self, data: bytes, time_s: float) -> bytes:
         """Take bytes of the host; return the answers."""
-        answer = self._answers.receive(data, time_s)
-        self._clock.heard(self._name)
+        answer = super().receive(data, time_s)
+        self._tape.clock.heard(self._tape.name)
         return answer
 
 
@@ -171,8 +170,7 @@ class FlownAutopilot(Autopilot):
         self, name: str, line: Wire, clock: FlightClock, *, parameters: Mapping[str, float] | None = None
     ) -> None:
         super().__init__(parameters)
-        self._name, self._line, self._clock = name, line, clock
-        self._tape = _Tape(line)
+        self._tape = _Tape(name, line, clock)
         self._seeds = ardupilotmega().seeds
         # Damage leaves some frames without a message.
         self._kinds = [
@@ -186,23 +184,22 @@ class FlownAutopilot(Autopilot):
 
     def due(self, time_s: float) -> bytes:
         """Return what is sent of its own accord."""
-        flight_s = self._clock.flight_s()
-        if flight_s < 0:
+        if self._tape.clock.flight_s() < 0:
             # Standing by: heartbeats alone, whatever was asked for.
             return super().due(time_s)
-        return b"".join(self._numbered(k) for k in self._tape.until(flight_s) if self._wanted(k))
+        return b"".join(self._numbered(k) for k in self._tape.due() if self._wanted(k))
 
     def receive(self, data: bytes, time_s: float) -> bytes:
         """Take bytes of the ground station; return the answers."""
         answer = super().receive(data, time_s)
-        self._clock.heard(self._name)
+        self._tape.clock.heard(self._tape.name)
         return answer
 
     def _offered(self) -> Collection[int]:
         return self._period_s.keys()
 
     def _boot_ns(self, time_s: float) -> int:  # noqa: ARG002 - the flight has its own time
-        return round(max(self._clock.flight_s(), 0.0) * 1e9) + 1
+        return round(max(self._tape.clock.flight_s(), 0.0) * 1e9) + 1
 
     def _wanted(self, number: int) -> bool:
         """Tell whether a frame is sent: of a message that is asked for less often, every n-th."""
@@ -217,7 +214,7 @@ class FlownAutopilot(Autopilot):
         return sent
 
     def _numbered(self, number: int) -> bytes:
-        frame, kind = self._line.frames[number], self._kinds[number]
+        frame, kind = self._tape.line.frames[number], self._kinds[number]
         seed = self._seeds.get(kind)
         if kind < 0 or frame[5:7] != _AUTOPILOT or seed is None:
             return frame

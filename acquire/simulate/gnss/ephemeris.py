@@ -7,7 +7,7 @@ Sources: IS-GPS-200N, tables 20-I and 20-III; Galileo OS SIS ICD 2.1, tables 63 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -112,18 +112,8 @@ class Ephemeris:
         return self.week * _WEEK_NS + round(self.value("toe") * SECOND_NS)
 
 
-def quantised(
-    system: str,
-    number: int,
-    wished: Mapping[str, float],
-    toe_gps_ns: int,
-    *,
-    issue: int,
-    health: int,
-    accuracy: int,
-    from_gps_ns: int,
-) -> Ephemeris:
-    """Return the ephemeris that comes nearest to wished parameters."""
+def quantised(system: str, wished: Mapping[str, float], toe_gps_ns: int) -> tuple[int, dict[str, int]]:
+    """Return the week and the transmitted integers that come nearest to wished parameters."""
     week, of_week = divmod(toe_gps_ns, _WEEK_NS)
     seconds = of_week / SECOND_NS
     fields = fields_of(system)
@@ -133,8 +123,7 @@ def quantised(
         for name, value in wished.items()
     }
     whole |= {"toe": seconds, "toc": seconds}
-    raw = {name: fields[name].quantise(value) for name, value in whole.items()}
-    return Ephemeris(system, number, int(week), issue, health, accuracy, raw, from_gps_ns)
+    return int(week), {name: fields[name].quantise(value) for name, value in whole.items()}
 
 
 def _within_half_turn(angle: float, field: Field) -> float:
@@ -160,16 +149,8 @@ def renewed(old: Ephemeris, toe_gps_ns: int, *, issue: int, from_gps_ns: int) ->
     # omega0 is counted from the Greenwich meridian at the beginning of the week that toe lies in.
     weeks = toe_gps_ns // _WEEK_NS - old.week
     wished["omega0"] -= weeks * WEEK_S * EARTH_RATE_RAD_S
-    return quantised(
-        old.system,
-        old.number,
-        wished,
-        toe_gps_ns,
-        issue=issue,
-        health=old.health,
-        accuracy=old.accuracy,
-        from_gps_ns=from_gps_ns,
-    )
+    week, raw = quantised(old.system, wished, toe_gps_ns)
+    return replace(old, week=week, issue=issue, raw=raw, from_gps_ns=from_gps_ns)
 
 
 def gravity(system: str) -> float:

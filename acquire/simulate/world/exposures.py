@@ -37,11 +37,6 @@ class Rig:
         """Rotation from body to camera axes, shape (3, 3)."""
         return np.asarray(Rotation.from_rotvec(self.boresight).as_matrix() @ NADIR)
 
-    @property
-    def antenna_from_imu_m(self) -> Floats:
-        """From the inertial unit to the antenna, body axes."""
-        return CAMERA_FROM_IMU_M + self.camera_to_antenna_m
-
 
 def make_rig(given: configuration.Rig, random: np.random.Generator) -> Rig:
     """Draw the true rig around what the surveyor believes of it, with the sigmas that he states."""
@@ -73,7 +68,9 @@ def pose_at(motion: Motion, rig: Rig, time_s: Floats) -> Pose:
 def antenna_at(motion: Motion, rig: Rig, time_s: Floats) -> Floats:
     """Give positions of the antenna in the local frame, shape (n, 3)."""
     body = motion.to_body(time_s)
-    return np.asarray(motion.position(time_s) + np.swapaxes(body, 1, 2) @ rig.antenna_from_imu_m)
+    return np.asarray(
+        motion.position(time_s) + np.swapaxes(body, 1, 2) @ (CAMERA_FROM_IMU_M + rig.camera_to_antenna_m)
+    )
 
 
 def antenna_velocity(motion: Motion, rig: Rig, time_s: Floats, step_s: float = 1e-3) -> Floats:

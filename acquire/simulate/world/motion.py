@@ -86,37 +86,27 @@ def _crossing(area: Floats, right: Floats, along: Floats, across: float) -> tupl
 def legs(plan: configuration.Plan, lines: tuple[Strip, ...], ground_m: float) -> tuple[Floats, list[Leg]]:
     """Join the strips to one way, from the ground to the ground."""
     home = np.array([*plan.take_off_m, ground_m])
-    way = _Way(home)
-    way.wait(plan.on_ground_s)
+    way = [Leg(home, plan.on_ground_s)]
+
+    def go(to_m: Floats, speed_m_s: float, strip: int = -1) -> None:
+        length = float(np.linalg.norm(to_m - way[-1].to_m))
+        way.append(Leg(to_m, length / speed_m_s, strip))
+
     for number, line in enumerate(lines):
         ahead = line.end_m - line.begin_m
         ahead = ahead / np.linalg.norm(ahead)
         # Corners are rounded within three seconds: the strip itself is straight.
         run_up = 3.0 * line.speed_m_s
-        if abs(way.at[2] - line.begin_m[2]) > 1.0:
-            way.go(np.array([*way.at[:2], line.begin_m[2]]), _CLIMB_M_S)
-        way.go(line.begin_m - run_up * ahead, line.speed_m_s)
-        way.go(line.begin_m, line.speed_m_s)
-        way.go(line.end_m, line.speed_m_s, number)
-        way.go(line.end_m + run_up * ahead, line.speed_m_s)
-    way.go(np.array([*home[:2], way.at[2]]), lines[-1].speed_m_s)
-    way.go(home, _CLIMB_M_S)
-    way.wait(plan.on_ground_s)
-    return home, way.legs
-
-
-class _Way:
-    def __init__(self, start_m: Floats) -> None:
-        self.at = start_m
-        self.legs: list[Leg] = []
-
-    def go(self, to_m: Floats, speed_m_s: float, strip: int = -1) -> None:
-        length = float(np.linalg.norm(to_m - self.at))
-        self.legs.append(Leg(to_m, length / speed_m_s, strip))
-        self.at = to_m
-
-    def wait(self, duration_s: float) -> None:
-        self.legs.append(Leg(self.at, duration_s))
+        here = way[-1].to_m
+        if abs(here[2] - line.begin_m[2]) > 1.0:
+            go(np.array([*here[:2], line.begin_m[2]]), _CLIMB_M_S)
+        go(line.begin_m - run_up * ahead, line.speed_m_s)
+        go(line.begin_m, line.speed_m_s)
+        go(line.end_m, line.speed_m_s, number)
+        go(line.end_m + run_up * ahead, line.speed_m_s)
+    go(np.array([*home[:2], way[-1].to_m[2]]), lines[-1].speed_m_s)
+    go(home, _CLIMB_M_S)
+    return home, [*way, Leg(home, plan.on_ground_s)]
 
 
 @dataclass(frozen=True)
@@ -169,19 +159,8 @@ class Motion:
     course: BSpline[np.float64]
     strip: tuple[tuple[int, float, float], ...]
 
-    def position(self, time_s: Floats) -> Floats:
-        """Give positions in the local frame, shape (n, 3)."""
-        return self._moved(time_s, 0)
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Give velocities, shape (n, 3)."""
-        return self._moved(time_s, 1)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Give accelerations, shape (n, 3)."""
-        return self._moved(time_s, 2)
-
-    def _moved(self, time_s: Floats, derivative: int) -> Floats:
+    def position(self, time_s: Floats, derivative: int = 0) -> Floats:
+        """Give positions in the local frame, or their first or second derivatives, shape (n, 3)."""
         time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
         share, orders = self._airborne(time), range(derivative + 1)
         # Leibniz: derivatives of the product of share and sway.

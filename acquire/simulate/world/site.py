@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from acquire.simulate.world import block_folder
-from acquire.simulate.world.configuration import Air, Configuration, Level
+from acquire.simulate.world.configuration import Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
 from acquire.simulate.world.streams import Wire, make_streams, telemetry_log
 from acquire.simulate.world.truth import write_truth
@@ -29,18 +29,21 @@ def write_project(world: World, site: Path) -> None:
         notes = block_folder.take_notes(world, world.place.to_projected(world.targets.surveyed_m))
         block_folder.write_targets(world, notes, site / "control.csv", world.targets.names)
         sections += _flight(world, notes)
-    judgement = {"scale": given.judgement.scale} if given.judgement.scale else {}
-    if given.judgement.standards:
-        judgement["standards"] = given.judgement.standards  # type: ignore[assignment]
+    judgement = given.judgement.model_dump(exclude_defaults=True)
     sections += [("[judgement]", judgement)] if judgement else []
     sections.append(("[certificate]", {"particulars": "particulars.toml"}))
     (site / "project.toml").write_text(block_folder.toml_text(sections), encoding="utf-8")
 
 
 def _flight(world: World, notes: block_folder.FieldBook) -> list[tuple[str, dict[str, Any]]]:
-    given, rig = world.configuration, world.configuration.rig
+    given = world.configuration
     base = world.place.to_geodetic(notes.base_m[None])[0]
     place = [*(round(angle, 10) for angle in np.degrees(base[:2]).tolist()), round(float(base[2]), 4)]
+    # What thermometer and hygrometer show at the base.
+    weather = {
+        "temperature_c": round(given.air.temperature_c - 6.5e-3 * float(base[2]), 1),
+        "relative_humidity_percent": round(100 * given.air.relative_humidity, 1),
+    }
     pictures = given.level is Level.PICTURES
     control: dict[str, Any] = {"points": "control.csv"}
     if pictures:
@@ -61,7 +64,7 @@ def _flight(world: World, notes: block_folder.FieldBook) -> list[tuple[str, dict
                 "base_position": place,
                 "base_antenna_height_m": round(notes.base_antenna_height_m, 4),
                 "rover_antenna_height_m": 0.0,
-                "weather": _weather(given.air, float(base[2])),
+                "weather": weather,
                 "edge": "rising",
                 "clock_offset_s": 30.0,
             },
@@ -70,13 +73,8 @@ def _flight(world: World, notes: block_folder.FieldBook) -> list[tuple[str, dict
         (
             "[rig]",
             {
+                **given.rig.model_dump(exclude={"position_sigma_m"}),
                 "camera_to_antenna_m": notes.camera_to_antenna_m,
-                "camera_to_antenna_sigma_m": rig.camera_to_antenna_sigma_m,
-                "boresight_deg": rig.boresight_deg,
-                "boresight_sigma_deg": rig.boresight_sigma_deg,
-                "attitude_sigma_deg": rig.attitude_sigma_deg,
-                "time_offset_s": rig.time_offset_s,
-                "time_offset_sigma_s": rig.time_offset_sigma_s,
                 "camera_axes": ["right", "forward", "up"],
             },
         ),
@@ -87,14 +85,6 @@ def _flight(world: World, notes: block_folder.FieldBook) -> list[tuple[str, dict
         measured = {"observations": "observations.csv", "sigma_px": given.observing.sigma_px}
         sections.append(("[measurements]", measured))
     return sections
-
-
-def _weather(air: Air, height_m: float) -> dict[str, float]:
-    """Give what thermometer and hygrometer show at the base."""
-    return {
-        "temperature_c": round(air.temperature_c - 6.5e-3 * height_m, 1),
-        "relative_humidity_percent": round(100 * air.relative_humidity, 1),
-    }
 
 
 def write_particulars(world: World, path: Path) -> None:

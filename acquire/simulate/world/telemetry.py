@@ -1,5 +1,7 @@
 """What the autopilot sends: its filter's view of the flight, by its own clock, as MAVLink messages."""
 
+import itertools
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -86,28 +88,26 @@ def _wander(count: int, share: float, random: np.random.Generator) -> Floats:
 def messages(world: World) -> list[Sent]:
     """Give all messages of a flight in the order of sending."""
     view = make_filter(world)
-    parts = [
+    parts = itertools.chain(
         _status(world),
         _attitudes(world, view),
         _positions(world, view),
         _pictures(world, view),
         _mission(world),
-    ]
-    return sorted((sent for part in parts for sent in part), key=lambda sent: sent.time_s)
+    )
+    return sorted(parts, key=lambda sent: sent.time_s)
 
 
 def frames(sent: list[Sent]) -> list[bytes]:
     """Give the frames of messages; every source numbers its own."""
     dialect = ardupilotmega()
     numbers = {name: dialect.number(name) for name in {message.name for message in sent}}
-    counts: dict[tuple[int, int], int] = {}
+    counts: defaultdict[tuple[int, int], Iterator[int]] = defaultdict(itertools.count)
     made = []
     for message in sent:
-        sequence = counts.get(message.source, 0)
-        counts[message.source] = sequence + 1
-        place = dict(zip(("system", "component"), message.source, strict=True))
+        (system, component), sequence = message.source, next(counts[message.source])
         kind, fields = numbers[message.name], dict(message.fields)
-        made.append(encode(dialect, kind, fields, sequence=sequence, **place))
+        made.append(encode(dialect, kind, fields, sequence=sequence, system=system, component=component))
     return made
 
 
@@ -123,6 +123,11 @@ def _rows(name: str, time_s: Floats, columns: Mapping[str, Any]) -> Iterator[Sen
 
 def _whole(values: Any) -> Integers:
     return np.asarray(np.rint(values), dtype=np.int64)
+
+
+def _where(place: Floats, lon: str = "lon") -> dict[str, Integers]:
+    """Give latitude and longitude (rad) as messages tell them, in 1e-7 degrees."""
+    return {"lat": _whole(np.degrees(place[:, 0]) * 1e7), lon: _whole(np.degrees(place[:, 1]) * 1e7)}
 
 
 def _since_boot(world: World, time_s: Floats, unit_s: float) -> Integers:
@@ -180,13 +185,12 @@ def _positions(world: World, view: Filter) -> Iterator[Sent]:
     place, velocity = view.place(time)
     yaw = view.angles(time)[:, 2]
     home = world.place.height_m + world.motion.ground_m
-    where = {"lat": _whole(np.degrees(place[:, 0]) * 1e7), "lon": _whole(np.degrees(place[:, 1]) * 1e7)}
     yield from _rows(
         "GLOBAL_POSITION_INT",
         time,
         {
             "time_boot_ms": _since_boot(world, time, 1e3),
-            **where,
+            **_where(place),
             "alt": _whole((place[:, 2] - geoid) * 1e3),
             "relative_alt": _whole((place[:, 2] - home) * 1e3),
             "vx": _whole(velocity[:, 1] * 100),
@@ -203,8 +207,7 @@ def _positions(world: World, view: Filter) -> Iterator[Sent]:
         {
             "time_usec": _since_boot(world, later, 1e6),
             "fix_type": 4,
-            "lat": _whole(np.degrees(place[:, 0]) * 1e7),
-            "lon": _whole(np.degrees(place[:, 1]) * 1e7),
+            **_where(place),
             "alt": _whole((place[:, 2] - geoid) * 1e3),
             "alt_ellipsoid": _whole(place[:, 2] * 1e3),
             "eph": 70,
@@ -232,8 +235,7 @@ def _pictures(world: World, view: Filter) -> Iterator[Sent]:
         {
             "time_usec": world.utc_ns(event) // 1000,
             "img_idx": numbers,
-            "lat": _whole(np.degrees(place[:, 0]) * 1e7),
-            "lng": _whole(np.degrees(place[:, 1]) * 1e7),
+            **_where(place, "lng"),
             "alt_msl": place[:, 2] - geoid,
             "alt_rel": place[:, 2] - home,
             "roll": angles[:, 0],

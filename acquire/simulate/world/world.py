@@ -54,17 +54,13 @@ def make_targets(
     count = given.control + given.check
     places = spread_points(area_m, count, random)
     centre = np.column_stack([places, _bed(terrain, places, given.side_m)])
-    roles = np.full(count, "check", dtype=object)
-    roles[widest(places, given.control)] = "control"
-    numbers = {"control": 0, "check": 0}
-    names = []
-    for role in roles.tolist():
-        numbers[role] += 1
-        names.append(f"{'GCP' if role == 'control' else 'CHK'}{numbers[role]:02d}")
+    control = np.isin(np.arange(count), widest(places, given.control))
+    numbers = np.where(control, np.cumsum(control), np.cumsum(~control)).tolist()
+    kinds = [("control", "GCP") if chosen else ("check", "CHK") for chosen in control.tolist()]
     surveyed = centre + random.standard_normal((count, 3)) * given.sigma_m
     return Targets(
-        tuple(names),
-        tuple(roles.tolist()),
+        tuple(f"{letters}{number:02d}" for (_, letters), number in zip(kinds, numbers, strict=True)),
+        tuple(role for role, _ in kinds),
         np.arange(1, count + 1),
         centre,
         random.uniform(0, 2 * np.pi, count),

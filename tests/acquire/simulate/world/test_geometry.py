@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -140,14 +141,14 @@ def test_velocity_and_acceleration_are_derivatives(world: World) -> None:
     time = np.linspace(5.0, world.motion.duration_s - 5, 900)
     step = 1e-4
     for value, slope in (
-        (world.motion.position, world.motion.velocity),
-        (world.motion.velocity, world.motion.acceleration),
+        (world.motion.position, partial(world.motion.position, derivative=1)),
+        (partial(world.motion.position, derivative=1), partial(world.motion.position, derivative=2)),
     ):
         numeric = (value(time + step) - value(time - step)) / (2 * step)
         assert np.abs(numeric - slope(time)).max() < 1e-5
     # Curvature is continuous: the acceleration has no jump between two milliseconds.
     fine = np.arange(60.0, 120.0, 1e-3)
-    assert np.abs(np.diff(world.motion.acceleration(fine), axis=0)).max() < 0.05
+    assert np.abs(np.diff(world.motion.position(fine, 2), axis=0)).max() < 0.05
 
 
 def test_the_vehicle_stands_still_on_the_ground_and_leans_in_the_air(world: World) -> None:
@@ -157,7 +158,7 @@ def test_the_vehicle_stands_still_on_the_ground_and_leans_in_the_air(world: Worl
     air = np.linspace(60, world.motion.duration_s - 60, 2000)
     lean = np.degrees(np.abs(world.motion.angles(air)[:, :2]).max())
     assert 5 < lean < 40
-    assert np.linalg.norm(world.motion.acceleration(air), axis=1).max() < GRAVITY_M_S2
+    assert np.linalg.norm(world.motion.position(air, 2), axis=1).max() < GRAVITY_M_S2
 
 
 def test_body_axes_follow_the_aerospace_sequence() -> None:
