@@ -71,7 +71,7 @@ def plan_strips(
     if not (spacing_m > 0.0 and base_m > 0.0 and run_out_m >= 0.0 and border_m >= 0.0):
         raise ConfigurationError("the distances of strips and exposures must be positive")
     rotated = _turned(corners_m, azimuth_rad)
-    length, width = (np.ptp(rotated, axis=0) + (0.0, 2.0 * border_m)).tolist()
+    length, width = (np.ptp(rotated, axis=0) + np.array([0.0, 2.0 * border_m])).tolist()
     run_out_m += border_m
     count = max(1, math.ceil(width / spacing_m - 1e-9)) + 1
     if count * ((length + 2.0 * run_out_m) / base_m + 2.0) > _MOST_EXPOSURES:
