@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from acquire.log.summary import GAP_S
 from acquire.monitor.state import Link, Look, Receiver, State, raised
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
-from drivers.mavlink.dialect import Dialect, ardupilotmega
+from drivers.mavlink.dialect import ardupilotmega
 
 # The last part of the topics of a link's own octets.
 OCTETS = ("raw", "damage", "sent")
@@ -60,14 +59,9 @@ def _correction_times(part: Messages) -> list[int]:
     times: list[int] = part.log_ns.tolist()
     if part.channel.encoding != Wire.MAVLINK.encoding:
         return times if part.channel.encoding == Wire.RTCM3.encoding else []
-    dialect = _dialect()
+    dialect = ardupilotmega()
     kinds = batch_of_payloads(Wire.MAVLINK, part.payloads, dialect).kind
     return [t for t, k in zip(times, kinds.tolist(), strict=True) if k == dialect.number("GPS_RTCM_DATA")]
-
-
-@cache
-def _dialect() -> Dialect:
-    return ardupilotmega()
 
 
 # The recorder writes at least once a second; a busy disk may take a little longer.

@@ -7,41 +7,19 @@ take-off heights is part of them and both must be known.
 import json
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from acquire.outputs import output_folder
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.planning.flight import Flight, Layout
 
-# MAV_AUTOPILOT and MAV_TYPE of MAVLink.
-AUTOPILOTS = {"ardupilot": 3, "px4": 12}
-VEHICLES = {"fixed-wing": 1, "quadrotor": 2}
-
-# SPEED_TYPE of the command CHANGE_SPEED: over ground.
-_GROUND_SPEED = 1.0
-
-
-class Command(IntEnum):
-    """Commands of MAVLink (MAV_CMD) that a photo flight needs."""
-
-    WAYPOINT = 16
-    RETURN_TO_LAUNCH = 20
-    TAKEOFF = 22
-    CHANGE_SPEED = 178
-    TRIGGER_DISTANCE = 206
-
-
-class FrameOfHeight(IntEnum):
-    """Frames of MAVLink (MAV_FRAME): above mean sea level, none, above home."""
-
-    GLOBAL = 0
-    MISSION = 2
-    GLOBAL_RELATIVE = 3
+AUTOPILOTS = {"ardupilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4": mavlink.MAV_AUTOPILOT_PX4}
+VEHICLES = {"fixed-wing": mavlink.MAV_TYPE_FIXED_WING, "quadrotor": mavlink.MAV_TYPE_QUADROTOR}
 
 
 @dataclass(frozen=True)
@@ -60,12 +38,13 @@ class Home:
 class Item:
     """One mission item.
 
+    command, frame: MAV_CMD and MAV_FRAME of MAVLink.
     parameters: the seven parameters; the last three are latitude, longitude (degrees) and height (m) where
         the command has a place; None leaves one to the autopilot.
     """
 
-    command: Command
-    frame: FrameOfHeight
+    command: int
+    frame: int
     parameters: tuple[float | None, float | None, float | None, float | None, float, float, float]
 
 
@@ -79,26 +58,23 @@ def mission_items(flight: Flight, home: Home, ground_height_m: float) -> tuple[I
             remedy="look at the heights of ground and take-off place above mean sea level",
         )
     first = flight.strips[0].height_m + raise_m
+    over_ground = float(mavlink.SPEED_TYPE_GROUNDSPEED)
     items = [
-        Item(
-            Command.TAKEOFF,
-            FrameOfHeight.GLOBAL_RELATIVE,
-            (0.0, 0.0, 0.0, None, home.latitude_deg, home.longitude_deg, first),
-        ),
-        _order(Command.CHANGE_SPEED, _GROUND_SPEED, flight.wish.speed_m_s, -1.0),
+        _at(mavlink.MAV_CMD_NAV_TAKEOFF, (home.latitude_deg, home.longitude_deg), first),
+        _order(mavlink.MAV_CMD_DO_CHANGE_SPEED, over_ground, flight.wish.speed_m_s, -1.0),
     ]
     for strip in flight.strips:
         height = strip.height_m + raise_m
         start, end = _places(flight, strip.exposures_m[[0, -1]])
         base = strip.length_m / (len(strip.exposures_m) - 1)
         items += [
-            _waypoint(start, height),
+            _at(mavlink.MAV_CMD_NAV_WAYPOINT, start, height),
             # The third parameter takes the first photo at once, where the strip begins.
-            _order(Command.TRIGGER_DISTANCE, base, 0.0, 1.0),
-            _waypoint(end, height),
-            _order(Command.TRIGGER_DISTANCE, 0.0, 0.0, 0.0),
+            _order(mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST, base, 0.0, 1.0),
+            _at(mavlink.MAV_CMD_NAV_WAYPOINT, end, height),
+            _order(mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST, 0.0, 0.0, 0.0),
         ]
-    return (*items, _order(Command.RETURN_TO_LAUNCH, 0.0, 0.0, 0.0))
+    return (*items, _order(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, 0.0, 0.0, 0.0))
 
 
 def qgroundcontrol_plan(
@@ -127,8 +103,8 @@ def qgroundcontrol_plan(
 def waypoint_file(items: tuple[Item, ...], home: Home) -> str:
     """Make the content of a mission file of text lines (`QGC WPL 110`)."""
     first = Item(
-        Command.WAYPOINT,
-        FrameOfHeight.GLOBAL,
+        mavlink.MAV_CMD_NAV_WAYPOINT,
+        mavlink.MAV_FRAME_GLOBAL,
         (0.0, 0.0, 0.0, 0.0, home.latitude_deg, home.longitude_deg, home.height_m),
     )
     lines = ["QGC WPL 110"]
@@ -147,24 +123,24 @@ def _places(flight: Flight, points_m: Floats) -> list[tuple[float, float]]:
     return [(latitude, longitude) for latitude, longitude in places.tolist()]
 
 
-def _waypoint(place: tuple[float, float], height_m: float) -> Item:
-    return Item(Command.WAYPOINT, FrameOfHeight.GLOBAL_RELATIVE, (0.0, 0.0, 0.0, None, *place, height_m))
+def _at(command: int, place: tuple[float, float], height_m: float) -> Item:
+    return Item(command, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, (0.0, 0.0, 0.0, None, *place, height_m))
 
 
-def _order(command: Command, first: float, second: float, third: float) -> Item:
-    return Item(command, FrameOfHeight.MISSION, (first, second, third, 0.0, 0.0, 0.0, 0.0))
+def _order(command: int, first: float, second: float, third: float) -> Item:
+    return Item(command, mavlink.MAV_FRAME_MISSION, (first, second, third, 0.0, 0.0, 0.0, 0.0))
 
 
 def _plan_item(item: Item, number: int) -> dict[str, Any]:
     content: dict[str, Any] = {
         "autoContinue": True,
-        "command": int(item.command),
+        "command": item.command,
         "doJumpId": number,
-        "frame": int(item.frame),
+        "frame": item.frame,
         "params": list(item.parameters),
         "type": "SimpleItem",
     }
-    if item.frame == FrameOfHeight.GLOBAL_RELATIVE:
+    if item.frame == mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT:
         content |= {"AMSLAltAboveTerrain": None, "Altitude": item.parameters[6], "AltitudeMode": 1}
     return content
 

@@ -88,9 +88,9 @@ def fastest(flight: Flight, found: InWind) -> Flight:
 def farthest_m(flight: Flight, home: Home, ground_height_m: float) -> float:
     """Give the slant distance from the take-off place to the farthest exposure, m."""
     place = flight.plane.to_plane(np.array([home.latitude_deg]), np.array([home.longitude_deg]))[0]
+    raised = ground_height_m - home.height_m
     return max(
         float(np.max(np.hypot(np.hypot(*(strip.exposures_m - place).T), strip.height_m + raised)))
-        for raised in (ground_height_m - home.height_m,)
         for strip in flight.strips
     )
 
