@@ -9,7 +9,7 @@ import numpy as np
 
 from acquire.channels.decoded import Decoded, Times, in_order
 from acquire.channels.layouts import ELLIPSOIDAL, PARAMETER, SourceMessages
-from acquire.channels.vehicle_messages import FIX_NAMES
+from acquire.channels.vehicle_messages import fix_names
 from acquire.log import foxglove
 from drivers import mrk
 from drivers.arrays import Floats, Integers
@@ -54,12 +54,6 @@ class Logged(SourceMessages):
         logged = self if name in self.records else self.rows(np.zeros(len(self), bool))
         columns = {"name": logged.records.columns.get(name, ()), "value": logged.records.number(value)}
         return logged.json(f"/{self.link}/parameter", PARAMETER, columns)
-
-
-def fix_names(types: Floats) -> list[str]:
-    """Return the names of types of fixes as MAVLink's GPS_RAW_INT and both logs number them; NaN is none."""
-    last = len(FIX_NAMES) - 1
-    return [FIX_NAMES[min(int(v), last)] if v == v else FIX_NAMES[0] for v in types.tolist()]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ _RECEIVERS = {"GPS_RAW_INT": "", "GPS2_RAW": "-2"}
 COMMON_TOPICS = ("/camera/exposure", "/clock", "/health")
 # MAV_PARAM_TYPE: what is before are whole numbers.
 _FIRST_REAL_TYPE = 9
-FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed", "3d", "3d")
+_FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed", "3d", "3d")
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,17 @@ def gnss_fix(sent: Sent) -> Decoded:
     return fixed.location(f"/gnss/{sent.link}{_RECEIVERS[sent.source]}/fix", fixed.place, claimed)
 
 
+def fix_names(types: Floats | Integers) -> list[str]:
+    """Return the names of types of fixes as MAVLink's GPS_RAW_INT and both logs number them; NaN is none."""
+    last = len(_FIX_NAMES) - 1
+    return [_FIX_NAMES[min(int(v), last)] if v == v else _FIX_NAMES[0] for v in types.tolist()]
+
+
 def gnss_status(sent: Sent) -> Decoded:
     """Make the quality of the fixes of a receiver of the vehicle."""
     f = sent.fields
     columns: dict[str, Any] = {
-        "fix": [FIX_NAMES[min(v, len(FIX_NAMES) - 1)] for v in f["fix_type"].tolist()],
+        "fix": fix_names(f["fix_type"]),
         "satellites": np.where(f["satellites_visible"] == 255, -1, f["satellites_visible"].astype(int)),
         "hdop": np.where(f["eph"] == 65535, np.nan, f["eph"] * 0.01),
         "horizontal_m": _claimed(f, "h_acc"),

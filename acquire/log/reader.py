@@ -41,16 +41,6 @@ class Messages:
     sequence: Integers
 
 
-@dataclass(frozen=True)
-class Attachment:
-    """An attached file: its kind, content, and the times of its attaching and making (UTC ns)."""
-
-    media_type: str
-    data: bytes
-    log_ns: int
-    create_ns: int
-
-
 @dataclass
 class LogReader:
     """Reads one flight log; tables and definitions fill while `chunks` is iterated.
@@ -66,7 +56,7 @@ class LogReader:
 
     path: Path
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, Attachment] = field(default_factory=dict)
+    attachments: dict[str, mcap.Attachment] = field(default_factory=dict)
     complete: bool = False
     position: int = 0
     wanted: Callable[[Channel], bool] | None = None
@@ -110,9 +100,7 @@ class LogReader:
             self.metadata[table.name] = table.metadata
         elif opcode == Opcode.ATTACHMENT:
             file = mcap.Attachment.read(stream)
-            self.attachments[file.name] = Attachment(
-                file.media_type, file.data, file.log_time, file.create_time
-            )
+            self.attachments[file.name] = file
         elif opcode == Opcode.FOOTER:
             self.complete = True
         return None

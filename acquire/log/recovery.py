@@ -109,4 +109,4 @@ def _copy_notes(reader: LogReader, writer: LogWriter, tables: set[str], files: s
     for name, file in reader.attachments.items():
         if name not in files:
             files.add(name)
-            writer.attachment(name, file.media_type, file.data, file.log_ns, file.create_ns)
+            writer.attachment(name, file.media_type, file.data, file.log_time, file.create_time)

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +23,7 @@ from acquire.monitor.state import (
 )
 from acquire.monitor.traffic import OCTETS, correction_age_s, fed, link_after, number, receiver_after
 from acquire.recording.alarms import ALARM
+from drivers.earth import geodetic
 from drivers.frames import Wire
 
 # Critical, as a failsafe is, and error, as MAVLink counts severity from the worst.
@@ -188,9 +188,10 @@ def _health(state: State, part: Messages) -> State:
 
 def _station(state: State, part: Messages) -> State:
     (row, _) = _rows(part)[-1]
-    if all(row[axis] == 0 for axis in ("x_m", "y_m", "z_m")):
+    xyz_m = np.array([row[axis] for axis in ("x_m", "y_m", "z_m")], np.float64)
+    if not xyz_m.any():
         return state
-    longitude, latitude, _height = _geodetic().transform(row["x_m"], row["y_m"], row["z_m"])
+    latitude, longitude, _ = geodetic(xyz_m)
     if not _on_earth(latitude, longitude):
         raise ValueError("a place on earth was expected")
     name = part.channel.topic.split("/")[2]
@@ -249,10 +250,3 @@ def _latitude_longitude(payload: bytes) -> tuple[float, float]:
     except DecodeError as damage:
         raise ValueError("a LocationFix was expected") from damage
     return fix.latitude, fix.longitude
-
-
-@cache
-def _geodetic() -> Any:
-    from pyproj import Transformer
-
-    return Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from acquire.log.reader import Messages
 from acquire.monitor.exposures import Exposures
 from drivers.arrays import Floats, Integers
+from drivers.mavlink.decode import GROUND_STATION, NO_AUTOPILOT
 
 LONGEST = 4000
 # Points that lie closer to the last one show nothing new.
@@ -65,7 +65,7 @@ def place_at(track: Track, time_ns: int) -> tuple[float, float] | None:
 
 
 _HEARTBEAT, _POSITION = 0, 33
-_GROUND_STATION, _NO_AUTOPILOT, _ARMED = 6, 8, 0x80
+_ARMED = 0x80
 _V2 = 0xFD
 
 
@@ -93,7 +93,7 @@ def vehicle_after(vehicle: Vehicle | None, part: Messages) -> Vehicle | None:
         message = _decoded(payload) if kind in wanted else None
         if message is None:
             continue
-        if kind == _HEARTBEAT and (message.type == _GROUND_STATION or message.autopilot == _NO_AUTOPILOT):
+        if kind == _HEARTBEAT and (message.type == GROUND_STATION or message.autopilot == NO_AUTOPILOT):
             continue
         wanted.discard(kind)
         vehicle = vehicle or Vehicle()
@@ -113,18 +113,12 @@ def vehicle_after(vehicle: Vehicle | None, part: Messages) -> Vehicle | None:
 
 
 def _decoded(payload: bytes) -> Any:
-    tables = _tables()
+    from pymavlink.dialects.v20 import ardupilotmega as tables
+
     try:
         return tables.MAVLink(None).decode(bytearray(payload))
     except (tables.MAVError, TypeError, ValueError):
         return None
-
-
-@cache
-def _tables() -> Any:
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return ardupilotmega
 
 
 # How many alarms are kept.

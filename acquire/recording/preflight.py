@@ -14,7 +14,7 @@ from acquire.recording.reader import MOST_AT_ONCE, left_behind, start_readers
 from acquire.recording.recorder import Host
 from acquire.transports.sources import LinkLostError, Source
 from drivers.frames import Batch, StreamFramer, Wire, wires_of
-from drivers.mavlink.decode import decode
+from drivers.mavlink.decode import autopilots, decode
 from drivers.mavlink.dialect import Dialect
 from drivers.ubx.decode import NAV_PVT, RXM_RAWX, civil_utc_ns
 from drivers.ubx.decode import decode as decode_ubx
@@ -26,7 +26,6 @@ _LEAST_RATE = 0.8
 _MAVLINK_FIXES = ("no receiver", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed")
 # What a receiver sends once for each solution; the other messages come when there is something to tell.
 _PERIODIC = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX}
-_GROUND_STATION, _NO_AUTOPILOT = 6, 8
 
 
 @dataclass
@@ -99,11 +98,7 @@ def _hear(heard: _Heard, batch: Batch, time_ns: int, dialect: Dialect) -> None:
         name = dialect.name(kind)
         heard.counts[name] = heard.counts.get(name, 0) + 1
     if known.any():
-        beats = decode(batch, dialect.number("HEARTBEAT"), dialect)
-        for row in range(len(beats)):
-            kind, autopilot = int(beats.fields["type"][row]), int(beats.fields["autopilot"][row])
-            if kind != _GROUND_STATION and autopilot != _NO_AUTOPILOT:
-                heard.autopilots.add((int(beats.system[row]), int(beats.component[row])))
+        heard.autopilots.update(autopilots(batch, dialect))
         fixes = decode(batch, dialect.number("GPS_RAW_INT"), dialect)
         if len(fixes):
             fix = int(fixes.fields["fix_type"][-1])

@@ -6,15 +6,13 @@ import numpy as np
 
 from acquire.recording.receiver_dialogue import Said
 from drivers.frames import Batch
-from drivers.mavlink.decode import FRAGMENT_BYTES, FRAGMENTS, decode, encode, fragments
+from drivers.mavlink.decode import FRAGMENT_BYTES, FRAGMENTS, autopilots, decode, encode, fragments
 from drivers.mavlink.dialect import Dialect
 
 # Not the 255 of a ground station: a failsafe that waits for the pilot's station must not take us for it. For
 # the same reason no heartbeat is sent.
 SYSTEM, COMPONENT = 245, 191
 SET_MESSAGE_INTERVAL = 511
-_GROUND_STATION = 6
-_NO_AUTOPILOT = 8
 _ACCEPTED = 0
 _PATIENCE_S, _ATTEMPTS = 1.0, 4
 # Parameters are asked for one by one: a slow radio has room for each. Those it lacks are not answered.
@@ -57,7 +55,7 @@ class VehicleDialogue:
         alarms: list[str] = []
         if batch is not None and len(batch):
             if self._target is None:
-                self._target = self._autopilot(batch)
+                self._target = next(iter(autopilots(batch, self._dialect)), None)
                 if self._target is not None:
                     notes.append(f"has an autopilot: system {self._target[0]}, component {self._target[1]}")
             self._take_answers(batch, notes, alarms)
@@ -120,7 +118,7 @@ class VehicleDialogue:
             "param1": self._dialect.number(name),
             "param2": 1e6 / rate,
         }
-        return [self.frame("COMMAND_LONG", {**values})]
+        return [self.frame("COMMAND_LONG", values)]
 
     def _read_parameters(self, batch: Batch | None, steady_s: float, notes: list[str]) -> list[bytes]:
         """Ask for the next parameter that was not told yet."""
@@ -159,10 +157,3 @@ class VehicleDialogue:
         name, rate = self._open.pop(0)
         self._attempts = 0
         alarms.append(f"does not send {name} at {rate:g} Hz ({why})")
-
-    def _autopilot(self, batch: Batch) -> tuple[int, int] | None:
-        beats = decode(batch, self._dialect.number("HEARTBEAT"), self._dialect)
-        fields = beats.fields
-        good = (fields["type"] != _GROUND_STATION) & (fields["autopilot"] != _NO_AUTOPILOT)
-        rows = good.nonzero()[0]
-        return (int(beats.system[rows[0]]), int(beats.component[rows[0]])) if len(rows) else None

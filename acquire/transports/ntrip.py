@@ -88,7 +88,7 @@ class NtripSource(TcpSource):
         self._login = f"{user}:{password}" if user or password else ""
         self._context = context
         self._position = position or bytes
-        self._body: _Plain | _Chunked = _Plain()
+        self._body = _Body(False)
         self._ready = b""
 
     def open(self, stop: threading.Event) -> None:
@@ -144,22 +144,18 @@ class NtripSource(TcpSource):
         return "\r\n".join([*lines, "", ""]).encode()
 
 
-class _Plain:
-    ended = False
+class _Body:
+    """The body of an answer: takes the lengths out of one that comes in chunks (RFC 9112, section 7.1)."""
 
-    def take(self, data: bytes) -> bytes:
-        return data
-
-
-class _Chunked:
-    """Takes the lengths out of a body that comes in chunks (RFC 9112, section 7.1)."""
-
-    def __init__(self) -> None:
+    def __init__(self, chunked: bool) -> None:
+        self._chunked = chunked
         self._pending = b""
         self._left = 0
         self.ended = False
 
     def take(self, data: bytes) -> bytes:
+        if not self._chunked:
+            return data
         data = self._pending + data
         at, out = 0, []
         while at < len(data) and not self.ended:
@@ -215,7 +211,7 @@ def _head(line: socket.socket, patience: Patience) -> tuple[bytes, bytes]:
         data += piece
 
 
-def _body_of(head: bytes) -> _Plain | _Chunked:
+def _body_of(head: bytes) -> _Body:
     lines = head.decode("latin-1").split("\r\n")
     status = lines[0]
     fields = dict(line.lower().replace(" ", "").partition(":")[::2] for line in lines[1:])
@@ -227,4 +223,4 @@ def _body_of(head: bytes) -> _Plain | _Chunked:
         raise LinkLostError("the caster refuses user and password")
     if code != "200":
         raise LinkLostError(f"the caster refuses: {status[:80]}")
-    return _Chunked() if fields.get("transfer-encoding") == "chunked" else _Plain()
+    return _Body(fields.get("transfer-encoding") == "chunked")

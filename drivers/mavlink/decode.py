@@ -12,6 +12,8 @@ from drivers.frames import Batch, Wire, gather
 from drivers.mavlink.dialect import V2, Dialect
 
 FRAGMENT_BYTES, FRAGMENTS = 180, 4
+# Of MAV_TYPE and MAV_AUTOPILOT.
+GROUND_STATION, NO_AUTOPILOT = 6, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,13 @@ def sources(batch: Batch, index: Integers) -> tuple[Bytes, Bytes]:
     octets = np.frombuffer(batch.data, np.uint8)
     second = octets[start] == V2
     return octets[start + np.where(second, 5, 3)], octets[start + np.where(second, 6, 4)]
+
+
+def autopilots(batch: Batch, dialect: Dialect) -> list[tuple[int, int]]:
+    """Return system and component of those that say by their heartbeats that they are autopilots."""
+    beats = decode(batch, dialect.number("HEARTBEAT"), dialect)
+    flying = (beats.fields["type"] != GROUND_STATION) & (beats.fields["autopilot"] != NO_AUTOPILOT)
+    return list(zip(beats.system[flying].tolist(), beats.component[flying].tolist(), strict=True))
 
 
 def sequences(batch: Batch, index: Integers) -> Bytes:

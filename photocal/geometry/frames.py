@@ -11,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivers.arrays import Floats
+from drivers.earth import enu_axes
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.geometry.rotation import enu_axes
 
 
 class Frame(Protocol):

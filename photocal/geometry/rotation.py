@@ -98,13 +98,6 @@ def left_jacobian(turn: Floats) -> Floats:
     return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross + second * cross @ cross)
 
 
-def enu_axes(lat_deg: Floats | float, lon_deg: Floats | float) -> Floats:
-    """Return the rotations (..., 3, 3) from earth-centred to east, north, up axes."""
-    (sb, cb), (sl, cl) = ((np.sin(a), np.cos(a)) for a in (np.radians(lat_deg), np.radians(lon_deg)))
-    rows = [[-sl, cl, np.zeros_like(sl)], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
 def object_to_body(angles: Floats) -> tuple[Floats, Floats]:
     """Rotations from the object frame to body axes (aerospace sequence: yaw, pitch, roll).
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Floats, as_plain
+from drivers.earth import geodetic
 from photocal.navigation.engine_output import (
     PER_METRE,
     SatelliteResiduals,
@@ -13,7 +14,7 @@ from photocal.navigation.engine_output import (
     shift_by_zenith_delay,
 )
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, geodetic
+from photocal.navigation.trajectory import Trajectory
 from photocal.navigation.troposphere import DelayLapse, Weather, remaining_lapse
 
 

@@ -167,20 +167,12 @@ class SatelliteResiduals:
 
 def read_satellite_residuals(path: Path) -> SatelliteResiduals:
     """Read the satellites that were used from a status file (RTKLIB manual 2.4.2, appendix B.2)."""
-    # A file that the engine did not write tells of none.
     rows: list[list[str]] = []
-    if not path.exists():
-        return _sights(rows)
-    with path.open(encoding="latin-1") as stream:
-        for line in stream:
-            if line.startswith("$SAT"):
-                fields = line.split(",")
-                if len(fields) >= _FIELDS and fields[9] == "1":
-                    rows.append(fields[1:9])
-    return _sights(rows)
-
-
-def _sights(rows: list[list[str]]) -> SatelliteResiduals:
+    # A file that the engine did not write tells of none.
+    if path.exists():
+        with path.open(encoding="latin-1") as stream:
+            told = (line.split(",") for line in stream if line.startswith("$SAT"))
+            rows = [fields[1:9] for fields in told if len(fields) >= _FIELDS and fields[9] == "1"]
     week, tow, satellite, frequency, azimuth, elevation, _, residual = (
         zip(*rows, strict=True) if rows else [()] * 8
     )

@@ -8,8 +8,8 @@ import numpy as np
 
 from acquire.outputs import output_picture, write_rows
 from drivers.arrays import Floats, Integers
+from drivers.earth import enu_axes
 from drivers.errors import ConfigurationError
-from photocal.geometry.rotation import enu_axes
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, Orientations, orientations

@@ -216,7 +216,7 @@ def _judged(
     exposures = later if listed is not None else at_camera(later, choices.rig)
     rover = flight.receivers.get(choices.sources.rover_link)
     gnss = _receiver_clock(rover)
-    clocks = [*([] if vehicle is None else vehicle.clocks), *([] if gnss is None else [gnss])]
+    clocks = [*([] if vehicle is None else vehicle.clocks.compared), *([] if gnss is None else [gnss])]
     evidence = Evidence(choices.rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk)
     checks = check_exposures(evidence)
     if choices.oriented is not None:

@@ -48,8 +48,8 @@ def events_of(
     logged = {
         name: replace(own, accuracy_s=np.hypot(own.accuracy_s, clock_sigma_s)) for name, own in logged.items()
     }
-    if vehicle is not None and vehicle.clock is not None and not logged:
-        logged = boot_exposures(sources.log, sources.vehicle_link, vehicle.clock)
+    if vehicle is not None and vehicle.clocks.clock is not None and not logged:
+        logged = boot_exposures(sources.log, sources.vehicle_link, vehicle.clocks.clock)
     order = (*_LOGGED, *(name for name in logged if name not in _LOGGED))
     # The whole of an imported event list is read elsewhere.
     found += [logged[source] for source in order if source in logged and source != _LISTED]

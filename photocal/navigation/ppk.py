@@ -9,8 +9,8 @@ import numpy as np
 
 from acquire.console import numbers_of
 from drivers.arrays import Flags, Floats
+from drivers.earth import enu_axes, geocentric, geodetic
 from drivers.errors import ConfigurationError, IllPosedError
-from photocal.geometry.rotation import enu_axes
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Mode, ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import (
@@ -27,7 +27,7 @@ from photocal.navigation.precise_results import (
     read_antennas,
 )
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_axes_at, geocentric, geodetic
+from photocal.navigation.trajectory import Trajectory, enu_axes_at
 from photocal.navigation.troposphere import Weather
 
 # Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.

@@ -8,6 +8,7 @@ import numpy as np
 
 from acquire.outputs import output_picture, write_json
 from drivers.arrays import Floats
+from drivers.earth import geodetic
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text
@@ -16,7 +17,7 @@ from photocal.navigation.engine_output import FIXED
 from photocal.navigation.fix_validation import Judgement
 from photocal.navigation.ppk import PpkResult, options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
-from photocal.navigation.trajectory import geodetic, write_trajectory
+from photocal.navigation.trajectory import write_trajectory
 
 FIGURES = "ppk.json"
 _LISTED_GAPS = 10

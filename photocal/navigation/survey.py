@@ -9,8 +9,8 @@ from pydantic import Field
 
 from acquire.checked_toml import Table
 from drivers.arrays import Floats
+from drivers.earth import enu_axes, geocentric
 from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError
-from photocal.geometry.rotation import enu_axes
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajectory_of
@@ -19,7 +19,7 @@ from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, wit
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
-from photocal.navigation.trajectory import Trajectory, geocentric
+from photocal.navigation.trajectory import Trajectory
 from photocal.navigation.troposphere import measured_weather
 from photocal.project import AirAtBase
 

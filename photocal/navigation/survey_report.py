@@ -7,10 +7,11 @@ import numpy as np
 
 from acquire.outputs import write_rows
 from drivers.arrays import Floats
+from drivers.earth import geodetic
 from photocal.adjustment.ellipses import ellipses
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
-from photocal.navigation.trajectory import enu_axes_at, geodetic
+from photocal.navigation.trajectory import enu_axes_at
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
 _PROBABILITY = 0.95

@@ -102,10 +102,10 @@ class VehicleClocks:
     told: whether the autopilot itself told UTC (SYSTEM_TIME).
     """
 
-    clock: AutopilotClock | None
-    sync: TimeSync | None
-    compared: list[ComparedClocks]
-    told: bool
+    clock: AutopilotClock | None = None
+    sync: TimeSync | None = None
+    compared: tuple[ComparedClocks, ...] = ()
+    told: bool = False
 
 
 def vehicle_clocks(
@@ -137,4 +137,4 @@ def vehicle_clocks(
         if clock is None and gnss is not None:
             clock = clock_through_host(boot, host[answered], trip, gnss)
             clocks += [] if clock is None else [clock.compared]
-    return VehicleClocks(clock, synced, clocks, told)
+    return VehicleClocks(clock, synced, tuple(clocks), told)

@@ -9,17 +9,12 @@ from numpy.typing import NDArray
 
 from acquire.outputs import write_rows
 from drivers.arrays import Columns, Flags, Floats, Integers
-from photocal.geometry.rotation import enu_axes
+from drivers.earth import enu_axes, geocentric, geodetic
 from photocal.navigation.time import GpsTime
 
 COLUMNS = (
     "time_gps_ns", "lat_deg", "lon_deg", "height_m", "status", "se", "sn", "su", "sen", "seu", "snu",
 )  # fmt: skip
-_SEMI_MAJOR_M = 6_378_137.0
-_FLATTENING = 1 / 298.257223563
-_ECCENTRICITY2 = _FLATTENING * (2 - _FLATTENING)
-
-
 LARGEST_GAP_S = 1.5
 _LEAST_TRIALS = 20
 _PRIOR_TRIALS = 10
@@ -111,30 +106,6 @@ def enu_offsets(lat_deg: Floats, lon_deg: Floats, height_m: Floats, origin: Floa
 def enu_axes_at(xyz_m: Floats) -> Floats:
     """Return the rotations (..., 3, 3) to east, north, up at earth-centred places (..., 3)."""
     return enu_axes(*geodetic(xyz_m)[:2])
-
-
-def geocentric(lat_deg: Floats | float, lon_deg: Floats | float, height_m: Floats | float) -> Floats:
-    """Return earth-centred coordinates (..., 3) of geodetic ones on WGS 84 (Bowring 1976, section 1)."""
-    lat, lon = np.radians(lat_deg), np.radians(lon_deg)
-    normal = _SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(lat) ** 2)
-    level, up = (normal + height_m) * np.cos(lat), (normal * (1 - _ECCENTRICITY2) + height_m) * np.sin(lat)
-    return np.stack([level * np.cos(lon), level * np.sin(lon), up], axis=-1)
-
-
-def geodetic(xyz_m: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return latitude, longitude (deg) and ellipsoidal height (m) of earth-centred coordinates (..., 3).
-
-    Iteration of the latitude (Torge and Mueller 2012, eq. 4.31), exact to 1e-12 rad near the earth.
-    """
-    x, y, z = np.moveaxis(np.asarray(xyz_m, np.float64), -1, 0)
-    distance = np.hypot(x, y)
-    lat = np.arctan2(z, distance * (1 - _ECCENTRICITY2))
-    normal = np.zeros_like(lat)
-    for _ in range(8):
-        normal = _SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(lat) ** 2)
-        lat = np.arctan2(z + _ECCENTRICITY2 * normal * np.sin(lat), distance)
-    height = distance * np.cos(lat) + z * np.sin(lat) - _SEMI_MAJOR_M**2 / normal
-    return np.degrees(lat), np.degrees(np.arctan2(y, x)), height
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
 from photocal.geometry.rotation import object_to_body
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
-from photocal.navigation.device_clocks import AutopilotClock, ComparedClocks
+from photocal.navigation.device_clocks import ComparedClocks
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.time import GpsTime, HostTime, UtcTime
-from photocal.navigation.time_sync import Received, TimeSync, VehicleClocks, vehicle_clocks
+from photocal.navigation.time_sync import Received, VehicleClocks, vehicle_clocks
 from photocal.navigation.trajectory import Trajectory
 
 _STRAY_NS = 5_000_000_000
@@ -37,10 +37,7 @@ class VehicleTrack:
     position_host: arrival of its positions.
     attitude: rotations; of ATTITUDE and ATTITUDE_QUATERNION the one with more messages.
     clock_sigma_s: standard deviation of the autopilot's UTC.
-    clocks: what is known of its clock and that of the recording computer.
     geoid_m: height above the ellipsoid less height above sea level that the autopilot's GNSS receiver tells.
-    clock: UTC of its time since boot.
-    sync: its time since boot against the recording computer's clock.
     mounting: what its parameters tell of antenna and camera mount.
     """
 
@@ -48,10 +45,8 @@ class VehicleTrack:
     position_host: HostTime
     attitude: AttitudeTrack | None
     clock_sigma_s: float = 0.0
-    clocks: list[ComparedClocks] = field(default_factory=list)
+    clocks: VehicleClocks = field(default_factory=VehicleClocks)
     geoid_m: float | None = None
-    clock: AutopilotClock | None = None
-    sync: TimeSync | None = None
     mounting: Mounting = field(default_factory=lambda: Mounting(()))
 
 
@@ -62,7 +57,6 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
     if not found:
         return _of_topics(log, link or "vehicle")
     clocks = vehicle_clocks(found.get("SYSTEM_TIME"), found.get("TIMESYNC"), gnss)
-    clock = clocks.clock
     tracks = {name: _timed(found.get(name), clocks) for name in _TRACKS}
     p = tracks["GLOBAL_POSITION_INT"]
     none = np.empty(0, np.int64)
@@ -72,11 +66,9 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
         path_of(UtcTime(none if p is None else p[1]).to_gps(), place),
         HostTime(none if p is None else p[0]),
         _attitude(tracks),
-        0.0 if clock is None else clock.sigma_s,
-        clocks.compared,
+        0.0 if clocks.clock is None else clocks.clock.sigma_s,
+        clocks,
         _geoid(found.get("GPS_RAW_INT")),
-        clock,
-        clocks.sync,
         told_mounting(log, link or "vehicle"),
     )
 
@@ -231,9 +223,10 @@ def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats
     # By TIMESYNC exchanges where there are some. Else: between two messages that arrived around a moment the
     # autopilot's clock is taken to run evenly: so an uneven playback does no harm beyond the distance of the
     # messages.
-    if track.sync is not None and track.clock is not None and not track.sync.host_of_boot.played_back:
-        boot, sigma = track.sync.boot(host.ns)
-        utc, more = track.clock.utc(boot, host.ns)
+    clock, sync = track.clocks.clock, track.clocks.sync
+    if sync is not None and clock is not None and not sync.host_of_boot.played_back:
+        boot, sigma = sync.boot(host.ns)
+        utc, more = clock.utc(boot, host.ns)
         return UtcTime(utc).to_gps(), np.hypot(sigma, more)
     arrival = track.position_host.ns
     order = np.argsort(arrival, kind="stable")

@@ -101,14 +101,9 @@ def polygon_area(corners_m: Floats) -> float:
 
 def inside(points_m: Floats, corners_m: Floats) -> Flags:
     """Say which points lie in a polygon."""
-    result = np.zeros(len(points_m), dtype=np.bool_)
-    x, y = points_m.T
-    for (x1, y1), (x2, y2) in zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True):
-        if y1 == y2:
-            continue
-        between = (y1 > y) != (y2 > y)
-        result ^= between & (x < x1 + (y - y1) * (x2 - x1) / (y2 - y1))
-    return result
+    from matplotlib.path import Path as Outline
+
+    return np.asarray(Outline(corners_m).contains_points(points_m))
 
 
 def _crosses_itself(corners: Floats) -> bool:

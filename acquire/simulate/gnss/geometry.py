@@ -9,6 +9,7 @@ import numpy as np
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, LIGHT_M_S
 from drivers.arrays import Columns, Floats, Integers
+from drivers.earth import enu_axes, geodetic
 
 Path = Callable[[Integers], Floats]
 
@@ -45,14 +46,16 @@ class Place(Columns):
     lon: Floats
     height_m: Floats
 
+    @property
+    def axes(self) -> Floats:
+        """Unit vectors to the east, the north and up, float64 (n, 3, 3)."""
+        return enu_axes(np.degrees(self.lat), np.degrees(self.lon))
+
 
 def place(position_m: Floats, velocity_m_s: Floats) -> Place:
     """Return an antenna with its geodetic coordinates."""
-    from pyproj import Transformer
-
-    to_geodetic = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
-    lon, lat, height = to_geodetic.transform(position_m[:, 0], position_m[:, 1], position_m[:, 2])
-    return Place(position_m, velocity_m_s, np.radians(lat), np.radians(lon), np.asarray(height))
+    lat, lon, height = geodetic(position_m)
+    return Place(position_m, velocity_m_s, np.radians(lat), np.radians(lon), height)
 
 
 @dataclass(frozen=True)
@@ -96,20 +99,11 @@ def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: Place) -
     swept = np.stack([position[:, 1], -position[:, 0], np.zeros(len(position))], axis=1) * EARTH_RATE_RAD_S
     steady = np.einsum("ij,ij->i", unit, velocity - at.velocity_m_s)
     rate = steady / (1 + np.einsum("ij,ij->i", unit, velocity - swept) / LIGHT_M_S)
-    east, north, up = np.moveaxis(axes(at.lat, at.lon), 1, 0)
+    east, north, up = np.moveaxis(at.axes, 1, 0)
     e, n, u = (np.einsum("ij,ij->i", axis, unit) for axis in (east, north, up))
     clock_rate = state.clock_rate * (1 - rate / LIGHT_M_S)
     turns = _wind_up(position, -unit, _sun(seconds, origin_gps_ns), (east, north))
     return Link(distance, rate, np.arctan2(e, n), np.arcsin(u), state.clock_s, clock_rate, turns)
-
-
-def axes(lat: Floats, lon: Floats) -> Floats:
-    """Return the unit vectors to the east, the north and up at geodetic coordinates, float64 (n, 3, 3)."""
-    zero = np.zeros_like(lat)
-    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
-    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
-    up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
-    return np.stack([east, north, up], axis=1)
 
 
 def _wind_up(satellite: Floats, ray: Floats, sun: Floats, antenna: tuple[Floats, Floats]) -> Floats:

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from acquire.simulate.gnss.geometry import axes
 from acquire.simulate.gnss.observations import Observations, correlated
 from drivers.arrays import Floats, Integers
 from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
@@ -33,7 +32,7 @@ def messages(
     count = len(clock)
     step = float(np.median(np.diff(clock.tag_gps_ns))) / SECOND_NS if count > 1 else 1.0
     error = correlated(count, step / _CORRELATION_S, 3, rng).T * _SIGMA_M
-    frame = axes(place.lat, place.lon)
+    frame = place.axes
     metres_per_rad = 6_378_137.0
     lat = np.degrees(place.lat + error[:, 1] / metres_per_rad)
     lon = np.degrees(place.lon + error[:, 0] / metres_per_rad / np.cos(place.lat))

@@ -7,12 +7,11 @@ import numpy as np
 
 from acquire.simulate.gnss.atmosphere import Atmosphere
 from acquire.simulate.gnss.constellation import Satellite, constellation
-from acquire.simulate.gnss.geometry import Antenna, axes
+from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.observations import Observations, observe
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, ReceiverModel, SkySettings
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
-from drivers.gnsstime import SECOND_NS
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,13 @@ def simulate(
     raises ConfigurationError: when no receiver has an epoch between start and stop.
     """
     sky, faults = sky or SkySettings(), faults or Faults()
-    _refuse(start_gps_ns, stop_gps_ns, (rover_model, base_model))
+    longest, seconds = max(rover_model.interval_s, base_model.interval_s), (stop_gps_ns - start_gps_ns) / 1e9
+    if seconds < 2 * longest:
+        raise ConfigurationError(
+            f"the session of {seconds:g} s is too short for measurements every {longest:g} s",
+            where="GNSS simulation",
+            remedy="fly longer or measure more often",
+        )
     # Each part has its own chance: a fault at the rover changes nothing at the base.
     for_sky, for_air, for_rover, for_base = rng.spawn(4)
     satellites = constellation(start_gps_ns, stop_gps_ns, for_sky, sky.unhealthy)
@@ -71,16 +76,5 @@ def simulate(
         )
     )
     at = still.place
-    shift = np.array(faults.base_shift_m) @ axes(at.lat[:1], at.lon[:1])[0]
+    shift = np.array(faults.base_shift_m) @ at.axes[0]
     return Session(span, sky, satellites, moving, still, at.position_m[0] + shift)
-
-
-def _refuse(start_gps_ns: int, stop_gps_ns: int, models: tuple[ReceiverModel, ...]) -> None:
-    longest = max(model.interval_s for model in models)
-    if stop_gps_ns - start_gps_ns < 2 * longest * SECOND_NS:
-        seconds = (stop_gps_ns - start_gps_ns) / SECOND_NS
-        raise ConfigurationError(
-            f"the session of {seconds:g} s is too short for measurements every {longest:g} s",
-            where="GNSS simulation",
-            remedy="fly longer or measure more often",
-        )

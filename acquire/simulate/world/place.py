@@ -8,15 +8,14 @@ import numpy as np
 
 from acquire.simulate.world import configuration
 from drivers.arrays import Floats
+from drivers.earth import enu_axes, geocentric, geodetic
 from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pyproj import Transformer
 
 
-SEMI_MAJOR_M = 6_378_137.0
-FLATTENING = 1 / 298.257222101
-_ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
+_ELLIPSOID = "GRS80"
 
 
 @dataclass(frozen=True)
@@ -42,13 +41,12 @@ class Place:
     @cached_property
     def axes(self) -> Floats:
         """Rows: east, north and up in geocentric axes, shape (3, 3)."""
-        (sb, cb), (sl, cl) = ((np.sin(angle), np.cos(angle)) for angle in (self.latitude, self.longitude))
-        return np.array([[-sl, cl, 0.0], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]])
+        return enu_axes(*np.degrees([self.latitude, self.longitude]))
 
     @cached_property
     def origin_m(self) -> Floats:
         """Geocentric coordinates of the origin, shape (3,)."""
-        return geocentric(np.array([[self.latitude, self.longitude, self.height_m]])).reshape(3)
+        return geocentric(*np.degrees([self.latitude, self.longitude]), self.height_m, _ELLIPSOID)
 
     def to_geocentric(self, local_m: Floats) -> Floats:
         """Give geocentric coordinates of local ones, shape (n, 3)."""
@@ -56,7 +54,8 @@ class Place:
 
     def to_geodetic(self, local_m: Floats) -> Floats:
         """Give latitude and longitude (rad) and height above the ellipsoid (m), shape (n, 3)."""
-        return geodetic(self.to_geocentric(local_m))
+        latitude, longitude, height = geodetic(self.to_geocentric(local_m), _ELLIPSOID)
+        return np.column_stack([np.radians(latitude), np.radians(longitude), height])
 
     def to_projected(self, local_m: Floats) -> Floats:
         """Give east, north and ellipsoidal height in the projected system, shape (n, 3)."""
@@ -78,31 +77,3 @@ class Place:
             raise ConfigurationError(f"{self.crs} is no map in metres", where="[place]", remedy=remedy)
         # Geographic coordinates of the system itself: no change of datum is involved.
         return Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
-
-
-def geocentric(place: Floats) -> Floats:
-    """Give geocentric coordinates of latitude, longitude (rad) and height (m), shape (n, 3).
-
-    Source: Hofmann-Wellenhof, Lichtenegger and Wasle (2008), eq. 8.7.
-    """
-    latitude, longitude, height = place.T
-    normal = SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(latitude) ** 2)
-    across = (normal + height) * np.cos(latitude)
-    up = (normal * (1 - _ECCENTRICITY2) + height) * np.sin(latitude)
-    return np.column_stack([across * np.cos(longitude), across * np.sin(longitude), up])
-
-
-def geodetic(position_m: Floats) -> Floats:
-    """Give latitude, longitude (rad) and height (m) of geocentric coordinates near the ground, shape (n, 3).
-
-    Source: the same, eq. 8.8, iterated: near the ellipsoid each step gains more than two digits.
-    """
-    x, y, z = position_m.T
-    across = np.hypot(x, y)
-    latitude = np.arctan2(z, across * (1 - _ECCENTRICITY2))
-    height = np.zeros_like(latitude)
-    for _ in range(8):
-        normal = SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(latitude) ** 2)
-        height = across * np.cos(latitude) + z * np.sin(latitude) - SEMI_MAJOR_M**2 / normal
-        latitude = np.arctan2(z, across * (1 - _ECCENTRICITY2 * normal / (normal + height)))
-    return np.column_stack([latitude, np.arctan2(y, x), height])

@@ -114,8 +114,7 @@ def _carried(world: World, stream: Stream, random: np.random.Generator, loss: fl
 
 def _session(world: World) -> tuple[Session, np.random.Generator]:
     given, chance = world.configuration.gnss, world.random("sky")
-    sizes, air = world.configuration.fault_sizes, world.configuration.air
-    slips = sizes.slips_per_hour if world.has(Fault.CYCLE_SLIPS) else None
+    slips = world.configuration.fault_sizes.slips_per_hour if world.has(Fault.CYCLE_SLIPS) else None
     east, north, up = world.base_error_m.tolist()
     session = simulate(
         _rover(world),
@@ -123,7 +122,7 @@ def _session(world: World) -> tuple[Session, np.random.Generator]:
         world.start_gps_ns,
         int(world.gps_ns(np.array(world.motion.duration_s))),
         rng=chance,
-        sky=SkySettings(temperature_c=air.temperature_c, relative_humidity=air.relative_humidity),
+        sky=SkySettings(**world.configuration.air.model_dump()),
         rover_model=replace(ROVER, interval_s=given.rover_interval_s),
         base_model=replace(BASE, interval_s=given.base_interval_s),
         faults=Faults(base_shift_m=(east, north, up), rover_slips_per_hour=slips, base_slips_per_hour=slips),

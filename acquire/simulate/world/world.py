@@ -12,7 +12,7 @@ from acquire.simulate.world.exposures import Exposures, Rig, make_exposures, mak
 from acquire.simulate.world.motion import Motion, legs, make_motion, strips
 from acquire.simulate.world.place import Place
 from acquire.simulate.world.terrain import Terrain, make_terrain
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError
 
 # The plate lies on the highest ground beneath it, on stones of this height.
@@ -70,11 +70,13 @@ def make_targets(
 
 def spread_points(area_m: Floats, count: int, random: np.random.Generator) -> Floats:
     """Draw points in a polygon, each far from those before (Mitchell 1991), shape (n, 2)."""
+    from matplotlib.path import Path as Outline
+
     low, high = area_m.min(axis=0), area_m.max(axis=0)
     chosen = np.empty((0, 2))
     while len(chosen) < count:
         drawn = random.uniform(low, high, (_CANDIDATES, 2))
-        drawn = drawn[inside(area_m, drawn)]
+        drawn = drawn[Outline(area_m).contains_points(drawn)]
         if not len(drawn):
             continue
         if len(chosen):
@@ -82,18 +84,6 @@ def spread_points(area_m: Floats, count: int, random: np.random.Generator) -> Fl
             drawn = drawn[np.argmax(apart)][None]
         chosen = np.vstack([chosen, drawn[:1]])
     return chosen
-
-
-def inside(area_m: Floats, points: Floats) -> Flags:
-    """Tell which points lie in a polygon: a ray to the east crosses its border an odd number of times."""
-    after = np.roll(area_m, -1, axis=0)
-    odd = np.zeros(len(points), bool)
-    for (ax, ay), (bx, by) in zip(area_m.tolist(), after.tolist(), strict=True):
-        if ay == by:
-            continue
-        between = (ay > points[:, 1]) != (by > points[:, 1])
-        odd ^= between & (points[:, 0] < ax + (points[:, 1] - ay) / (by - ay) * (bx - ax))
-    return odd
 
 
 def widest(places: Floats, count: int) -> list[int]:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from drivers.earth import enu_axes, geocentric, geodetic
 from drivers.errors import IllPosedError
-from photocal.geometry.rotation import enu_axes
 from photocal.navigation.baseline_network import Baseline, Mark, adjust_baselines
-from photocal.navigation.trajectory import geocentric, geodetic
 
 Floats = NDArray[np.float64]
 LAT, LON = -25.45, -49.23

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from drivers.earth import enu_axes, geocentric, geodetic
 from photocal.findings.finding import Finding
-from photocal.geometry.rotation import enu_axes
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_checks import Evidence, check_exposures
@@ -19,7 +19,7 @@ from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime, HostTime
-from photocal.navigation.trajectory import Trajectory, geocentric, geodetic, interpolate
+from photocal.navigation.trajectory import Trajectory, interpolate
 from photocal.navigation.vehicle import VehicleTrack, path_of
 from tests.photocal.findings.english import english
 

@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from drivers.earth import enu_axes, geocentric, geodetic
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.oriented_images import oriented_images as as_images
-from photocal.geometry.rotation import angles_from_matrix, enu_axes
+from photocal.geometry.rotation import angles_from_matrix
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_run import Choices, place_exposures
@@ -26,7 +27,7 @@ from photocal.navigation.image_checks import (
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Placed, geocentric, geodetic
+from photocal.navigation.trajectory import Placed
 from tests.photocal.findings.english import english
 
 Floats = NDArray[np.float64]

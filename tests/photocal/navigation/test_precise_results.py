@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.earth import geodetic
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.navigation.precise_results import read_precise_result
-from photocal.navigation.trajectory import geodetic
 
 # As the service prints it; values of a point in New Brunswick.
 HEAD = "POS CRD  SYST        EPOCH          A_PRIORI         ESTIMATED       DIFF {} CORRELATIONS"

@@ -140,8 +140,8 @@ def test_exposures_by_boot_time_alone_are_placed(recording: Recording) -> None:
     assert alone.clock is None
     assert alone.sync is not None
     track = read_vehicle(FlightLog((recording.log,)), "vehicle", recording.gnss)
-    assert track.clock is not None
-    made = boot_exposures(FlightLog((recording.log,)), "vehicle", track.clock)["CAMERA_FEEDBACK"]
+    assert track.clocks.clock is not None
+    made = boot_exposures(FlightLog((recording.log,)), "vehicle", track.clocks.clock)["CAMERA_FEEDBACK"]
     assert len(made) == len(recording.shots_s)
     error = (made.time.to_utc().ns - UTC) / 1e9 - recording.shots_s
     # The receiver's delay is known to 30 ms; what the link adds varies by milliseconds.
@@ -156,8 +156,8 @@ def test_exposures_by_boot_time_alone_are_placed(recording: Recording) -> None:
 
 def test_moments_of_the_host_agree_with_those_of_the_autopilot(recording: Recording) -> None:
     track = read_vehicle(FlightLog((recording.log,)), "vehicle", recording.gnss)
-    assert track.clock is not None
-    made = boot_exposures(FlightLog((recording.log,)), "vehicle", track.clock)["CAMERA_FEEDBACK"]
+    assert track.clocks.clock is not None
+    made = boot_exposures(FlightLog((recording.log,)), "vehicle", track.clocks.clock)["CAMERA_FEEDBACK"]
     time, sigma = autopilot_time(track, HostTime(host_ns(recording.shots_s)))
     # Both contain the same error of the receiver's delay: only the exchange lies between them.
     assert np.abs((time - made.time) / 1e9).max() < 0.003

@@ -15,7 +15,7 @@ from acquire.simulate.world import configuration
 from acquire.simulate.world.exposures import TO_OPENCV, Pose, antenna_at, antenna_velocity, omega_phi_kappa
 from acquire.simulate.world.motion import GRAVITY_M_S2, body_of
 from acquire.simulate.world.observations import row_time, seen, seen_rolling
-from acquire.simulate.world.place import Place, geodetic
+from acquire.simulate.world.place import Place
 from acquire.simulate.world.terrain import make_terrain
 from acquire.simulate.world.truth import grid_to_local
 from acquire.simulate.world.world import World
@@ -115,7 +115,7 @@ def test_the_frame_is_that_of_pyproj(world: World) -> None:
     assert np.abs(local - points).max() < 1e-6
     there = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
     longitude, latitude, height = np.array(there.transform(*place.to_geocentric(points).T))
-    ours = geodetic(place.to_geocentric(points))
+    ours = place.to_geodetic(points)
     assert np.abs(np.degrees(ours[:, :2]) - np.column_stack([latitude, longitude])).max() < 1e-9
     # WGS 84 and GRS 80 differ by 0.1 mm at the poles.
     assert np.abs(ours[:, 2] - height).max() < 2e-4
