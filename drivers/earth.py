@@ -28,8 +28,8 @@ def geocentric(
 
 def geodetic(xyz_m: Floats, ellipsoid: str = "WGS84") -> tuple[Floats, Floats, Floats]:
     """Return latitude, longitude (deg) and ellipsoidal height (m) of earth-centred coordinates (..., 3)."""
-    axes = np.moveaxis(np.asarray(xyz_m, np.float64), -1, 0)
-    lon, lat, height = _cartesian(ellipsoid).transform(*axes, direction="INVERSE")
+    x, y, z = np.moveaxis(np.asarray(xyz_m, np.float64), -1, 0)
+    lon, lat, height = _cartesian(ellipsoid).transform(x, y, z, direction="INVERSE")
     return lat, lon, height
 
 

@@ -191,7 +191,7 @@ def _station(state: State, part: Messages) -> State:
     xyz_m = np.array([row[axis] for axis in ("x_m", "y_m", "z_m")], np.float64)
     if not xyz_m.any():
         return state
-    latitude, longitude, _ = geodetic(xyz_m)
+    latitude, longitude, _ = map(float, geodetic(xyz_m))
     if not _on_earth(latitude, longitude):
         raise ValueError("a place on earth was expected")
     name = part.channel.topic.split("/")[2]

@@ -1,6 +1,6 @@
 """The conversation with an autopilot: rates are asked for and verified, parameters read, clocks compared."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class VehicleDialogue:
             frames.append(self.frame("TIMESYNC", {"tc1": 0, "ts1": clock_ns}))
         return Said(tuple(frames), tuple(notes), tuple(alarms))
 
-    def frame(self, name: str, values: dict[str, object]) -> bytes:
+    def frame(self, name: str, values: Mapping[str, object]) -> bytes:
         """Return the frame of a message from us, numbered."""
         message = self._dialect.number(name)
         made = encode(

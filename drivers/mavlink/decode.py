@@ -1,5 +1,6 @@
 """MAVLink payloads to arrays, all messages of one kind at once, and single messages to frames."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,7 +71,7 @@ def sequences(batch: Batch, index: Integers) -> Bytes:
 
 
 def encode(
-    dialect: Dialect, message: int, values: dict[str, Any], *, sequence: int, system: int, component: int
+    dialect: Dialect, message: int, values: Mapping[str, Any], *, sequence: int, system: int, component: int
 ) -> bytes:
     """Return the MAVLink 2 frame of a message, unsigned and with its trailing zeros left out.
 

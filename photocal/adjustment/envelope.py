@@ -5,6 +5,7 @@ row that its columns, or any before them, reach; below stand the rows of the bor
 done panel by panel with dense kernels of the linear algebra library. A small matrix is one panel.
 """
 
+import math
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
@@ -101,19 +102,18 @@ def factorise(structure: Envelope, values: Floats, known: Floats | None = None, 
 
 def _factorised(structure: Envelope, panels: list[Floats], known: list[Floats]) -> int:
     for j, panel in enumerate(panels):
-        width = int(structure.width[j])
+        here, _, width = _places(structure, j)
         if width == 0:
             continue
         if j < len(known):
             panel[:] = known[j]
             _update_later(structure, panels, j, panel[width:].T, len(known))
             continue
-        start = structure.start(j) if j < len(structure.last) else structure.band
         # The transposed view of a C panel is what Fortran takes; its upper factor is our lower one.
         diagonal = panel[:width].T
         _, info = lapack.dpotrf(diagonal, lower=0, overwrite_a=1, clean=0)
         if info > 0:
-            return int(start + info - 1)
+            return int(here.start + info - 1)
         below = panel[width:].T
         if below.shape[1] == 0:
             continue
@@ -122,22 +122,22 @@ def _factorised(structure: Envelope, panels: list[Floats], known: list[Floats]) 
     return -1
 
 
+def _reached(structure: Envelope, begin: int, last: int) -> range:
+    """Panels from one on that begin above a row of the band."""
+    return range(begin, min(math.ceil(last / structure.panel), len(structure.last)))
+
+
 def _update_later(structure: Envelope, panels: list[Floats], j: int, below: Floats, begin: int = 0) -> None:
     """Subtract the outer product of panel j's rows from the panels, some first ones left out, they reach."""
     first = structure.start(j) + int(structure.width[j])
     last = int(structure.last[j]) if j < len(structure.last) else first
     border = below[:, last - first :]
-    k = max(j + 1, begin)
-    while k < len(structure.last) and structure.start(k) < last:
-        top, width = structure.start(k), int(structure.width[k])
-        stop = min(top + width, last)
-        rows = below[:, top - first : stop - first]
-        used = stop - top
-        target = panels[k]
-        band_rows = int(structure.last[k]) - top
-        _subtract(target[: last - top, :used], below[:, top - first : last - first], rows)
-        _subtract(target[band_rows:, :used], border, rows)
-        k += 1
+    for k in _reached(structure, max(j + 1, begin), last):
+        top = structure.start(k)
+        stop = min(top + int(structure.width[k]), last)
+        rows, target = below[:, top - first : stop - first], panels[k][:, : stop - top]
+        _subtract(target[: last - top], below[:, top - first : last - first], rows)
+        _subtract(target[int(structure.last[k]) - top :], border, rows)
     if structure.border and j < len(structure.last):
         _subtract(panels[-1], border, border)
 
@@ -247,15 +247,13 @@ def _gathered(structure: Envelope, results: list[Floats], j: int) -> Floats:
     last, border = int(structure.last[j]), structure.border
     band = last - first
     square = np.empty((band + border, band + border))
-    k = j + 1
-    while k < len(structure.last) and structure.start(k) < last:
+    for k in _reached(structure, j + 1, last):
         top = structure.start(k)
         stop = min(top + int(structure.width[k]), last)
         here = slice(top - first, stop - first)
         square[top - first : band, here] = results[k][: last - top, : stop - top]
         square[band:, here] = results[k][int(structure.last[k]) - top :, : stop - top]
         square[here, stop - first :] = square[stop - first :, here].T
-        k += 1
     square[band:, band:] = results[-1]
     return square
 
@@ -287,11 +285,9 @@ def multiply(structure: Envelope, values: Floats, x: Floats) -> Floats:
     """Multiply a matrix of a structure, given by its lower triangle, with vectors of shape (n, m)."""
     product = np.zeros_like(x)
     for j, panel in enumerate(structure.panels(values)):
-        rows, width = _rows(structure, j), int(structure.width[j])
+        rows, (here, _, width) = _rows(structure, j), _places(structure, j)
         if width == 0:
             continue
-        top = structure.start(j) if j < len(structure.last) else structure.band
-        here = slice(top, top + width)
         lower = np.tril(panel[:width])
         product[here] += lower @ x[here] + np.tril(lower, -1).T @ x[here] + panel[width:].T @ x[rows]
         product[rows] += panel[width:] @ x[here]
@@ -301,10 +297,8 @@ def multiply(structure: Envelope, values: Floats, x: Floats) -> Floats:
 def dense(structure: Envelope, values: Floats) -> Floats:
     """Matrix of a structure as a full symmetric array, shape (n, n)."""
     full = np.zeros((structure.size, structure.size))
-    panels = structure.panels(values)
-    for j, panel in enumerate(panels):
-        width = int(structure.width[j])
-        top = structure.start(j) if j < len(structure.last) else structure.band
-        full[top : top + width, top : top + width] = np.tril(panel[:width])
-        full[_rows(structure, j), top : top + width] = panel[width:]
+    for j, panel in enumerate(structure.panels(values)):
+        here, _, width = _places(structure, j)
+        full[here, here] = np.tril(panel[:width])
+        full[_rows(structure, j), here] = panel[width:]
     return full + np.tril(full, -1).T

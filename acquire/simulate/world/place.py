@@ -46,7 +46,8 @@ class Place:
     @cached_property
     def origin_m(self) -> Floats:
         """Geocentric coordinates of the origin, shape (3,)."""
-        return geocentric(*np.degrees([self.latitude, self.longitude]), self.height_m, _ELLIPSOID)
+        latitude_deg, longitude_deg = np.degrees([self.latitude, self.longitude]).tolist()
+        return geocentric(latitude_deg, longitude_deg, self.height_m, _ELLIPSOID)
 
     def to_geocentric(self, local_m: Floats) -> Floats:
         """Give geocentric coordinates of local ones, shape (n, 3)."""

@@ -137,8 +137,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 def test_exposures_by_boot_time_alone_are_placed(recording: Recording) -> None:
     # Without a receiver nothing tells the date.
     alone = read_vehicle(FlightLog((recording.log,)), "vehicle")
-    assert alone.clock is None
-    assert alone.sync is not None
+    assert alone.clocks.clock is None
+    assert alone.clocks.sync is not None
     track = read_vehicle(FlightLog((recording.log,)), "vehicle", recording.gnss)
     assert track.clocks.clock is not None
     made = boot_exposures(FlightLog((recording.log,)), "vehicle", track.clocks.clock)["CAMERA_FEEDBACK"]
@@ -167,4 +167,4 @@ def test_moments_of_the_host_agree_with_those_of_the_autopilot(recording: Record
 def test_a_wrong_clock_is_not_used(recording: Recording) -> None:
     fast = device_by_arrival("GNSS", UTC + BOOT - 315_964_782 * SECOND, UTC + BOOT // 5)
     assert fast is not None
-    assert read_vehicle(FlightLog((recording.log,)), "vehicle", fast).clock is None
+    assert read_vehicle(FlightLog((recording.log,)), "vehicle", fast).clocks.clock is None
