@@ -12,7 +12,7 @@ from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import Problem, normal_equations, other_equations, prepare, values_of
+from photocal.adjustment.normal import Problem, normal_equations, prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, chords, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
@@ -126,9 +126,7 @@ def _by_chords(problem: Problem, state: State, report: Callable[[Iteration], Non
         return None
     moved, length = moved_by(problem, state, normal, step)
     try:
-        near = chords(
-            problem, normal, moved, CONVERGED, lambda at: list(other_equations(problem, at).values()), length
-        )
+        near = chords(problem, normal, moved, CONVERGED, length)
     except NotConvergedError:
         return None
     if not near.chi_squared < normal.chi_squared:

@@ -76,15 +76,20 @@ def _rays(network: Network, solution: Solution) -> list[tuple[str, Group]]:
     known = np.any(network.points.held | weighted, axis=1)
     camera = network.exposures.camera[network.rays.image]
     kind = 2 * camera + np.asarray(known)[network.rays.point]
-    count = 2 * len(network.cameras)
+    groups = groups_of_rays(network, solution, RAYS * len(network.cameras), kind)
+    return list(zip((one.id for one in network.cameras for _ in RAYS), groups, strict=True))
+
+
+def groups_of_rays(
+    network: Network, solution: Solution, names: tuple[str, ...], group: Integers
+) -> list[Group]:
+    """What the rays of each group, told by its number, add to v'Pv, and their redundancy."""
+    count = len(names)
     squares = np.sum((solution.residuals / network.rays.sigma) ** 2, axis=1)
-    sums = np.bincount(kind, squares, count), np.bincount(kind, solution.redundancy.sum(axis=1), count)
-    rays = np.bincount(kind, minlength=count)
-    return [
-        (own.id, Group(name, 2 * int(rays[at]), float(sums[0][at]), float(sums[1][at])))
-        for k, own in enumerate(network.cameras)
-        for at, name in enumerate(RAYS, start=2 * k)
-    ]
+    chi_squared = np.bincount(group, squares, count).tolist()
+    redundancy = np.bincount(group, solution.redundancy.sum(axis=1), count).tolist()
+    coordinates = (2 * np.bincount(group, minlength=count)).tolist()
+    return list(map(Group, names, coordinates, chi_squared, redundancy))
 
 
 def _control(network: Network, solution: Solution) -> list[Group]:

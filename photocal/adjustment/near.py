@@ -30,22 +30,18 @@ def with_held(at: Factored, column: int, change: float, near: float) -> Near:
 
     Where that is too far for the factor, the equations are set up again at the place that it led to.
     """
-
-    def equations(state: State) -> list[Equations]:
-        return list(other_equations(at.problem, state).values())
-
     along = at.camera_column(column)
     share = change / along[0][column]
     start, length = moved_along(at.problem, at.state, share * along[0], share * along[1]), share * change
     try:
-        return chords(at.problem, at.normal, start, near, equations, length, (column, *along))
+        return chords(at.problem, at.normal, start, near, length, (column, *along))
     except NotConvergedError:
         there = factored(at.problem.network, start)
         # The column of the inverse that belongs to the unknown.
         right = np.zeros(there.problem.layout.size)
         right[column] = 1.0
         hold = (column, *full_solution(there.problem, there.normal, right, np.zeros_like(start.points)))
-        return chords(there.problem, there.normal, start, near, equations, length, hold)
+        return chords(there.problem, there.normal, start, near, length, hold)
 
 
 class Removals:
@@ -121,7 +117,7 @@ class Removals:
             step[held] = 0.0
             moved, length = moved_by(changed, state, normal, step)
             try:
-                return chords(changed, normal, moved, near, equations, length), moved
+                return chords(changed, normal, moved, near, length, equations=equations), moved
             except NotConvergedError:
                 return None, moved
 

@@ -263,11 +263,8 @@ def _by_chords(
             made[0] = replace(made[0], chi_squared=chi_squared + length)
         made.append(Iteration(made[-1].number + 1, chi_squared, length, 0.0))
 
-    def equations(state: State) -> list[Equations]:
-        return _others(problem, state)
-
     try:
-        there = chords(problem, normal, state, SURER * near, equations, decrement, told=told).state
+        there = chords(problem, normal, state, SURER * near, decrement, told=told).state
     except NotConvergedError:
         return None
     _tell(steps, report, made)
@@ -388,13 +385,14 @@ def chords(
     normal: Normal,
     state: State,
     near: float,
-    equations: Callable[[State], list[Equations]],
     before: float,
     hold: tuple[int, Floats, Floats] | None = None,
+    equations: Callable[[State], list[Equations]] | None = None,
     told: Callable[[float, float], None] = lambda *_: None,
 ) -> Near:
     """Step to a minimum with a factor that is given, after a step of squared length `before`.
 
+    equations: gives the observations beside the rays, where these are not all of the problem's.
     told: gets v'Pv after each step, and the step's squared length.
     raises NotConvergedError: when the steps do not come to an end soon.
 
@@ -413,7 +411,8 @@ def chords(
     steps, changes = list[tuple[Floats, Floats]](), list[tuple[Floats, Floats]]()
     last: tuple[Floats, Floats] | None = None
     for _ in range(CHORDS):
-        chi_squared, *slope = gradient(problem, state, equations(state))
+        others = _others(problem, state) if equations is None else equations(state)
+        chi_squared, *slope = gradient(problem, state, others)
         # Points that stay in the reduced system stand in both parts.
         slope[1][problem.layout.kept_points] = 0.0
         if last is not None:

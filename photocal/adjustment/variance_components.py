@@ -12,6 +12,7 @@ import numpy as np
 from drivers.arrays import Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.groups import groups_of_rays
 from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Group, Solution
 from photocal.adjustment.solver import Iteration
@@ -127,13 +128,7 @@ def estimate_components(
 
 def _groups(network: Network, rays: RayGroups, solution: Solution) -> list[Group]:
     """What each group adds to v'Pv, and its redundancy."""
-    count = len(rays.names)
-    squares = np.sum((solution.residuals / network.rays.sigma) ** 2, axis=1)
-    chi_squared = np.bincount(rays.group, squares, count)
-    redundancy = np.bincount(rays.group, solution.redundancy.sum(axis=1), count)
-    coordinates = 2 * np.bincount(rays.group, minlength=count)
-    columns = zip(rays.names, coordinates, chi_squared, redundancy, strict=True)
-    groups = [Group(name, int(n), float(c), float(r)) for name, n, c, r in columns]
+    groups = groups_of_rays(network, solution, rays.names, rays.group)
     return groups + [group for group in solution.groups if group.name != "image"]
 
 
