@@ -4,6 +4,7 @@ import hashlib
 import os
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,27 +67,19 @@ def sweep(folder: Path, most_bytes: int, unused_s: float, now_s: float) -> int:
         if remaining + size <= most_bytes and now_s - used <= unused_s:
             remaining += size
         else:
-            _remove(path)
+            # A folder with other files stays.
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+                path.parent.rmdir()
     return remaining
 
 
 def touch(path: Path, now_s: float) -> None:
     """Note that a file is used; once an hour is enough."""
-    try:
+    # Somebody else's cache, or gone: then it is not noted.
+    with suppress(OSError):
         if now_s - path.stat().st_mtime > 3600:
             os.utime(path, (now_s, now_s))
-    except OSError:
-        # Somebody else's cache, or gone: then it is not noted.
-        return
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-        path.parent.rmdir()
-    except OSError:
-        # A folder with other files stays.
-        return
 
 
 @dataclass(frozen=True)

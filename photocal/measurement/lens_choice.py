@@ -54,12 +54,8 @@ def with_chosen_lenses(
     # What a rolling shutter feigned is taken back: the scale first.
     for nth in range(1 + max(map(len, choices.values()), default=0)):
         lenses = {name: lens[nth] for name, lens in choices.items() if nth < len(lens)}
-        cameras = [
-            lenses[own.id][0] if own.id in lenses else own
-            for own in (
-                without_readouts(adjusted.start.cameras, "global") if lenses else adjusted.start.cameras
-            )
-        ]
+        plain = without_readouts(adjusted.start.cameras) if lenses else adjusted.start.cameras
+        cameras = [lenses[own.id][0] if own.id in lenses else own for own in plain]
         cameras = [
             camera if camera.rolling else replace(camera, shutter=given[camera.id].shutter)
             for camera in cameras
@@ -101,7 +97,7 @@ def _is_open(camera: Camera) -> bool:
 
 def _preferred(adjusted: Adjusted, place: int) -> list[Chosen]:
     """Lenses of least v'Pv and what is to be said of them, with a scale and without; none that is the own."""
-    cameras = without_readouts(adjusted.start.cameras, "global")
+    cameras = without_readouts(adjusted.start.cameras)
     own = cameras[place]
     with_k4 = own.estimated | _K4
     variants = [own, replace(own, estimated=with_k4)]
@@ -185,5 +181,4 @@ def _least(adjusted: Adjusted, cameras: Sequence[Camera], place: int) -> tuple[f
 
 def _scatter(adjusted: Adjusted) -> float:
     """What is left in the rays, each as its redundancy shows it, px."""
-    sigma = adjusted.block.observations.sigma[-len(adjusted.tracks.track) :]
-    return float(np.sqrt(np.mean(sigma**2) * adjusted.solution.variance_factor))
+    return float(adjusted.tie_sigma * np.sqrt(adjusted.solution.variance_factor))

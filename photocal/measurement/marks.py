@@ -18,6 +18,7 @@ from photocal.exchange.source import Line, number, read_lines, read_xml, require
 
 # A point that somebody clicked, when the table does not say how well.
 BY_HAND_PX = 1.0
+_BY_HAND = (BY_HAND_PX, BY_HAND_PX)
 Sizes = Mapping[str, tuple[int, int]]
 Sigma = tuple[float, float]
 # Words that head the columns of such tables, in the order in which tables without a head have them.
@@ -92,7 +93,16 @@ def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks
         return _metashape(path, sigma_m)
     if kind == ".json":
         return _opensfm(path, sigma_m, sizes)
-    return _gcp_list(path, sigma_m)
+    crs, rows = read_gcp_list(path)
+    places = {row.point: row.xyz for row in rows}
+    marks = tuple(Mark(row.image, row.point, row.column, row.row, _BY_HAND, row.place) for row in rows)
+    entries = [PointEntry(name, "control", xyz, _assumed(sigma_m)) for name, xyz in places.items()]
+    return ControlMarks(crs, object_points(entries), marks)
+
+
+def _assumed(sigma_m: Sigma) -> tuple[float, float, float]:
+    """Standard deviations of X, Y and Z of control that states none."""
+    return sigma_m[0], sigma_m[0], sigma_m[1]
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:
@@ -132,22 +142,6 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     return replace(given, crs=name, points=replace(given.points, values=values))
 
 
-def _gcp_list(path: Path, sigma_m: Sigma) -> ControlMarks:
-    crs, rows = read_gcp_list(path)
-    places = {row.point: row.xyz for row in rows}
-    sigma = (sigma_m[0], sigma_m[0], sigma_m[1])
-    marks = tuple(
-        Mark(row.image, row.point, row.column, row.row, (BY_HAND_PX, BY_HAND_PX), row.place) for row in rows
-    )
-    entries = [PointEntry(name, "control", xyz, sigma) for name, xyz in places.items()]
-    return ControlMarks(crs, object_points(entries), marks)
-
-
-def metashape_marks(path: Path) -> tuple[Mark, ...]:
-    """Read the pinned projections of Metashape's markers, of all of them."""
-    return _marks(_chunk(path), path)
-
-
 def _chunk(path: Path) -> Element:
     chunks = list(read_xml(path).iter("chunk"))
     if not chunks:
@@ -169,11 +163,16 @@ def _marks(chunk: Element, path: Path) -> tuple[Mark, ...]:
     """Pinned projections; the upper-left pixel's centre is (0.5, 0.5) there."""
     images = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("cameras//camera")}
     names = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("markers//marker")}
-    return tuple(
-        mark
-        for own in chunk.iterfind("frames/frame/markers/marker")
-        for mark in _locations(own, names, images, path)
-    )
+    marks = []
+    for own in chunk.iterfind("frames/frame/markers/marker"):
+        name = names.get(own.get("marker_id", ""), "")
+        for seen in own.iterfind("location"):
+            image = images.get(seen.get("camera_id", ""))
+            # What is not pinned was predicted, not measured.
+            if image is not None and seen.get("pinned", "true").lower() not in ("false", "0"):
+                x, y = (number(seen.get(axis, ""), path, f"marker {name}") - 0.5 for axis in "xy")
+                marks.append(Mark(image, name, x, y, _BY_HAND, path))
+    return tuple(marks)
 
 
 def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
@@ -200,23 +199,10 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
 def _marker(name: str, reference: Element, sigma_m: Sigma, path: Path) -> PointEntry:
     xyz = [number(reference.get(axis, ""), path, f"marker {name}") for axis in "xyz"]
     stated = [reference.get(f"s{axis}") for axis in "xyz"]
-    assumed = (sigma_m[0], sigma_m[0], sigma_m[1])
-    sigma = [number(s, path, f"accuracy of {name}") if s else a for s, a in zip(stated, assumed, strict=True)]
+    assumed = zip(stated, _assumed(sigma_m), strict=True)
+    sigma = [number(s, path, f"accuracy of {name}") if s else a for s, a in assumed]
     enabled = reference.get("enabled", "true").lower() in ("true", "1")
     return PointEntry(name, "control" if enabled else "check", xyz, sigma)
-
-
-def _locations(own: Element, names: Mapping[str, str], images: Mapping[str, str], path: Path) -> list[Mark]:
-    name = names.get(own.get("marker_id", ""), "")
-    marks = []
-    for seen in own.iterfind("location"):
-        image = images.get(seen.get("camera_id", ""))
-        # What is not pinned was predicted, not measured.
-        if image is None or seen.get("pinned", "true").lower() in ("false", "0"):
-            continue
-        x, y = (number(seen.get(axis, ""), path, f"marker {name}") - 0.5 for axis in "xy")
-        marks.append(Mark(image, name, x, y, (BY_HAND_PX, BY_HAND_PX), path))
-    return marks
 
 
 def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -232,7 +218,7 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
                 bare.append(name)
                 continue
             xyz = [float(place[key]) for key in ("longitude", "latitude", "altitude")]
-            entries.append(PointEntry(name, "control", xyz, (sigma_m[0], sigma_m[0], sigma_m[1])))
+            entries.append(PointEntry(name, "control", xyz, _assumed(sigma_m)))
             for seen in own["observations"]:
                 image = str(seen["shot_id"])
                 x, y = (float(value) for value in seen["projection"])
@@ -240,7 +226,7 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
                     width, height = sizes[image]
                     x = x * max(width, height) + (width - 1) / 2
                     y = y * max(width, height) + (height - 1) / 2
-                    marks.append(Mark(image, name, x, y, (BY_HAND_PX, BY_HAND_PX), path))
+                    marks.append(Mark(image, name, x, y, _BY_HAND, path))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as failure:
         raise InputMalformedError(
             f"is no ground_control_points.json ({failure})", where=path, remedy="is it the right file?"
@@ -260,7 +246,7 @@ def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Ma
     """
     kind = path.suffix.lower()
     if kind == ".xml":
-        marks = metashape_marks(path)
+        marks = _marks(_chunk(path), path)
     elif kind == ".json":
         marks = read_control_marks(path, (1.0, 1.0), sizes).marks
     else:
@@ -336,4 +322,4 @@ def _mark(line: Line, delimiter: str, order: Sequence[int]) -> Mark:
     if delimiter != ",":
         cells = [cell.replace(",", ".") for cell in cells]
     x, y = (number(cells[k], line.place, "mark") - _HALF for k in order[2:])
-    return Mark(cells[order[0]], cells[order[1]], x, y, (BY_HAND_PX, BY_HAND_PX), line.place)
+    return Mark(cells[order[0]], cells[order[1]], x, y, _BY_HAND, line.place)

@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import IllPosedError, PhotocalError
-from photocal.block.model import Block
+from photocal.block.model import Block, Images
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
@@ -96,8 +96,11 @@ def first_orientation(start: Block, tracks: Tracks) -> First:
     first = adjust_ties(start, placed.poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
     first = _by_positions(first, stated)
     holds = np.isin(start.images.names, first.start.images.names)
-    findings = [*placed.findings, *_of_positions(first, stated)]
-    if first.start.datum == "free" != start.datum:
+    findings = list(placed.findings)
+    if first.start.datum != "free":
+        as_stated, shifted = _as_stated(first.start, stated), _controlled(first.start)
+        findings += position_sigmas(as_stated, first.values, shifted=shifted)[2]
+    elif start.datum != "free":
         findings.append(NOT_PLACED)
     return First(first, kept[reached][holds], (*left_out, *first.left_out), tuple(findings))
 
@@ -112,8 +115,8 @@ def _by_positions(adjusted: Adjusted, stated: Mapping[str, Floats]) -> Adjusted:
         images = adjusted.start.images
         if adjusted.start.datum == "free":
             break
-        as_stated = replace(images, sigma=np.array([stated[name] for name in images.names]))
-        better = softened(as_stated, adjusted.values, shifted=_controlled(adjusted.start))
+        as_stated, shifted = _as_stated(adjusted.start, stated), _controlled(adjusted.start)
+        better = softened(as_stated, adjusted.values, shifted=shifted)
         with np.errstate(invalid="ignore"):
             change = better.sigma[:, 3:] / images.sigma[:, 3:]
         if not (np.isfinite(better.sigma) != np.isfinite(images.sigma)).any() and not (change < _LESS).any():
@@ -130,17 +133,14 @@ def _by_positions(adjusted: Adjusted, stated: Mapping[str, Floats]) -> Adjusted:
     return adjusted
 
 
+def _as_stated(block: Block, stated: Mapping[str, Floats]) -> Images:
+    """Images of a block with the sigmas that were stated of them, by name."""
+    return replace(block.images, sigma=np.array([stated[name] for name in block.images.names]))
+
+
 def _controlled(block: Block) -> bool:
     """Whether marked control points place a block without its positions."""
     return len(marked_control(block)) >= FEWEST_CONTROL
-
-
-def _of_positions(adjusted: Adjusted, stated: Mapping[str, Floats]) -> list[Finding]:
-    images = adjusted.start.images
-    if adjusted.start.datum == "free":
-        return []
-    as_stated = replace(images, sigma=np.array([stated[name] for name in images.names]))
-    return position_sigmas(as_stated, adjusted.values, shifted=_controlled(adjusted.start))[2]
 
 
 def orient_ties(
@@ -214,17 +214,13 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, l
             }
             for k in np.flatnonzero(few)
         ]
-        _require_two(~few, left_out)
+        if (~few).sum() < 2:
+            reasons = "; ".join(f"{entry['image']} {entry['reason']}" for entry in left_out[:3])
+            raise IllPosedError(
+                f"the images cannot be oriented by tie points: {reasons}",
+                remedy="take images that overlap by 60 % and more, from different places",
+            )
         start, tracks, kept = without_images(start, few), of_images(tracks, ~few), kept[~few]
-
-
-def _require_two(keep: Flags, left_out: list[dict[str, str]]) -> None:
-    if keep.sum() < 2:
-        reasons = "; ".join(f"{entry['image']} {entry['reason']}" for entry in left_out[:3])
-        raise IllPosedError(
-            f"the images cannot be oriented by tie points: {reasons}",
-            remedy="take images that overlap by 60 % and more, from different places",
-        )
 
 
 def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:
@@ -265,25 +261,23 @@ def _partners(pairs: Integers, kept: Integers, count: int) -> list[Integers]:
 def _verified(final: Adjusted, tracks: Tracks) -> Tracks:
     """All tracks whose rays fit the final orientation."""
     views = _views(final)
-    sigma = float(np.sqrt(np.mean(final.block.observations.sigma[-len(final.tracks.track) :] ** 2)))
     points = intersected(views, tracks)
     with np.errstate(invalid="ignore"):
-        return tracks.some(misses(views, tracks, points) < GROSS * np.sqrt(2) * sigma)
+        return tracks.some(misses(views, tracks, points) < GROSS * np.sqrt(2) * final.tie_sigma)
 
 
 def figures(oriented: Oriented) -> dict[str, Any]:
     """Figures of the tie points for `measurement.json`."""
     final = oriented.adjusted
     rays = final.tracks.rays
-    ties = slice(-len(final.tracks.track), None)
-    residuals = pixel_residuals(final.assembly, final.solution)
+    residuals = pixel_residuals(final.assembly, final.solution)[-len(final.tracks.track) :]
     return {
         "points": final.tracks.count,
         "observations": len(final.tracks.track),
         "rejected_observations": final.rejected,
         "points_by_rays": {str(n): int(c) for n, c in enumerate(np.bincount(rays)) if c},
         "share_of_four_and_more": float(np.mean(rays >= 4)),
-        "rms_px": float(np.sqrt(np.mean(residuals[ties] ** 2))),
-        "sigma_px": float(np.sqrt(np.mean(final.block.observations.sigma[ties] ** 2))),
+        "rms_px": float(np.sqrt(np.mean(residuals**2))),
+        "sigma_px": final.tie_sigma,
         "variance_factor": float(final.solution.variance_factor),
     }

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
+from drivers.arrays import Flags, Integers
 from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError, NotConvergedError
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
@@ -219,7 +219,10 @@ def _starts(
     if starts is None:
         if project.crs != "local":
             values[:, 3:] = map_places(facts, project.crs)
-            sigma[:, 3:] = _position_sigma(project, facts)
+            # That of a picture, the project's, or what is assumed.
+            stated = project.images.position_sigma_m
+            if stated != "free":
+                sigma[:, 3:] = position_sigma(facts, stated or POSITION_SIGMA_M)
             sigma[np.isnan(values[:, 3:]).any(axis=1)] = np.inf
     else:
         place = {name: k for k, name in enumerate(starts.names)}
@@ -246,14 +249,6 @@ def control_points(project: Project) -> ObjectPoints:
     """Surveyed points of a project; none without a table."""
     path = project.control.points
     return NO_POINTS if path is None else read_points(path)
-
-
-def _position_sigma(project: Project, facts: Sequence[ImageFacts]) -> Floats:
-    """Sigma of the positions that images state: theirs, the project's, or what is assumed."""
-    given = project.images.position_sigma_m
-    if given == "free":
-        return np.full((len(facts), 3), np.inf)
-    return position_sigma(facts, given or POSITION_SIGMA_M)
 
 
 def _footprints(

@@ -16,7 +16,7 @@ from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
-from photocal.geometry.camera import PARAMETERS, Camera, Shutter, among
+from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.measurement.start_block import without_images, without_single_rays
@@ -53,6 +53,11 @@ class Adjusted:
     solution: Solution
     rejected: int
     left_out: tuple[dict[str, str], ...]
+
+    @property
+    def tie_sigma(self) -> float:
+        """Standard deviation of the rays of tie points, root mean square, px."""
+        return float(np.sqrt(np.mean(self.block.observations.sigma[-len(self.tracks.track) :] ** 2)))
 
 
 @dataclass(frozen=True)
@@ -177,9 +182,7 @@ def _solved(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
             raise
         # A readout, and how each image moves in it, is what few images bear least.
         if any(camera.rolling for camera in start.cameras):
-            return _solved(
-                replace(start, cameras=without_readouts(start.cameras, "global")), block, poses, held=held
-            )
+            return _solved(replace(start, cameras=without_readouts(start.cameras)), block, poses, held=held)
         if not any(camera.estimated.any() for camera in start.cameras):
             raise
         start = start if held else replace(start, cameras=_held(start.cameras))
@@ -231,7 +234,15 @@ def assembled(block: Block, poses: Floats) -> tuple[NetworkOfBlock, State]:
     Priors observe what was known of the cameras beforehand, not what came of it in between; positions and
     angles that were observed may be far from the poses, too.
     """
-    assembly = assemble(replace(block, cameras=tuple(map(_as_given, block.cameras))))
+    as_given = tuple(
+        camera
+        if camera.given is None
+        else camera.with_values(
+            np.where(camera.estimated & np.isfinite(camera.prior_sigma), camera.given, camera.values)
+        )
+        for camera in block.cameras
+    )
+    assembly = assemble(replace(block, cameras=as_given))
     local, start = local_poses(assembly.frame, poses), start_state(assembly.network)
     # Seen from what was observed, points may have lain behind the cameras, and were placed again.
     tie = block.points.of_role("tie")[assembly.points]
@@ -240,14 +251,6 @@ def assembled(block: Block, poses: Floats) -> tuple[NetworkOfBlock, State]:
     cameras = np.array([camera.values for camera in block.cameras])
     rotation = matrix_from_angles(local[:, :3])
     return assembly, replace(start, cameras=cameras, rotation=rotation, centre=local[:, 3:], points=points)
-
-
-def _as_given(camera: Camera) -> Camera:
-    """The camera with values as they were given where priors observe them."""
-    known = camera.estimated & np.isfinite(camera.prior_sigma)
-    return (
-        camera if camera.given is None else camera.with_values(np.where(known, camera.given, camera.values))
-    )
 
 
 def _where_rays_meet(ties: _Ties, block: Block, *, held: bool) -> tuple[_Ties, Block, Solved]:
@@ -306,18 +309,15 @@ def _held(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
     return tuple(replace(camera, estimated=np.zeros_like(camera.estimated)) for camera in cameras)
 
 
-def without_readouts(cameras: tuple[Camera, ...], shutter: Shutter) -> tuple[Camera, ...]:
-    """The cameras as if no shutter rolled: what is left of it goes into the residuals.
-
-    shutter: what those that roll are said to have instead.
-    """
+def without_readouts(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    """The cameras as if no shutter rolled: what is left of it goes into the residuals."""
     readout = among("readout")
     return tuple(
         replace(
             camera.changed(readout=0.0),
             estimated=camera.estimated & ~readout,
             prior_sigma=np.where(readout, np.inf, camera.prior_sigma),
-            shutter=shutter,
+            shutter="global",
         )
         if camera.rolling
         else camera
@@ -384,23 +384,18 @@ def _freed(adjusted: Adjusted) -> Solution | None:
 
 
 def _released(adjusted: Adjusted, freed: Solution, k: int) -> dict[str, Any]:
-    held, c = adjusted.solution.cameras[k, 0], freed.cameras[k, 0]
-    change = float(c / held - 1)
+    solution = adjusted.solution
+    change = float(freed.cameras[k, 0] / solution.cameras[k, 0] - 1)
+    view = -solution.state.rotation[:, 2].mean(axis=0)
+    view /= np.linalg.norm(view)
+    depth = (solution.points - solution.exposures[:, 3:].mean(axis=0)) @ view
+    low, high = np.quantile(depth, [0.05, 0.95])
     return {
-        "c": float(c),
+        "c": float(freed.cameras[k, 0]),
         "sigma": float(np.sqrt(freed.camera_covariance[k, 0, 0])),
         "change": change,
-        "relief": _relief(adjusted),
+        # Extent of the points along the mean viewing direction over their mean distance.
+        "relief": float((high - low) / abs(depth.mean())),
         "variance_factor": float(freed.variance_factor),
         "credible": abs(change) < CREDIBLE,
     }
-
-
-def _relief(adjusted: Adjusted) -> float:
-    """Extent of the points along the mean viewing direction over their mean distance."""
-    state = adjusted.solution
-    view = -adjusted.solution.state.rotation[:, 2].mean(axis=0)
-    view /= np.linalg.norm(view)
-    depth = (state.points - state.exposures[:, 3:].mean(axis=0)) @ view
-    low, high = np.quantile(depth, [0.05, 0.95])
-    return float((high - low) / abs(depth.mean()))
