@@ -69,6 +69,11 @@ class Positions(Columns):
     time: Floats
     above: Floats
 
+    def stated(self) -> Floats:
+        """Medians of the stated standard deviations of a position, (3,), m; NaN without any."""
+        sigma = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return np.asarray(np.median(sigma, axis=0) if len(sigma) else np.full(3, np.nan))
+
 
 @dataclass(frozen=True)
 class Attitudes(Columns):

@@ -214,13 +214,11 @@ def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camer
         held = np.zeros_like(own.estimated)
         given = replace(interior, id=own.id, estimated=held, prior_sigma=np.full(held.shape, np.inf))
         for use in experiment.uses:
-            camera = given
+            camera = replace(given, prior_correlation=None)
             if use == "weighted":
                 known = np.isfinite(interior.prior_sigma) & (interior.prior_sigma > 0)
                 sigma = np.where(known, interior.prior_sigma, np.inf)
                 camera = replace(given, estimated=known, prior_sigma=sigma)
-            else:
-                camera = replace(given, prior_correlation=None)
             made.append((interior.id, use, camera))
     return made
 

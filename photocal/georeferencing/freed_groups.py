@@ -254,12 +254,6 @@ def estimates_of(block: Block, freed: Block, solution: Shared, fault: Fault) -> 
     )
 
 
-def stated_of_positions(block: Block) -> Floats:
-    """Medians of the standard deviations that are stated of a position, m."""
-    variance = np.diagonal(block.positions.covariance, axis1=1, axis2=2)
-    return np.asarray(np.median(np.sqrt(variance), axis=0) if len(variance) else np.full(3, np.nan))
-
-
 def positions_moved(block: Block, solution: Shared, fault: Fault, stated: Floats) -> float:
     """How far an error that was freed moves the positions, in stated sigmas; infinite where it does not."""
     positions, given = block.positions, block.mounting.values

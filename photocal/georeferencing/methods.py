@@ -14,7 +14,7 @@ from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS
 from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.block.model import ROLES, Block
-from photocal.block.network import NetworkOfBlock, assemble, plane_per_unit
+from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.georeferencing.direct import Calibration, direct_orientation, joint_covariance, with_calibration
 from photocal.georeferencing.space_intersection import intersect_points
@@ -228,11 +228,11 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
     block, weak = without_weak_images(block)
     assembly = assemble(block)
     solution = adjust(assembly.network)
-    exposures = solution.exposures + np.concatenate([np.zeros(3), local_origin(assembly)])
+    origin = local_origin(assembly)
+    exposures = solution.exposures + np.concatenate([np.zeros(3), origin])
     exposures[weak] = np.nan
     if weak.any():
         note = f"; {int(weak.sum())} images with fewer than four rays set aside" + note
-    origin = local_origin(assembly)
     control = block.points.of_role("control")
     wanted = np.isin(assembly.points, ground_points(block))
     points = assembly.points[wanted]
@@ -268,10 +268,7 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
 
 def _residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> ImageResiduals:
     rays = assembly.network.rays
-    camera = block.images.camera[rays.image]
-    pitch = np.array([own.pitch for own in block.cameras])[camera]
-    if block.observations.unit == "px":
-        pitch = plane_per_unit(block)[camera]
+    pitch = np.array([own.pitch for own in block.cameras])[block.images.camera[rays.image]]
     standardised = solution.standardised(rays.sigma)
     return _by_image(len(block.images.names), rays.image, solution.residuals / pitch, standardised)
 
@@ -321,10 +318,5 @@ def degraded(block: Block, noise: Degradation, rng: np.random.Generator) -> Bloc
     values = exposures + np.concatenate([np.zeros(3), local_origin(assembly)])
     sigma[weak] = np.inf
     values = values + rng.normal(0.0, 1.0, values.shape) * np.where(np.isfinite(sigma), sigma, 0.0)
-    return replace(
-        block,
-        images=replace(block.images, values=values, sigma=sigma),
-        positions=NO_POSITIONS,
-        attitudes=NO_ATTITUDES,
-        mounting=NO_MOUNTING,
-    )
+    images = replace(block.images, values=values, sigma=sigma)
+    return replace(without_georeference(block), images=images)

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from drivers.arrays import Floats, Integers
 from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
-from photocal.block.network import observed_plane, plane_per_unit
+from photocal.block.network import observed_plane
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.resection import intersect
@@ -75,9 +75,6 @@ def intersect_points(
         corrected.ideal[chosen],
         corrected.distance[chosen],
     )
-    pitch = plane_per_unit(block)
-    if block.observations.unit == "mm":
-        pitch = np.array([camera.pitch for camera in block.cameras])
     found = []
     for point in wanted:
         rays = chosen[observations.point[chosen] == point]
@@ -87,6 +84,7 @@ def intersect_points(
         if one is not None:
             found.append((int(point), rays, *one))
     rays = np.concatenate([f[1] for f in found]) if found else np.zeros(0, dtype=np.int64)
+    pitch = np.array([camera.pitch for camera in block.cameras])
     scale = pitch[block.images.camera[observations.image[rays]]]
     stack = np.concatenate
     return Intersected(

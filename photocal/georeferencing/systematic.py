@@ -33,7 +33,6 @@ from photocal.georeferencing.freed_groups import (
     left_free,
     of_camera,
     positions_moved,
-    stated_of_positions,
     unknowns_of,
     with_agreeing,
     with_freed,
@@ -224,11 +223,12 @@ def systematic_errors(
     block: Block, done: Callable[[], None] = lambda: None, table: tuple[Fault, ...] = FAULTS
 ) -> SystematicErrors:
     """Look for systematic errors of the georeference, the faults of a table."""
-    sigmas, stated, of_c = list[GroupTest](), stated_of_positions(block), list[Fit]()
+    sigmas, stated, of_c = list[GroupTest](), block.positions.stated(), list[Fit]()
     while True:
         first = adjust(assemble(block).network)
         done()
-        search = _Search(block, first, np.maximum(stated, stated_of_positions(block)), done, table, *of_c[:1])
+        larger = np.maximum(stated, block.positions.stated())
+        search = _Search(block, first, larger, done, table, *of_c[:1])
         of_c.append(search.first)
         alone = search.beside(())
         # An error competes by what it gains, less the logarithm of the observations for each unknown.
@@ -282,16 +282,10 @@ class _Search:
 
     def beside(self, accepted: tuple[str, ...]) -> tuple[Hypothesis, ...]:
         """Test all other groups beside those that were accepted."""
-        tries = []
         # Two principal distances leave nothing of a common one.
         taken = {code for name in accepted for code in (name, *self._faults[name].contains)}
-        for name in self._faults:
-            if name in taken:
-                continue
-            hypothesis = self._tested(name, accepted)
-            if hypothesis is not None:
-                tries.append(hypothesis)
-        return tuple(tries)
+        tries = (self._tested(name, accepted) for name in self._faults if name not in taken)
+        return tuple(filter(None, tries))
 
     def needed(self, accepted: tuple[str, ...]) -> tuple[str, ...]:
         """Give up groups, the least significant one first, until each is needed beside the others."""

@@ -8,7 +8,7 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.groups import FEWEST, Member, member_tests, tested
-from photocal.adjustment.mounting import SHIFT, STRIPS, Positions
+from photocal.adjustment.mounting import SHIFT, STRIPS
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by, score
@@ -68,14 +68,14 @@ def position_shift(fit: Fit) -> PositionShift | None:
     group = next(one for one in fit.solution.groups if one.name == "position")
     rest = group.redundancy - 3.0
     if rest < FEWEST or not _determined(fields, information):
-        return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, stated(positions))
+        return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, positions.stated())
     shift, sigma, fall, p_value = _estimated(information, slope, group)
     # Standard deviations that are too small by a factor compete with it: they explain all residuals alike.
     factor = tested(group)
     wrong = factor.factor > 1.0 and factor.p_value < SIGNIFICANCE
     if wrong and factor.gain > fall - 2.0 * np.log(fit.solution.observations):
         p_value = 1.0
-    return PositionShift(shift, sigma, fall, p_value, c_by_shift, stated(positions))
+    return PositionShift(shift, sigma, fall, p_value, c_by_shift, positions.stated())
 
 
 @dataclass(frozen=True)
@@ -123,10 +123,8 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
         shift, sigma, fall, p_value = _estimated(informations[mine, mine], slopes[mine], group)
         p_value = min(1.0, len(chosen) * p_value)
         names = [network.image_names[i] for i in positions.image[own]]
-        on_c = _on_c(fit, shift @ steps[mine])
-        moved.append(
-            StripShift(names[0], names[-1], len(names), shift, sigma, fall, p_value, on_c, stated(positions))
-        )
+        figures = shift, sigma, fall, p_value, _on_c(fit, shift @ steps[mine]), positions.stated()
+        moved.append(StripShift(names[0], names[-1], len(names), *figures))
     return tuple(moved)
 
 
@@ -143,11 +141,6 @@ def _estimated(information: Floats, slope: Floats, group: Group) -> tuple[Floats
     fall = float(-slope @ shift)
     scale = max(1.0, (group.chi_squared - fall) / rest)
     return shift, np.sqrt(np.diag(covariance)), fall, _smaller_p(shift, scale * covariance, rest)
-
-
-def stated(positions: Positions) -> Floats:
-    """Medians of the stated standard deviations of a position, (3,), m."""
-    return np.asarray(np.median(np.sqrt(np.diagonal(positions.covariance, axis1=1, axis2=2)), axis=0))
 
 
 def _on_c(fit: Fit, step: Floats) -> float:
