@@ -44,12 +44,16 @@ class Limit:
         return None if self.value is None or self.limit is None else self.value <= self.limit
 
 
-def expected_altimetric_error_cm(height_m: float, base_m: float, focal_mm: float, pixel_mm: float) -> float:
-    """Expected altimetric accuracy dz by which the ministry measures the check points.
+def expected_altimetric_error_cm(
+    height_m: float | None, base_m: float | None, focal_mm: float | None, pixel_mm: float | None
+) -> float | None:
+    """Expected altimetric accuracy dz by which the ministry measures the check points; None if unknown.
 
     Ministry of Defence of Brazil, technical report for aerial survey with remotely piloted aircraft,
     item 2.r.
     """
+    if not (height_m and base_m and focal_mm and pixel_mm):
+        return None
     return 100.0 * math.sqrt(2.0) * height_m**2 / (base_m * focal_mm) * pixel_mm
 
 
@@ -141,14 +145,9 @@ def check_printed(path: Path) -> PrintedCheck:
     focal = camera.nominal_focal_length_mm
     if effective_unit(record) == "mm":
         focal = record.values["c"]
-    dz = None
-    if flight.flying_height_m and flight.air_base_m and focal and camera.pixel_size_mm:
-        dz = expected_altimetric_error_cm(
-            flight.flying_height_m, flight.air_base_m, focal, camera.pixel_size_mm
-        )
-    checked = limits(
-        keys.residuals.image_rmse_mm, camera.pixel_size_mm, keys.residuals.check_rmse_cm, flight.gsd_cm, dz
-    )
+    pixel = camera.pixel_size_mm
+    dz = expected_altimetric_error_cm(flight.flying_height_m, flight.air_base_m, focal, pixel)
+    checked = limits(keys.residuals.image_rmse_mm, pixel, keys.residuals.check_rmse_cm, flight.gsd_cm, dz)
     return PrintedCheck(keys.calibration.name, plausibility(record), checked)
 
 
@@ -234,9 +233,7 @@ def derived_figures(run: Run, camera_id: str, particulars: Metadata) -> DerivedF
     gsd = campaign.gsd_cm or (100.0 * height * pixel / focal if height and pixel and focal else None)
     base = campaign.air_base_m or (air_base(run, camera_id) if height else None)
     given = {"height": campaign.flying_height_m, "gsd": campaign.gsd_cm, "base": campaign.air_base_m}
-    dz = None
-    if height and base and focal and pixel:
-        dz = expected_altimetric_error_cm(height, base, focal, pixel)
+    dz = expected_altimetric_error_cm(height, base, focal, pixel)
     rms = rms_px(sensor_residuals(run, camera_id))
     image = (rms[0] * pixel, rms[1] * pixel) if pixel else None
     return DerivedFigures(

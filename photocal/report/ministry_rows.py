@@ -1,12 +1,11 @@
 """What fills each row of the ministry's technical report: computed, given, or not determined."""
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.findings.digits import MINUS, power_of_ten, symbol, unit_power
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
@@ -17,7 +16,6 @@ from photocal.report.stored_analysis import Run
 Origin = Literal["computed", "given", "fixed", "not_determined"]
 Filled = tuple[str, Origin] | None
 LAYOUT = Path(__file__).with_name("ministry_aerial_survey.csv")
-COLUMNS = ("section", "item", "key", "en", "pt-BR", "unit", "obligation")
 
 
 @dataclass(frozen=True)
@@ -166,9 +164,8 @@ def _limit(*keys: str) -> Callable[[Context], Filled]:
             "; ".join(c.say.significant(v, 4) for v in column if v is not None)
             for column in (values, bounds[:1])
         ]
-        return f"{texts[0]} ≤ {texts[1]}" if all(
-            limit.met for limit in chosen
-        ) else f"{texts[0]} > {texts[1]}", "computed"
+        kept = "≤" if all(limit.met for limit in chosen) else ">"
+        return f"{texts[0]} {kept} {texts[1]}", "computed"
 
     return fill
 
@@ -281,9 +278,8 @@ class LayoutRow:
     section: str
     item: str
     key: str
-    labels: dict[str, str]
+    labels: Mapping[str, str]
     unit: str
-    obligation: str
 
 
 @dataclass(frozen=True)
@@ -295,31 +291,13 @@ class Entry:
     origin: Origin
 
 
-def read_layout(path: Path = LAYOUT) -> tuple[LayoutRow, ...]:
+def read_layout() -> tuple[LayoutRow, ...]:
     """Read the rows of the form."""
-    if not path.is_file():
-        raise InputNotFoundError("no such file", where=path, remedy="install photocal again")
-    with path.open(encoding="utf-8", newline="") as stream:
-        reader = csv.DictReader(stream)
-        if tuple(reader.fieldnames or ()) != COLUMNS:
-            raise ConfigurationError(
-                f"columns must be {','.join(COLUMNS)}", where=path, remedy="correct the table"
-            )
-        rows = [
-            LayoutRow(
-                row["section"],
-                row["item"],
-                row["key"],
-                {"en": row["en"], "pt-BR": row["pt-BR"]},
-                row["unit"],
-                row["obligation"],
-            )
-            for row in reader
-        ]
-    for row in rows:
-        if row.key not in FILLERS:
-            raise ConfigurationError(f"no figure is called {row.key!r}", where=path, remedy="correct the key")
-    return tuple(rows)
+    with LAYOUT.open(encoding="utf-8", newline="") as stream:
+        return tuple(
+            LayoutRow(row["section"], row["item"], row["key"], row, row["unit"])
+            for row in csv.DictReader(stream)
+        )
 
 
 def entries(layout: tuple[LayoutRow, ...], context: Context) -> tuple[Entry, ...]:

@@ -311,20 +311,14 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
         )
     rotation = fit.applied_to_rotations(matrix_from_angles(block.images.values[:, :3]))
     poses = np.hstack([angles_from_matrix(rotation), fit.applied(block.images.values[:, 3:])])
-    points, ties, rays = control.points, block.points, block.observations
+    ties, rays = tuple(f"tie {name}" for name in block.points.names), block.observations
     moved = replace(
         block,
         frame="local",
         datum="control",
         images=replace(block.images, values=poses),
-        points=replace(
-            points,
-            names=(*points.names, *(f"tie {name}" for name in ties.names)),
-            values=np.vstack([points.values, fit.applied(ties.values)]),
-            sigma=np.vstack([points.sigma, ties.sigma]),
-            role=np.concatenate([points.role, ties.role]),
-        ),
-        observations=seen.plus(rays.image, rays.point + len(points.names), rays.values, rays.sigma),
+        points=control.points.with_ties(ties, fit.applied(block.points.values)),
+        observations=seen.plus(rays.image, rays.point + len(control.points.names), rays.values, rays.sigma),
     )
     remarks = [f"control of {lists[0].name}, in {control.crs}, taken as Cartesian"]
     remarks += [f"{len(unknown)} marks are in no image of the project"] if unknown else []

@@ -165,12 +165,6 @@ def test_wrong_particulars_are_named(tmp_path: Path, text: str, message: str) ->
     assert "\n" not in str(failure.value)
 
 
-def test_missing_particulars_and_layout(tmp_path: Path) -> None:
+def test_missing_particulars(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError):
         read_particulars(tmp_path / "none.toml", DAY)
-    with pytest.raises(InputNotFoundError):
-        read_layout(tmp_path / "none.csv")
-    path = tmp_path / "layout.csv"
-    path.write_text("section,item,key,en,pt-BR,unit,obligation\n1,a,nothing,x,x,,yes\n", encoding="utf-8")
-    with pytest.raises(ConfigurationError, match="nothing"):
-        read_layout(path)
