@@ -164,13 +164,20 @@ def volume(
         float | None, option("Standard deviation of all coordinates of a table without, m.")
     ] = None,
     vertical: Annotated[str, option("Axis of the table that points up: X, Y or Z.")] = "Z",
+    shape: Annotated[
+        str,
+        option(
+            "circle; or a curve or a polygon through the points of a section in their order around it: "
+            "areas and volume by quadrature."
+        ),
+    ] = "circle",
     wall_thickness: Annotated[
         float, option("Taken from the measured radii, m, where the points lie outside.")
     ] = 0.0,
     plot: Annotated[Path | None, option("Residual ring plot to write: .pdf, .svg, .png.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Volume of a round tank with its standard deviation.
+    """Volume of a tank, round or of any closed shape, with its standard deviation.
 
     A circle is fitted to every section with the covariance of its points, a cylinder to all of them.
 
@@ -178,6 +185,7 @@ def volume(
     or `photocal volume --radius 6.479 --radius-sigma 0.003 --height 9.5 --height-sigma 0.004`
     """
     from photocal.products import sections as tanks
+    from photocal.products.closed_sections import measure_closed
 
     _require_pairs(sections, radius, radius_sigma, height, height_sigma)
     figures: dict[str, Any] = {"schema": tanks.SCHEMA}
@@ -186,6 +194,15 @@ def volume(
         if vertical not in ("X", "Y", "Z"):
             raise ConfigurationError(f"--vertical {vertical} is no axis", remedy="use X, Y or Z")
         points = tanks.read_ring_points(sections, cast("Literal['X', 'Y', 'Z']", vertical), sigma)
+        if shape != "circle":
+            if shape not in ("curve", "polygon") or plot or height or wall_thickness:
+                raise ConfigurationError(
+                    f"--shape {shape} with --plot, --height or --wall-thickness makes no sense",
+                    remedy="use circle, or curve or polygon without them",
+                )
+            closed, text = measure_closed(points, cast("Literal['curve', 'polygon']", shape))
+            answer(as_json, lambda: figures | closed, lambda: text)
+            return
         tank = tanks.measure_tank(points, wall_thickness)
         figures |= tanks.tank_json(tank, points.axes, wall_thickness)
         lines.append(tanks.tank_text(tank, points.axes, wall_thickness))
