@@ -32,7 +32,7 @@ time_offset_sigma_s = 0.005
 """
 
 
-def made(tmp_path: Path, figures: dict[str, Any]) -> Block:
+def made(tmp_path: Path, figures: dict[str, Any], project: str = PROJECT) -> Block:
     measurements, exposures, made_in = tmp_path / "measurements", tmp_path / "exposures", tmp_path / "block"
     fly(measurements, np.random.default_rng(1), Errors(), Plan(heights_m=(80.0, 110.0), tie=5))
     exposures.mkdir()
@@ -41,7 +41,7 @@ def made(tmp_path: Path, figures: dict[str, Any]) -> Block:
     for name in ("positions.csv", "attitudes.csv"):
         (measurements / name).rename(exposures / name)
     (exposures / "exposures.json").write_text(json.dumps(figures))
-    (tmp_path / "project.toml").write_text(PROJECT)
+    (tmp_path / "project.toml").write_text(project)
     made_in.mkdir()
 
     @contextmanager
@@ -64,3 +64,8 @@ def test_positions_of_the_receiver_share_nothing(tmp_path: Path) -> None:
     block = made(tmp_path, {"common": None})
     assert not block.mounting.sigma[SHIFT].any()
     assert block.mounting.sigma[HEIGHT_SCALE] == 0.0
+
+
+def test_refraction_is_what_the_project_states(tmp_path: Path) -> None:
+    stated = PROJECT.replace('output = "work"', 'output = "work"\nrefraction = 0.13')
+    assert made(tmp_path, {}, stated).refraction == 0.13
