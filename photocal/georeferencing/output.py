@@ -203,7 +203,7 @@ def to_text(check: BlockCheck) -> str:
     )
     for judged in check.judged:
         lines += [_row(judged, found) for found in (judged.check, judged.control) if found.names]
-    lines += ["", *(f"{judged.found.label}" for judged in check.judged), ""]
+    lines += ["", *map(_label, check.judged), ""]
     rows = standards_rows(check)
     widths = [max(map(len, column)) + 3 for column in zip(*rows, strict=True)]
     lines += ["".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -234,6 +234,18 @@ def to_text(check: BlockCheck) -> str:
     findings = block_findings(check)
     lines += [findings_text(findings), finding_text(verdict(findings), catalogue("en"))]
     return "\n".join(lines)
+
+
+def _label(judged: Judged) -> str:
+    """What the method is, and how many check points lie within the ground sampling distance."""
+    plane = judged.assessment.plane if judged.assessment else None
+    if judged.assessment is None or plane is None or plane.within_gsd is None:
+        return judged.found.label
+    (one, two), gsd = plane.within_gsd, judged.assessment.question.gsd_m
+    return (
+        f"{judged.found.label}; of {plane.n} check points {one} lie in plane within a GSD "
+        f"({gsd:.3f} m), {two} within two"
+    )
 
 
 def _row(judged: Judged, differences: Differences) -> str:
@@ -353,7 +365,7 @@ def _report(check: BlockCheck) -> str:
             cells = " | ".join(f"{v:.4f}" for v in (*found.rmse, *found.predicted))
             n = len(found.names)
             lines.append(f"| {judged.found.method} | {found.role} | {n} | {cells} | {found.ratio:.2f} |")
-    lines += ["", *(f"- {judged.found.label}" for judged in check.judged), ""]
+    lines += ["", *(f"- {_label(judged)}" for judged in check.judged), ""]
     rows = standards_rows(check)
     if rows:
         lines += ["## Bias and classes", "", *(f"| {' | '.join(row)} |" for row in rows[:1])]
