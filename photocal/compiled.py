@@ -79,6 +79,14 @@ def compile_all() -> None:
         raise ProgramMissingError("the kernels cannot be compiled", remedy="run: photocal doctor")
 
 
+def compile_ahead() -> None:
+    """Where nothing was compiled yet, begin beside this process with what an adjustment needs last."""
+    if not any(FOLDER.rglob("*.nbi")):
+        part = "import photocal.adjustment.compile as part; part.compile_other_lenses()"
+        command, nowhere = [sys.executable, "-c", part], subprocess.DEVNULL
+        subprocess.Popen(command, stdout=nowhere, stderr=nowhere)  # noqa: S603
+
+
 def compiled(function: Function) -> Function:
     """Compile a function of numbers and arrays that makes no arrays."""
     return _compiled(function, **_LEAN)

@@ -56,11 +56,17 @@ def compile_usual() -> None:
     adjust(replace(network, cameras=(lens,), points=free, relations=bar, datum_points=np.zeros(0, np.int64)))
 
 
+def compile_other_lenses() -> None:
+    """Compile what lenses that are not Brown's need, and the test of a readout."""
+    # Cameras without a rolling shutter share lenses of any model.
+    other = camera("c", "rational", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
+    adjust(replace(_network(), cameras=(other,)))
+
+
 def compile_unusual() -> None:
     """Compile what other lenses, parameters of single images and rolling shutters need."""
+    compile_other_lenses()
     network = _network()
-    # Cameras without a rolling shutter share lenses of any model.
-    adjust(replace(network, cameras=(camera("c", "rational", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}),)))
     # With a few photo-variant parameters every image has columns for them.
     varied = replace(network.cameras[0], deviation_sigma=np.where(np.arange(len(PARAMETERS)) == 1, 0.1, 0.0))
     adjust(replace(network, cameras=(varied,)))

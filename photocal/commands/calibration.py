@@ -44,6 +44,7 @@ def adjust(
 
     Example: `photocal adjust my-block -o run`
     """
+    from photocal.compiled import compile_ahead
     from photocal.exchange.formats import read_any_block
     from photocal.results.adjusted import adjust_block
     from photocal.results.folder import result_json
@@ -55,6 +56,7 @@ def adjust(
     if ellipses is not None and not 0 < ellipses < 1:
         raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", remedy="give 0.95 for 95 %")
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
+    compile_ahead()
     with iteration_lines("adjusting") as report:
         result = adjust_block(block, output, test, report, wanted, read_any_block)
     answer(as_json, lambda: result_json(result), lambda: f"{result!r}\nwritten to {output}")

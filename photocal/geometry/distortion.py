@@ -44,7 +44,7 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
     """
     q = np.empty((len(measured), 3))
     plane = np.ascontiguousarray(measured, dtype=float)
-    all_directions(camera.values[None], optics(camera)[None], camera.lens.angular, plane, q)
+    all_directions(camera.values[None], optics(camera)[None], 0, camera.lens.angular, plane, q)
     q[~(q[:, 2] < 0)] = np.nan
     return np.asarray(-camera.values[0] * q[:, :2] / q[:, 2:])
 
@@ -76,7 +76,7 @@ def projected(camera: Camera, q: Floats) -> Floats:
     """
     plane = np.empty((len(q), 2))
     points = np.ascontiguousarray(q, dtype=float)
-    all_recorded(camera.values[None], optics(camera)[None], points, plane)
+    all_recorded(camera.values[None], optics(camera)[None], 0, points, plane)
     return plane
 
 

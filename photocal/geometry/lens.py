@@ -388,21 +388,21 @@ def direction(
 
 
 @allocating
-def all_recorded(camera: Floats, optics: Floats, q: Floats, plane: Floats) -> None:
-    """Find where one camera records points, NaN where it does not."""
+def all_recorded(cameras: Floats, optics: Floats, k: int, q: Floats, plane: Floats) -> None:
+    """Find where camera k records points, NaN where it does not."""
     room, found = kernel_scratch(0), np.zeros(2)
     for n in range(len(q)):
-        seen = recorded(camera, optics, 0, q[n, 0], q[n, 1], q[n, 2], room, found)
+        seen = recorded(cameras, optics, k, q[n, 0], q[n, 1], q[n, 2], room, found)
         # One by one: for whole rows the compiler brings a check of shapes that takes it ten seconds.
         for a in range(2):
             plane[n, a] = found[a] if seen else np.nan
 
 
 @allocating
-def all_directions(camera: Floats, optics: Floats, angular: bool, plane: Floats, q: Floats) -> None:
-    """Find the directions in which one camera sees, NaN where there is none."""
+def all_directions(cameras: Floats, optics: Floats, k: int, angular: bool, plane: Floats, q: Floats) -> None:
+    """Find the directions in which camera k sees, NaN where there is none."""
     room, found = kernel_scratch(0), np.zeros(3)
     for n in range(len(q)):
-        seen = direction(camera, optics, 0, angular, plane[n, 0], plane[n, 1], room, found)
+        seen = direction(cameras, optics, k, angular, plane[n, 0], plane[n, 1], room, found)
         for a in range(3):
             q[n, a] = found[a] if seen else np.nan

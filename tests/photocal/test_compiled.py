@@ -1,0 +1,33 @@
+"""The first adjustment on a machine compiles on two cores."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from photocal import compiled
+
+
+def test_what_comes_last_is_compiled_beside_where_nothing_was_compiled_yet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[list[str]] = []
+
+    def begin(command: list[str], **_: Any) -> None:
+        begun.append(command)
+
+    monkeypatch.setattr(compiled, "FOLDER", tmp_path)
+    monkeypatch.setattr(subprocess, "Popen", begin)
+    compiled.compile_ahead()
+    # What is begun is a program that runs: its names exist.
+    (command,) = begun
+    compile(command[2], "part", "exec")
+    module, _, function = command[2].partition("; ")[0].split()[1].rpartition(".")
+    assert hasattr(__import__(f"{module}.{function}", fromlist=["part"]), command[2].split("part.")[1][:-2])
+    (tmp_path / "kernels").mkdir()
+    (tmp_path / "kernels" / "one.nbi").touch()
+    compiled.compile_ahead()
+    assert len(begun) == 1
