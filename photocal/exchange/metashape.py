@@ -85,8 +85,8 @@ def chunk_of(root: Element, path: Path) -> Chunk:
     matrices = np.array([poses_of[shot.get("id", "")] for shot in shots])
     to_world = chunk_transform(chunk, path)
     poses = _poses(matrices.reshape(-1, 4, 4), to_world)
-    markers = _markers(chunk, path)
-    position = {key: k for k, key in enumerate(markers)}
+    listed = markers(chunk, path)
+    position = {key: k for k, key in enumerate(listed)}
     image = {shot.get("id", ""): k for k, shot in enumerate(shots)}
     rays = []
     for marker in chunk.iterfind("frames/frame/markers/marker"):
@@ -100,17 +100,17 @@ def chunk_of(root: Element, path: Path) -> Chunk:
         tuple(shot.get("label", "") for shot in shots),
         np.array([order[shot.get("sensor_id", "")] for shot in shots], dtype=np.int64),
         poses,
-        tuple(marker.name for marker in markers.values()),
-        np.array([marker.xyz for marker in markers.values()], dtype=float).reshape(-1, 3),
+        tuple(marker.name for marker in listed.values()),
+        np.array([marker.xyz for marker in listed.values()], dtype=float).reshape(-1, 3),
         table[:, 0].astype(np.int64),
         table[:, 1].astype(np.int64),
         table[:, 2:] - 0.5,
-        tuple(marker.role for marker in markers.values()),
-        xyz_sigma=np.array([marker.sigma for marker in markers.values()], dtype=float).reshape(-1, 3),
+        tuple(marker.role for marker in listed.values()),
+        xyz_sigma=np.array([marker.sigma for marker in listed.values()], dtype=float).reshape(-1, 3),
     )
     reconstruction = of_metashape(reconstruction, chunk, shots, path)
     crs = (chunk.findtext("reference") or "").strip()
-    return Chunk(reconstruction, tuple(markers.values()), "" if crs.startswith("LOCAL_CS") else crs)
+    return Chunk(reconstruction, tuple(listed.values()), "" if crs.startswith("LOCAL_CS") else crs)
 
 
 def _matrices(chunk: Element, path: Path) -> dict[str, Floats]:
@@ -180,20 +180,21 @@ def _poses(matrices: Floats, to_world: Floats) -> Floats:
     return from_vision(rotation, -np.einsum("nij,nj->ni", rotation, whole[:, :3, 3]))
 
 
-def _markers(chunk: Element, path: Path) -> dict[str, PointEntry]:
-    markers = {}
-    for element in chunk.iterfind("markers/marker"):
+def markers(chunk: Element, path: Path) -> dict[str, PointEntry]:
+    """Markers by their number: tie points without coordinates, NaN where an accuracy is not given."""
+    found = {}
+    for element in chunk.iterfind("markers//marker"):
         given = element.find("reference")
         xyz = sigma = UNKNOWN
         if given is not None and given.get("x"):
             one, two, three = (number(given.get(key, ""), path, f"marker {key}") for key in "xyz")
             xyz = one, two, three
             sigma = _accuracy(given, path)
-        enabled = given is not None and given.get("enabled", "true") in ("true", "1")
+        enabled = given is not None and given.get("enabled", "true").lower() in ("true", "1")
         name = element.get("label") or element.get("id") or ""
         role: Role = "tie" if np.isnan(xyz).any() else "control" if enabled else "check"
-        markers[element.get("id", "")] = PointEntry(name, role, xyz, sigma)
-    return markers
+        found[element.get("id", "")] = PointEntry(name, role, xyz, sigma)
+    return found
 
 
 def _accuracy(given: Element, path: Path) -> tuple[float, float, float]:

@@ -13,6 +13,7 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.table import read_table, refuse
 from photocal.exchange.ground_points import read_gcp_list
+from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
 from photocal.exchange.source import Line, number, read_lines, read_xml, require_readable
 
@@ -96,13 +97,9 @@ def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks
     crs, rows = read_gcp_list(path)
     places = {row.point: row.xyz for row in rows}
     marks = tuple(Mark(row.image, row.point, row.column, row.row, _BY_HAND, row.place) for row in rows)
-    entries = [PointEntry(name, "control", xyz, _assumed(sigma_m)) for name, xyz in places.items()]
+    assumed = (sigma_m[0], *sigma_m)
+    entries = [PointEntry(name, "control", xyz, assumed) for name, xyz in places.items()]
     return ControlMarks(crs, object_points(entries), marks)
-
-
-def _assumed(sigma_m: Sigma) -> tuple[float, float, float]:
-    """Standard deviations of X, Y and Z of control that states none."""
-    return sigma_m[0], sigma_m[0], sigma_m[1]
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:
@@ -178,13 +175,12 @@ def _marks(chunk: Element, path: Path) -> tuple[Mark, ...]:
 def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
     chunk = _chunk(path)
     entries, bare = [], []
-    for own in chunk.iterfind("markers//marker"):
-        name = own.get("label", "")
-        reference = own.find("reference")
-        if reference is None or reference.get("x") is None:
-            bare.append(name)
+    for marker in markers(chunk, path).values():
+        if marker.role == "tie":
+            bare.append(marker.name)
         else:
-            entries.append(_marker(name, reference, sigma_m, path))
+            stated = zip(marker.sigma, (sigma_m[0], *sigma_m), strict=True)
+            entries.append(replace(marker, sigma=[s if s == s else assumed for s, assumed in stated]))
     known = {entry.name for entry in entries}
     marks = tuple(mark for mark in _marks(chunk, path) if mark.point in known)
     if not marks:
@@ -194,15 +190,6 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
     crs = (chunk.findtext("reference") or "").strip()
     local = not crs or crs.startswith("LOCAL_CS")
     return ControlMarks("local" if local else crs, object_points(entries), marks, tuple(bare))
-
-
-def _marker(name: str, reference: Element, sigma_m: Sigma, path: Path) -> PointEntry:
-    xyz = [number(reference.get(axis, ""), path, f"marker {name}") for axis in "xyz"]
-    stated = [reference.get(f"s{axis}") for axis in "xyz"]
-    assumed = zip(stated, _assumed(sigma_m), strict=True)
-    sigma = [number(s, path, f"accuracy of {name}") if s else a for s, a in assumed]
-    enabled = reference.get("enabled", "true").lower() in ("true", "1")
-    return PointEntry(name, "control" if enabled else "check", xyz, sigma)
 
 
 def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -218,7 +205,7 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
                 bare.append(name)
                 continue
             xyz = [float(place[key]) for key in ("longitude", "latitude", "altitude")]
-            entries.append(PointEntry(name, "control", xyz, _assumed(sigma_m)))
+            entries.append(PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)))
             for seen in own["observations"]:
                 image = str(seen["shot_id"])
                 x, y = (float(value) for value in seen["projection"])

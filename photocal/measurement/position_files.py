@@ -18,7 +18,7 @@ from photocal.measurement.image_facts import ImageFacts
 Given = Callable[[ImageFacts], ImageFacts]
 
 # Longitude, latitude (deg), height and three sigmas (east, north, up), m.
-_Place = tuple[float, float, float, float, float, float]
+_Place = tuple[float, ...]
 
 
 def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, float, float]]:
@@ -92,15 +92,8 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
         places = _in_degrees(crs, {row.name: (*row.xyz, *row.sigma) for row in rows}, path)
     else:
         crs, positions = read_geo(path)
-        listed = {
-            position.image: (
-                *position.xyz,
-                position.accuracy_m[0],
-                position.accuracy_m[0],
-                position.accuracy_m[1],
-            )
-            for position in positions
-        }
+        # Of the plane and of the height.
+        listed = {one.image: (*one.xyz, one.accuracy_m[0], *one.accuracy_m) for one in positions}
         places = _in_degrees(crs, listed, path)
     if not any(_of(name, places) for name in names):
         first = next(iter(places), "nothing")
@@ -142,12 +135,7 @@ def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
     if not by_name and len(names) == len(events):
         by_name = dict(zip(sorted(names), events, strict=True))
     keys = ("longitude_deg", "latitude_deg", "height_m", "sigma_east_m", "sigma_north_m", "sigma_up_m")
-    found: dict[str, _Place] = {}
-    for name, event in by_name.items():
-        if event is not None:
-            longitude, latitude, height, east, north, up = (event[key] for key in keys)
-            found[name] = (longitude, latitude, height, east, north, up)
-    return found
+    return {name: tuple(event[key] for key in keys) for name, event in by_name.items() if event is not None}
 
 
 def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -> dict[str, _Place]:
