@@ -12,7 +12,7 @@ from photocal.adjustment.near import Removals
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.state import State
 from photocal.analysis.robust import NEAR, state_without
-from photocal.analysis.systematic_errors.refit import Checks, Fit, fit, lowest
+from photocal.analysis.systematic_errors.refit import Checks, Fit, fit, lowest, without_images
 from photocal.findings.finding import Figure, Finding, Size
 from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model, among
 from photocal.geometry.conversion import converted
@@ -175,37 +175,28 @@ def _predicted(fitted: Fit, rest: State, out: Flags) -> tuple[float, int]:
     kept &= out[rays.image]
     if not kept.any():
         return 0.0, 0
-    seen, point = np.unique(rays.point[kept], return_inverse=True)
-    count = int(out.sum())
-    alone = replace(
+    points = network.points
+    held = replace(
+        points,
+        values=rest.points,
+        held=np.ones_like(points.held),
+        weight=np.zeros_like(points.weight),
+    )
+    by_rays = replace(
         network,
         cameras=tuple(
             replace(camera.with_values(values), estimated=np.zeros(len(PARAMETERS), dtype=np.bool_))
             for camera, values in zip(network.cameras, rest.cameras, strict=True)
         ),
-        exposures=replace(network.exposures.rows(out), sigma=np.full((count, 6), np.inf)),
-        points=replace(
-            network.points,
-            values=rest.points[seen],
-            held=np.ones((len(seen), 3), dtype=np.bool_),
-            weight=np.zeros((len(seen), 3, 3)),
-        ),
-        rays=replace(
-            rays.rows(kept), image=(np.cumsum(out) - 1)[rays.image[kept]], point=point.astype(np.int64)
-        ),
-        image_names=tuple(name for name, is_out in zip(network.image_names, out, strict=True) if is_out),
-        point_names=tuple(network.point_names[j] for j in seen),
+        exposures=replace(network.exposures, sigma=np.full_like(network.exposures.sigma, np.inf)),
+        points=held,
+        rays=rays.rows(kept),
         relations=NO_RELATIONS,
         datum_points=None,
         positions=NO_POSITIONS,
         attitudes=NO_ATTITUDES,
         rig=network.rig.of_images(np.cumsum(out), np.zeros_like(out)),
     )
-    state = replace(
-        rest,
-        rotation=fitted.state.rotation[out],
-        centre=fitted.state.centre[out],
-        points=rest.points[seen],
-        deviations=fitted.state.deviations[out],
-    )
-    return lowest(alone, state, NEAR).chi_squared, 2 * int(kept.sum()) - 6 * count
+    state = replace(fitted.state, cameras=rest.cameras, common=rest.common, points=rest.points)
+    alone, state = without_images(by_rays, state, ~out)
+    return lowest(alone, state, NEAR).chi_squared, 2 * int(kept.sum()) - 6 * int(out.sum())
