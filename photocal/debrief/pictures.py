@@ -1,6 +1,6 @@
 """What each picture shows, whether it is sharp and well exposed, and a first orientation by its features."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from photocal.measurement.start_block import start_block
 from photocal.measurement.tie_adjustment import camera_figures
 from photocal.navigation.exposures import Exposures
 from photocal.tasks.progress import Progress
-from photocal.tasks.workers import run_tasks
 
 # Enough for overlap, orientation and a first calibration; a tenth of the time of the features for the map.
 QUICK = FeatureSettings(most=2500, longest_px=1200)
@@ -57,15 +56,6 @@ class Look:
     white: float = np.nan
     black: float = np.nan
     range: float = np.nan
-
-
-def look_at(paths: Sequence[Path], plan: MatchingPlan, done: Callable[[float], None]) -> list[Look]:
-    """Look at each picture once; what was looked at before is kept by its content."""
-    looks = []
-    for one in run_tasks(look, ((path, plan) for path in paths), plan.processes):
-        looks.append(one)
-        done(1)
-    return looks
 
 
 def look(task: tuple[Path, MatchingPlan]) -> Look:

@@ -30,7 +30,7 @@ from photocal.project import Project
 from photocal.run.exposures import exposures_of
 from photocal.run.stage import alone
 from photocal.tasks.progress import Progress
-from photocal.tasks.workers import Workers
+from photocal.tasks.workers import Workers, run_tasks
 
 # Neighbours along a strip must share so much of what they show: less is no stereoscopic cover.
 LEAST_OVERLAP = 0.5
@@ -164,7 +164,9 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
         except PhotocalError as refusal:
             findings.append(Finding("exposures-unknown", "grave", figures={"reason": str(refusal)}))
         with progress("looking at pictures", len(paths)) as done:
-            looks = pictures.look_at(paths, plan, done)
+            # What was looked at before is kept by its content.
+            tasks = ((path, plan) for path in paths)
+            looks = list(run_tasks(pictures.look, tasks, processes, done))
         if run is not None:
             findings += _exposure_findings(run, len(paths))
         together = judged_together(looks, run, rig, last, plan, progress)

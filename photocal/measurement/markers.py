@@ -157,7 +157,7 @@ def find_coded_targets(
     dictionary(dictionary_name)
     marks, strangers = [], []
     tasks = ((source, dictionary_name) for source in sources)
-    for source, found in zip(sources, run_tasks(_find, tasks, processes), strict=True):
+    for source, found in zip(sources, run_tasks(_find, tasks, processes, done), strict=True):
         for code, x, y, sx, sy in found.tolist():
             name = names.get(str(int(code)))
             if name is None:
@@ -165,7 +165,6 @@ def find_coded_targets(
             else:
                 sigma = (math.hypot(sx, COMMON_PX), math.hypot(sy, COMMON_PX))
                 marks.append(Mark(source.path.name, name, x, y, sigma, f"code {int(code)}"))
-        done(1)
     return tuple(marks), tuple(strangers)
 
 

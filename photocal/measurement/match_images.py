@@ -117,13 +117,9 @@ def detect_all(
     paths: Sequence[Path], plan: MatchingPlan, done: Callable[[float], None]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Detect the features of all images into the cache."""
-    keys, reasons = [], []
     images = ((path, combined_key(FEATURES, digest(path), plan.features), plan) for path in paths)
-    for key, reason in run_tasks(_detect_one, images, plan.processes):
-        keys.append(key)
-        reasons.append(reason)
-        done(1)
-    return tuple(keys), tuple(reasons)
+    detected = list(run_tasks(_detect_one, images, plan.processes, done))
+    return tuple(key for key, _ in detected), tuple(reason for _, reason in detected)
 
 
 def match_all(
@@ -131,10 +127,7 @@ def match_all(
 ) -> tuple[Tracks, Integers]:
     """Match pairs of images and join the matches to tracks."""
     tasks = ((keys[a], keys[b], plan) for a, b in pairs)
-    matches = []
-    for found in run_tasks(_match_one, tasks, plan.processes):
-        matches.append(found)
-        done(1)
+    matches = list(run_tasks(_match_one, tasks, plan.processes, done))
     # Descriptors stay on the disk: only places and scales of all images are held.
     features = [_features(plan, key) for key in keys]
     return join_tracks(features, pairs, matches), np.array([len(m) for m in matches], dtype=np.int64)

@@ -77,13 +77,12 @@ def find_plain_targets(
     tasks = [(source, sights.get(source.path.name, ())) for source in sources]
     marks: list[Mark] = []
     doubts: dict[str, list[str]] = {}
-    for (source, predictions), found in zip(tasks, run_tasks(_find, tasks, processes), strict=True):
+    for (source, predictions), found in zip(tasks, run_tasks(_find, tasks, processes, done), strict=True):
         name = source.path.name
         mine, doubtful = identified(predictions, found)
         marks += [replace(mark, image=name) for mark in mine]
         for point, doubt in doubtful.items():
             doubts.setdefault(point, []).append(f"{doubt} in {name}")
-        done(1)
     # What stands beside a target stands there in all images, though some may not show both.
     sure = tuple(mark for mark in marks if mark.point not in doubts)
     sought = sum(len(predictions) for _, predictions in tasks)

@@ -79,14 +79,10 @@ def refine(
     patches = np.zeros((tracks.count, 2 * HALF + 1, 2 * HALF + 1), dtype=np.float32)
     images = range(len(sources))
     tasks = [(sources[k], middle[(image == k) & inside]) for k in images]
-    for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes)):
+    for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes, done)):
         patches[(image == k) & inside] = cut
-        done(1)
-    refined = []
     jobs = ((sources[k], part, patches[part.track]) for k in images for part in [rays.rows(rays.image == k)])
-    for result in run_tasks(_match_image, jobs, processes):
-        refined.append(result)
-        done(1)
+    refined = list(run_tasks(_match_image, jobs, processes, done))
     inner = np.flatnonzero(inside)
     return _joined(refined, inner, image[inner], middle[inner], tracks.conflicts)
 

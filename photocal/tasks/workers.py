@@ -26,19 +26,26 @@ _AHEAD = 2
 
 
 def run_tasks(
-    function: Callable[[Task], Result], tasks: Iterable[Task], workers: "Workers"
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    workers: "Workers",
+    done: Callable[[float], None] = lambda _: None,
 ) -> Iterator[Result]:
-    """Do a piece of work for each task.
+    """Do a piece of work for each task, and tell `done` when its result was taken.
 
     raises ProgramMissingError: when a worker process died, for want of memory as a rule.
     raises DeviceError: when a cluster does not answer.
     """
+    results: Iterable[Result]
     if isinstance(workers, Cluster):
-        yield from workers.run(function, tasks)
+        results = workers.run(function, tasks)
     elif workers <= 1:
-        yield from map(function, tasks)
+        results = map(function, tasks)
     else:
-        yield from _on_processes(function, tasks, workers)
+        results = _on_processes(function, tasks, workers)
+    for result in results:
+        yield result
+        done(1)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Floats
 from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
-from photocal.measurement.markers import find_markers
+from photocal.measurement.markers import COMMON_PX, find_markers
 from photocal.measurement.patterns import FLAT, HOLE
 from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
 
@@ -39,8 +39,6 @@ COARSEST_PX = 0.1
 BLUNTEST_PX, BLUNTEST_PART = 1.6, 0.06
 # A circle or hourglass whose edges fill it is a blot itself: as a part of its size.
 BLOT_PART = 0.13
-# Targets are not flat and lenses not modelled to the last: what grey values cannot know, px.
-COMMON_PX = 0.02
 
 
 @dataclass(frozen=True)
