@@ -35,7 +35,7 @@ class Device(Protocol):
         ...
 
 
-@contextlib.contextmanager
+@contextmanager
 def on_udp(device: Device, host: str, port: int) -> Iterator[None]:
     """Let a device speak to a UDP port, each answer in a datagram of its own."""
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -50,7 +50,7 @@ def on_udp(device: Device, host: str, port: int) -> Iterator[None]:
         yield
 
 
-@contextlib.contextmanager
+@contextmanager
 def on_pty(device: Device) -> Iterator[str]:
     """Let a device speak on a pseudo terminal; yields the path of the port."""
     ours, theirs, path = pseudo_terminal()
@@ -81,15 +81,13 @@ def on_pty(device: Device) -> Iterator[str]:
         os.close(theirs)
 
 
-@contextlib.contextmanager
+@contextmanager
 def on_tcp(device: Device, host: str = "127.0.0.1", port: int = 0) -> Iterator[int]:
     """Let a device speak to whoever connects, one after the other; yields the port."""
     # A connection is told to the device as bytes of no length.
     server = socket.create_server((host, port))
-    stop = threading.Event()
-    start = time.monotonic()
 
-    def run() -> None:
+    def run(stop: threading.Event, start: float) -> None:
         server.settimeout(0.1)
         while not stop.is_set():
             with contextlib.suppress(OSError):
@@ -99,14 +97,8 @@ def on_tcp(device: Device, host: str = "127.0.0.1", port: int = 0) -> Iterator[i
             # What is sent while nobody is connected is lost.
             device.due(time.monotonic() - start)
 
-    thread = threading.Thread(target=run, daemon=True)
-    with server:
-        thread.start()
-        try:
-            yield int(server.getsockname()[1])
-        finally:
-            stop.set()
-            thread.join(5)
+    with server, _beside(run):
+        yield int(server.getsockname()[1])
 
 
 def _converse(device: Device, line: socket.socket, stop: threading.Event, start: float) -> None:
@@ -123,17 +115,14 @@ def _converse(device: Device, line: socket.socket, stop: threading.Event, start:
             return
 
 
-@contextlib.contextmanager
+@contextmanager
 def _serving(
     device: Device,
     descriptor: int,
     read: Callable[[int], bytes],
     send: Callable[[bytes, threading.Event], None],
 ) -> Iterator[None]:
-    stop = threading.Event()
-    start = time.monotonic()
-
-    def run() -> None:
+    def run(stop: threading.Event, start: float) -> None:
         while not stop.is_set():
             ready, _, _ = select.select([descriptor], [], [], _TICK_S)
             now = time.monotonic() - start
@@ -145,7 +134,15 @@ def _serving(
             if out:
                 send(out, stop)
 
-    thread = threading.Thread(target=run, daemon=True)
+    with _beside(run):
+        yield
+
+
+@contextmanager
+def _beside(run: Callable[[threading.Event, float], None]) -> Iterator[None]:
+    """Run something until the end of the block; it is given what tells it to stop, and when it began."""
+    stop = threading.Event()
+    thread = threading.Thread(target=run, args=(stop, time.monotonic()), daemon=True)
     thread.start()
     try:
         yield

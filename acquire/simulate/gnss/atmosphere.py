@@ -5,30 +5,13 @@ from typing import Self
 
 import numpy as np
 
+from acquire.simulate.gnss.geometry import Place
 from acquire.simulate.gnss.settings import L1CA, LIGHT_M_S, SkySettings
 from drivers.arrays import Floats, Integers
 from drivers.gnsstime import DAY_NS
 
 _LAYER_M, _EARTH_M = 350e3, 6371e3
 _SCALES = 2.0 ** np.array([-30, -27, -24, -24, 11, 14, 16, 16])
-
-
-@dataclass(frozen=True)
-class Sight:
-    """Lines of sight from an antenna, one per epoch.
-
-    lat, lon (n,): antenna, radians.
-    height_m (n,): above the ellipsoid.
-    azimuth, elevation (n,): of the satellite, radians.
-    gps_ns (n,): time.
-    """
-
-    lat: Floats
-    lon: Floats
-    height_m: Floats
-    azimuth: Floats
-    elevation: Floats
-    gps_ns: Integers
 
 
 @dataclass(frozen=True)
@@ -56,21 +39,21 @@ class Atmosphere:
         waves = [k * np.cos(course), k * np.sin(course), 2 * np.pi / period, rng.uniform(0, 2 * np.pi, 3)]
         return cls(settings, np.stack(waves, axis=1), float(rng.normal(0, settings.wet_sigma_m)), longitude)
 
-    def ionosphere_m(self, sight: Sight) -> Floats:
+    def ionosphere_m(self, at: Place, azimuth: Floats, elevation: Floats, gps_ns: Integers) -> Floats:
         """Return the delay of codes on L1, float64 (n,); it grows with the inverse square of the frequency.
 
         A thin layer at 350 km whose vertical delay is the broadcast model's (IS-GPS-200N, 20.3.3.5.2.5, there
         with a slant factor of its own), scaled, and the waves.
+
+        azimuth, elevation (n,): of a satellite, radians.
         """
-        zenith = np.arcsin(_EARTH_M / (_EARTH_M + _LAYER_M) * np.cos(sight.elevation))
-        angle = np.pi / 2 - sight.elevation - zenith
-        lat = np.arcsin(
-            np.sin(sight.lat) * np.cos(angle) + np.cos(sight.lat) * np.sin(angle) * np.cos(sight.azimuth)
-        )
-        lon = sight.lon + np.arcsin(np.sin(angle) * np.sin(sight.azimuth) / np.cos(lat))
+        zenith = np.arcsin(_EARTH_M / (_EARTH_M + _LAYER_M) * np.cos(elevation))
+        angle = np.pi / 2 - elevation - zenith
+        lat = np.arcsin(np.sin(at.lat) * np.cos(angle) + np.cos(at.lat) * np.sin(angle) * np.cos(azimuth))
+        lon = at.lon + np.arcsin(np.sin(angle) * np.sin(azimuth) / np.cos(lat))
         beyond = np.round((lon - self.longitude) / (2 * np.pi)) * 2 * np.pi
-        north, east = lat * _EARTH_M, (lon - beyond) * _EARTH_M * np.cos(sight.lat)
-        time = (sight.gps_ns % DAY_NS) / 1e9
+        north, east = lat * _EARTH_M, (lon - beyond) * _EARTH_M * np.cos(at.lat)
+        time = (gps_ns % DAY_NS) / 1e9
         vertical = self.settings.ionosphere_scale * self._broadcast_m(lat, lon, time)
         for to_north, to_east, frequency, phase in self.waves:
             wave = to_north * north + to_east * east - frequency * time + phase
@@ -89,17 +72,17 @@ class Atmosphere:
         day = np.where(np.abs(phase) < np.pi / 2, amplitude * np.cos(phase), 0.0)
         return np.asarray(LIGHT_M_S * (5e-9 + day))
 
-    def troposphere_m(self, sight: Sight) -> Floats:
+    def troposphere_m(self, at: Place, elevation: Floats) -> Floats:
         """Return the delay of all signals, float64 (n,)."""
         # Zenith delays by Saastamoinen (1972) in the standard atmosphere; mapped by Chao (1974), dry and wet.
-        kelvin = 273.15 + self.settings.temperature_c - 6.5e-3 * sight.height_m
-        pressure = 1013.25 * (1 - 2.2557e-5 * sight.height_m) ** 5.2568
+        kelvin = 273.15 + self.settings.temperature_c - 6.5e-3 * at.height_m
+        pressure = 1013.25 * (1 - 2.2557e-5 * at.height_m) ** 5.2568
         humidity = self.settings.relative_humidity
         vapour = 6.108 * humidity * np.exp((17.15 * kelvin - 4684) / (kelvin - 38.45))
-        gravity = 1 - 0.00266 * np.cos(2 * sight.lat) - 0.28e-6 * sight.height_m
+        gravity = 1 - 0.00266 * np.cos(2 * at.lat) - 0.28e-6 * at.height_m
         dry = 0.0022768 * pressure / gravity
-        wet = 0.002277 * (1255 / kelvin + 0.05) * vapour + self.wet_m * np.exp(-sight.height_m / 2000)
-        sine, tangent = np.sin(sight.elevation), np.tan(sight.elevation)
+        wet = 0.002277 * (1255 / kelvin + 0.05) * vapour + self.wet_m * np.exp(-at.height_m / 2000)
+        sine, tangent = np.sin(elevation), np.tan(elevation)
         dry_map = 1 / (sine + 0.00143 / (tangent + 0.0445))
         wet_map = 1 / (sine + 0.00035 / (tangent + 0.017))
         return np.asarray(dry * dry_map + wet * wet_map)

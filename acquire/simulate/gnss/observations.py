@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.gnss.atmosphere import Atmosphere, Sight, on
+from acquire.simulate.gnss.atmosphere import Atmosphere, on
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.geometry import Antenna, Link, Place, link, place
 from acquire.simulate.gnss.settings import GPS, LIGHT_M_S, SIGNALS, ReceiverModel, Signal
@@ -250,15 +250,9 @@ def _satellite(
         return []
     way = link(satellite, epochs.seconds, epochs.origin_ns, epochs.place)
     above = way.elevation >= mask
-    sight = Sight(
-        epochs.place.lat,
-        epochs.place.lon,
-        epochs.place.height_m,
-        way.azimuth,
-        np.maximum(way.elevation, mask),
-        epochs.true_ns,
-    )
-    layer, air = atmosphere.ionosphere_m(sight), atmosphere.troposphere_m(sight)
+    seen = np.maximum(way.elevation, mask)
+    layer = atmosphere.ionosphere_m(epochs.place, way.azimuth, seen, epochs.true_ns)
+    air = atmosphere.troposphere_m(epochs.place, seen)
     slow = way.range_m + air + LIGHT_M_S * (epochs.clock.bias_s - way.clock_s)
     parts = []
     for number, (signal, chance) in enumerate(zip(SIGNALS[satellite.system], rng.spawn(2), strict=True)):

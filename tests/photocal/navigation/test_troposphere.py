@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquire.simulate.gnss.atmosphere import Atmosphere, Sight
-from acquire.simulate.gnss.geometry import Antenna
+from acquire.simulate.gnss.atmosphere import Atmosphere
+from acquire.simulate.gnss.geometry import Antenna, Place
 from acquire.simulate.gnss.session import simulate
 from acquire.simulate.gnss.settings import ROVER, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
@@ -126,10 +126,8 @@ def zenith_delay_m(humidity: float, height_m: float) -> float:
     """As the simulator has it."""
     one = np.ones(1)
     sky = SkySettings(relative_humidity=humidity)
-    sight = Sight(
-        np.radians(BASE_DEG[0]) * one, one, height_m * one, one, np.pi / 2 * one, np.array([START], np.int64)
-    )
-    return float(Atmosphere(sky, np.zeros((0, 4)), 0.0).troposphere_m(sight)[0])
+    at = Place(one, one, np.radians(BASE_DEG[0]) * one, one, height_m * one)
+    return float(Atmosphere(sky, np.zeros((0, 4)), 0.0).troposphere_m(at, np.pi / 2 * one)[0])
 
 
 def test_moist_air_lowers_a_flight_and_weather_puts_it_right(tmp_path: Path) -> None:

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquire.simulate.gnss.atmosphere import Atmosphere, Sight
+from acquire.simulate.gnss.atmosphere import Atmosphere
 from acquire.simulate.gnss.ephemeris import Field
+from acquire.simulate.gnss.geometry import Place
 from acquire.simulate.gnss.observations import correlated, thermal
 from acquire.simulate.gnss.settings import E5BQ, L1CA, L2CL, ReceiverModel, SkySettings
 from tests.acquire.simulate.gnss.flights import Floats, gps_ns
@@ -16,23 +17,27 @@ from tests.acquire.simulate.gnss.flights import Floats, gps_ns
 QUIET = SkySettings(ionosphere_scale=1.0, wave_m=0.0, wet_sigma_m=0.0)
 
 
-def sight(elevation_deg: Floats, time: int = 0, height_m: float = 0.0, lat_deg: float = 45.0) -> Sight:
+def antenna(count: int, height_m: float = 0.0, lat_deg: float = 45.0, lon: float = 0.0) -> Place:
+    full, nowhere = np.ones(count), np.zeros((count, 3))
+    return Place(nowhere, nowhere, np.radians(lat_deg) * full, lon * full, height_m * full)
+
+
+def ionosphere_m(
+    air: Atmosphere, elevation_deg: list[float], time: int = 0, lat_deg: float = 45.0, lon: float = 0.0
+) -> Floats:
     n = len(elevation_deg)
-    full = np.ones(n)
-    return Sight(
-        np.radians(lat_deg) * full,
-        0.0 * full,
-        height_m * full,
-        0.0 * full,
-        np.radians(elevation_deg),
-        np.full(n, time, np.int64),
-    )
+    at = antenna(n, lat_deg=lat_deg, lon=lon)
+    return air.ionosphere_m(at, np.zeros(n), np.radians(elevation_deg), np.full(n, time, np.int64))
+
+
+def troposphere_m(air: Atmosphere, elevation_deg: list[float], height_m: float = 0.0) -> Floats:
+    return air.troposphere_m(antenna(len(elevation_deg), height_m), np.radians(elevation_deg))
 
 
 def test_night_has_five_nanoseconds() -> None:
     """Klobuchar's model by night: 5 ns in the zenith; a layer at 350 km has 1/sin at 71.3 deg for 20 deg."""
     air = Atmosphere.by_chance(QUIET, np.random.default_rng(0))
-    found = air.ionosphere_m(sight(np.array([90.0, 20.0]), gps_ns(2025, 6, 15, 2, 0, 0)))
+    found = ionosphere_m(air, [90.0, 20.0], gps_ns(2025, 6, 15, 2, 0, 0))
     zenith = np.arcsin(6371 / 6721 * np.cos(np.radians(20)))
     assert found == pytest.approx(299_792_458.0 * 5e-9 / np.cos([0.0, zenith]), rel=1e-9)
 
@@ -40,9 +45,7 @@ def test_night_has_five_nanoseconds() -> None:
 def test_day_has_its_maximum_at_two() -> None:
     air = Atmosphere.by_chance(QUIET, np.random.default_rng(0))
     hours = np.arange(24)
-    delay = [
-        air.ionosphere_m(sight(np.array([90.0]), gps_ns(2025, 6, 15, h, 0, 0)))[0] for h in hours.tolist()
-    ]
+    delay = [ionosphere_m(air, [90.0], gps_ns(2025, 6, 15, h, 0, 0))[0] for h in hours.tolist()]
     assert np.argmax(delay) == 14
     # A zenith at 45 deg: geomagnetic latitude 0.25 + 0.064 cos(-1.617 pi) semicircles.
     magnetic = 0.25 + 0.064 * np.cos(1.617 * np.pi)
@@ -54,8 +57,8 @@ def test_day_has_its_maximum_at_two() -> None:
 def test_short_baselines_share_the_ionosphere() -> None:
     air = Atmosphere.by_chance(SkySettings(), np.random.default_rng(1))
     time = gps_ns(2025, 6, 15, 13, 0, 0)
-    elevation = np.array([20.0, 45.0, 80.0])
-    here, near, far = (air.ionosphere_m(sight(elevation, time, lat_deg=45 + d)) for d in (0.0, 0.009, 0.9))
+    elevation = [20.0, 45.0, 80.0]
+    here, near, far = (ionosphere_m(air, elevation, time, 45 + d) for d in (0.0, 0.009, 0.9))
     # 1 km and 100 km.
     assert np.abs(near - here).max() < 0.01
     assert np.abs(far - here).max() > 0.05
@@ -63,27 +66,26 @@ def test_short_baselines_share_the_ionosphere() -> None:
 
 def test_waves_do_not_break_at_the_date_line() -> None:
     air = Atmosphere.by_chance(SkySettings(), np.random.default_rng(1), np.pi)
-    west, east = (sight(np.array([60.0])) for _ in range(2))
-    west, east = (replace(west, lon=np.array([side * (np.pi - 1e-7)])) for side in (1.0, -1.0))
-    assert abs(air.ionosphere_m(west)[0] - air.ionosphere_m(east)[0]) < 1e-4
+    west, east = (ionosphere_m(air, [60.0], lon=side * (np.pi - 1e-7))[0] for side in (1.0, -1.0))
+    assert abs(west - east) < 1e-4
 
 
 def test_troposphere_has_published_sizes() -> None:
     """Dry zenith delay 2.31 m at sea level; mapped to 10 deg as by Niell (1996) at 45 deg latitude."""
     dry = Atmosphere.by_chance(SkySettings(relative_humidity=0.0, wet_sigma_m=0.0), np.random.default_rng(0))
-    zenith, low = dry.troposphere_m(sight(np.array([90.0, 10.0])))
+    zenith, low = troposphere_m(dry, [90.0, 10.0])
     assert zenith == pytest.approx(2.307, abs=0.005)
     a, b, c, sine = 1.2683230e-3, 2.9152299e-3, 62.837393e-3, np.sin(np.radians(10.0))
     niell = (1 + a / (1 + b / (1 + c))) / (sine + a / (sine + b / (sine + c)))
     assert low / zenith == pytest.approx(niell, rel=0.002)
     wet = Atmosphere.by_chance(QUIET, np.random.default_rng(0))
-    ground, above = (wet.troposphere_m(sight(np.array([90.0]), height_m=h))[0] for h in (0.0, 100.0))
+    ground, above = (troposphere_m(wet, [90.0], h)[0] for h in (0.0, 100.0))
     # Saastamoinen's wet part with 8.5 hPa at 15 deg C: 0.002277 (1255 / 288.15 + 0.05) 8.5 m.
     assert ground - zenith == pytest.approx(0.085, abs=0.003)
     assert ground - above == pytest.approx(0.032, abs=0.004)
     # The same with 90 % of the 56.2 hPa that saturate air of 35 deg C.
     sultry = replace(QUIET, temperature_c=35.0, relative_humidity=0.9)
-    hot = Atmosphere.by_chance(sultry, np.random.default_rng(0)).troposphere_m(sight(np.array([90.0])))[0]
+    hot = troposphere_m(Atmosphere.by_chance(sultry, np.random.default_rng(0)), [90.0])[0]
     assert hot - zenith == pytest.approx(0.002277 * (1255 / 308.15 + 0.05) * 0.9 * 56.2, abs=0.006)
 
 
