@@ -67,6 +67,7 @@ class Fixes:
     latitude_deg, longitude_deg (n,): NaN where missing.
     height_m (n,): ellipsoidal: the antenna height above the geoid plus the geoid separation. NaN where either
         is missing.
+    geoid_m (n,): that separation.
     quality (n,): 0 none, 1 autonomous, 2 differential, 4 RTK fixed, 5 RTK float, 6 dead reckoning.
     satellites (n,): number used.
     hdop, age_s (n,): horizontal dilution and age of the corrections; NaN where missing.
@@ -77,6 +78,7 @@ class Fixes:
     latitude_deg: Floats
     longitude_deg: Floats
     height_m: Floats
+    geoid_m: Floats
     quality: Integers
     satellites: Integers
     hdop: Floats
@@ -93,6 +95,7 @@ def decode_gga(batch: Batch) -> Fixes:
         latitude_deg=np.array([_angle_deg(f[2], f[3], 2, "S") for f in rows], float),
         longitude_deg=np.array([_angle_deg(f[4], f[5], 3, "W") for f in rows], float),
         height_m=np.array([_number(f[9]) + _number(f[11]) for f in rows], float),
+        geoid_m=np.array([_number(f[11]) for f in rows], float),
         quality=np.array([_whole(f[6]) for f in rows], np.int64),
         satellites=np.array([_whole(f[7]) for f in rows], np.int64),
         hdop=np.array([_number(f[8]) for f in rows], float),

@@ -1,8 +1,9 @@
 """Decoded messages on their way to the log, and rows of JSON."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -92,50 +93,43 @@ TIME: dict[str, Any] = {
 }
 
 
-def number(description: str) -> dict[str, str]:
-    """Return the type of a member that holds a number."""
-    return {"type": "number", "description": description}
+def _member(kind: str, description: str) -> dict[str, str]:
+    return {"type": kind, "description": description}
 
 
-def integer(description: str) -> dict[str, str]:
-    """Return the type of a member that holds a whole number."""
-    return {"type": "integer", "description": description}
+# The types of members that hold a number, a whole number, a text; each takes what is to be said of it.
+number, integer, words = (partial(_member, kind) for kind in ("number", "integer", "string"))
 
 
-def words(description: str) -> dict[str, str]:
-    """Return the type of a member that holds a text."""
-    return {"type": "string", "description": description}
-
-
+@dataclass(frozen=True)
 class Times:
-    """A column of times, UTC nanoseconds since 1970, that a row shows as seconds and nanoseconds."""
+    """A column of times, UTC nanoseconds since 1970; rows show seconds and nanoseconds, null below zero."""
 
-    def __init__(self, time_ns: Integers) -> None:
-        self.time_ns = time_ns
+    time_ns: Integers
 
-    def texts(self) -> list[str]:
-        """Return the JSON of each; negative times are null."""
-        return [
-            f'{{"sec":{t // SECOND_NS},"nsec":{t % SECOND_NS}}}' if t >= 0 else "null"
-            for t in self.time_ns.tolist()
-        ]
+
+def _time(time_ns: int) -> str:
+    return f'{{"sec":{time_ns // SECOND_NS},"nsec":{time_ns % SECOND_NS}}}' if time_ns >= 0 else "null"
+
+
+# How a value of each kind of array is written; all others as `json.dumps` does.
+_WRITTEN: dict[str, Callable[[Any], str]] = {
+    "b": lambda value: "true" if value else "false",
+    "i": str,
+    "u": str,
+    "S": lambda value: json.dumps(value.decode("utf-8", "replace")),
+}
 
 
 def _texts(column: Any, count: int) -> list[str]:
     if isinstance(column, str):
         return [json.dumps(column)] * count
     if isinstance(column, Times):
-        return column.texts()
-    if isinstance(column, np.ndarray):
-        if column.dtype.kind == "f":
-            # Nine digits carry a single precision number exactly; repr is the shortest text of a double.
-            text = "{:.9g}".format if column.dtype.itemsize == 4 else repr
-            return [text(v) if v - v == 0 else "null" for v in column.tolist()]
-        if column.dtype.kind == "b":
-            return ["true" if v else "false" for v in column.tolist()]
-        if column.dtype.kind in "ui":
-            return [str(v) for v in column.tolist()]
-        if column.dtype.kind == "S":
-            return [json.dumps(v.decode("utf-8", "replace")) for v in column.tolist()]
-        return [json.dumps(v) for v in column.tolist()]
-    return [json.dumps(v) for v in column]
+        return list(map(_time, column.time_ns.tolist()))
+    if not isinstance(column, np.ndarray):
+        return list(map(json.dumps, column))
+    if column.dtype.kind == "f":
+        # Nine digits carry a single precision number exactly; repr is the shortest text of a double.
+        text = "{:.9g}".format if column.dtype.itemsize == 4 else repr
+        return [text(v) if v - v == 0 else "null" for v in column.tolist()]
+    return list(map(_WRITTEN.get(column.dtype.kind, json.dumps), column.tolist()))

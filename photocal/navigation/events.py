@@ -258,16 +258,6 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
     count = t[:, 0].astype(np.int64)
     time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])
     events = Events(name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
-    n, sigma_enu_m = len(t), t[:, [10, 9, 11]]
-    lat, lon, height = t[:, 6:9].T
-    placed = Placed(
-        np.ones(n, bool),
-        np.zeros(n),
-        lat,
-        lon,
-        height,
-        np.full((n, 3), np.nan),
-        sigma_enu_m[:, :, None] ** 2 * np.eye(3),
-        np.array([_STATUS.get(int(q), "single") for q in t[:, 12]], "U6"),
-    )
+    status = [_STATUS.get(int(q), "single") for q in t[:, 12]]
+    placed = Placed.told(t[:, 6:9], t[:, [10, 9, 11]], status)
     return CameraEventList(events, np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3, placed)

@@ -110,8 +110,7 @@ def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
     columns = ("latitude_deg", "longitude_deg", "altitude_m")
     place = np.array([[np.nan] * 3 if f is None else [getattr(f, c) for c in columns] for f in facts])
     sigma = np.array([[np.nan] * 3 if f is None else f.position_sigma_m for f in facts])
-    there = np.isfinite(place).all(axis=1)
-    if not there.any():
+    if not np.isfinite(place).all(axis=1).any():
         raise ConfigurationError(
             "no image states a position, and there are no events to match them to",
             remedy="give a flight log or an event list with --mrk",
@@ -120,14 +119,4 @@ def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
     time = UtcTime(np.array([round(t * 1e9) for t in time_s[order].tolist()], np.int64)).to_gps()
     remark = "times are the camera's own clock, taken for UTC: zone and offset are not known"
     events = Events("the images themselves", time, np.arange(n), np.zeros(n), [remark])
-    placed = Placed(
-        there,
-        np.where(there, 0.0, np.inf),
-        place[:, 0],
-        place[:, 1],
-        place[:, 2],
-        np.full((n, 3), np.nan),
-        sigma[:, :, None] ** 2 * np.eye(3),
-        np.full(n, "single"),
-    )
-    return events, placed
+    return events, Placed.told(place, sigma, ["single"] * n)

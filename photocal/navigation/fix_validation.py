@@ -150,18 +150,13 @@ def _jumps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats, sigma: f
 
 def _runs(time: GpsTime, fixed: Flags, broken: Flags | None = None) -> list[tuple[int, int]]:
     """Return begin and end of the runs of fixes without a gap (or a break)."""
-    runs = []
-    start = -1
     usual_ns = float(np.median(np.diff(time.ns))) if len(time) > 1 else 0.0
-    gap_ns = max(_RUN_GAP_NS, _RUN_GAP_EPOCHS * usual_ns)
-    for i in range(len(fixed)):
-        apart = i > 0 and (time.ns[i] - time.ns[i - 1] > gap_ns or (broken is not None and broken[i - 1]))
-        if start >= 0 and (not fixed[i] or apart):
-            runs.append((start, i))
-            start = -1
-        if fixed[i] and start < 0:
-            start = i
-    return runs + ([(start, len(fixed))] if start >= 0 else [])
+    apart = np.diff(time.ns) > max(_RUN_GAP_NS, _RUN_GAP_EPOCHS * usual_ns)
+    if broken is not None:
+        apart |= broken
+    begins = fixed & np.append(True, apart | ~fixed[:-1])
+    ends = fixed & np.append(apart | ~fixed[1:], True)
+    return list(zip(np.flatnonzero(begins).tolist(), (np.flatnonzero(ends) + 1).tolist(), strict=True))
 
 
 def _lonely(time: GpsTime, fixed: Flags) -> Flags:

@@ -14,7 +14,7 @@ from drivers.frames import Batch, Wire
 from drivers.gnsstime import week_to_ns
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import Dialect
-from drivers.nmea import kind_of
+from drivers.nmea import decode_gga
 from drivers.rtcm3 import decode_stations
 from drivers.ubx import decode as ubx
 from photocal.navigation.flight_log import FlightLog
@@ -23,8 +23,6 @@ from photocal.navigation.flight_log import FlightLog
 _SAME_MARK_M = 0.01
 _MSM_FIRST, _MSM_LAST = 1071, 1137
 _NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
-_GGA = kind_of(b"GPGGA")
-_SEPARATION, _QUALITY = 11, 6
 
 
 @dataclass
@@ -65,7 +63,7 @@ class ReceiverRecording:
         """Take the frames of one chunk of the log."""
         batch = batch_of_payloads(wire, payloads, _NO_DIALECT)
         if wire != Wire.RTCM3:
-            self.geoid_m.extend(told_by_receiver(batch, payloads))
+            self.geoid_m.extend(told_by_receiver(batch))
         if wire == Wire.UBX:
             self._add_ubx(batch, payloads, log_ns)
         elif wire == Wire.RTCM3:
@@ -197,7 +195,7 @@ def refuse_unusable(recording: ReceiverRecording, role: str, log: FlightLog) -> 
     )
 
 
-def told_by_receiver(batch: Batch, payloads: list[bytes]) -> list[float]:
+def told_by_receiver(batch: Batch) -> list[float]:
     """Return height above the ellipsoid less height above sea level (m) of every position in a batch.
 
     Receivers take it from a coarse model: u-blox interpolates EGM 96 in a grid of 10 degrees, some metres off
@@ -209,19 +207,6 @@ def told_by_receiver(batch: Batch, payloads: list[bytes]) -> list[float]:
         if kind == ubx.NAV_PVT:
             fields = fields[(fields["flags"] & 1) != 0]
         found += ((fields["height"].astype(float) - fields["hMSL"]) * 1e-3).tolist()
-    found.extend(
-        separation
-        for row in np.flatnonzero(batch.kind == _GGA).tolist()
-        if (separation := _of_sentence(payloads[row])) is not None
-    )
+    gga = decode_gga(batch)
+    found += gga.geoid_m[(gga.quality > 0) & np.isfinite(gga.geoid_m)].tolist()
     return found
-
-
-def _of_sentence(sentence: bytes) -> float | None:
-    parts = sentence.split(b",")
-    if len(parts) <= _SEPARATION or parts[_QUALITY] in (b"", b"0"):
-        return None
-    try:
-        return float(parts[_SEPARATION])
-    except ValueError:
-        return None

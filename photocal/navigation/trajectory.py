@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from acquire.outputs import write_rows
 from drivers.arrays import Columns, Flags, Floats, Integers
@@ -128,6 +128,14 @@ class Placed(Geodetic):
     velocity_m_s: Floats
     covariance_m2: Floats
     status: NDArray[np.str_]
+
+    @classmethod
+    def told(cls, place: Floats, sigma_m: Floats, status: ArrayLike) -> Self:
+        """Positions that somebody tells: latitude, longitude, height (n, 3), their sigmas east, north, up."""
+        there, (lat, lon, height) = np.isfinite(place.sum(axis=1)), place.T
+        gap, velocity = np.where(there, 0.0, np.inf), np.full(place.shape, np.nan)
+        covariance = sigma_m[:, :, None] ** 2 * np.eye(3)
+        return cls(there, gap, lat, lon, height, velocity, covariance, np.asarray(status, "U6"))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ observations are free of errors; its covariance is that of the flight as planned
 model, of the terrain and of the weather are not in it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -58,10 +58,10 @@ class SimulatedPrecision:
     points: int
     rays: int
     check: int
-    mean_m: tuple[float, ...]
-    worst_m: tuple[float, ...]
-    camera_px: dict[str, float]
-    reason: str
+    mean_m: tuple[float, ...] = ()
+    worst_m: tuple[float, ...] = ()
+    camera_px: dict[str, float] = field(default_factory=dict)
+    reason: str = ""
 
 
 def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecision:
@@ -69,14 +69,12 @@ def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecisi
     network, check = planned_network(flight, layout, survey)
     method = "indirect" if survey.gnss_m is None else "integrated"
     counts = (len(network.image_names), len(network.point_names), len(network.rays.image), len(check))
-    nothing: tuple[float, ...] = ()
     if not len(check):
-        reason = "no check point is seen by two photos"
-        return SimulatedPrecision(method, *counts, nothing, nothing, {}, reason)
+        return SimulatedPrecision(method, *counts, reason="no check point is seen by two photos")
     try:
         solution = adjust(network)
     except (IllPosedError, NotConvergedError) as refusal:
-        return SimulatedPrecision(method, *counts, nothing, nothing, {}, str(refusal))
+        return SimulatedPrecision(method, *counts, reason=str(refusal))
     variance = np.diagonal(solution.point_covariance[check], axis1=1, axis2=2)
     return SimulatedPrecision(
         method,
@@ -84,7 +82,6 @@ def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecisi
         tuple(np.sqrt(variance.mean(axis=0)).tolist()),
         tuple(np.sqrt(variance.max(axis=0)).tolist()),
         _camera_px(flight.wish.frame, solution) if survey.self_calibration else {},
-        "",
     )
 
 
