@@ -15,7 +15,8 @@ from photocal.navigation.engine_output import (
 )
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
-from photocal.navigation.troposphere import DelayLapse, Weather, remaining_lapse
+from photocal.navigation.troposphere import DelayLapse, remaining_lapse
+from photocal.project import AirAtBase
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def common_errors(
     satellites: SatelliteResiduals,
     base_m: Floats,
     base_sigma_m: Floats | None = None,
-    weather: Weather | None = None,
+    weather: AirAtBase | None = None,
 ) -> CommonErrors:
     """Estimate what all positions of a flight share."""
     t = trajectory

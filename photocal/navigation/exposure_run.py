@@ -35,7 +35,6 @@ from photocal.navigation.receiver_recording import ReceiverRecording, read_recei
 from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import HostTime
 from photocal.navigation.trajectory import Trajectory, plainly
-from photocal.navigation.troposphere import measured_weather
 from photocal.navigation.vehicle import VehicleTrack, autopilot_time, read_vehicle
 from photocal.project import Project
 
@@ -263,7 +262,7 @@ def choices_of_project(project: Project) -> Choices:
         flight.rover_antenna_height_m,
         flight.base_antenna_height_m,
         None if flight.base_sigma_m is None else np.array(flight.base_sigma_m),
-        measured_weather(flight.weather),
+        flight.weather,
     )
     images = project.contents.images
     keys = project.contents.rig

@@ -28,7 +28,7 @@ from photocal.navigation.precise_results import (
 )
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes_at
-from photocal.navigation.troposphere import Weather
+from photocal.project import AirAtBase
 
 # Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.
 _ROUNDING_M = 0.005
@@ -87,7 +87,7 @@ class Inputs:
     base_m: Floats
     base_source: str
     base_sigma_m: Floats | None = None
-    weather: Weather | None = None
+    weather: AirAtBase | None = None
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from photocal.navigation.ppk import Inputs, parse_position
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file, read_precise_result
 from photocal.navigation.receiver_recording import ReceiverRecording, pick, read_receivers, refuse_unusable
 from photocal.navigation.time import GpsTime
-from photocal.navigation.troposphere import Weather, parse_weather
+from photocal.navigation.troposphere import parse_weather
+from photocal.project import AirAtBase
 
 NAV_OF_BASE = "base"
 
@@ -46,7 +47,7 @@ class Sources:
     rover_antenna_m: float | None = None
     base_antenna_m: float | None = None
     base_sigma_m: Floats | None = None
-    weather: Weather | None = None
+    weather: AirAtBase | None = None
 
     def with_base(self, sigma: str | None, weather: str | None) -> Self:
         """Return the sources with what a person states of the base.

@@ -20,7 +20,6 @@ from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
 from photocal.navigation.trajectory import Trajectory
-from photocal.navigation.troposphere import measured_weather
 from photocal.project import AirAtBase
 
 _LOG = ".mcap"
@@ -160,9 +159,8 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     rover, of_rover = _observations(measured.rover, measured.rover_link, "rover", survey, folder / "rover")
     base, of_base = _observations(measured.base, measured.base_link, "base", survey, folder / "base")
     named = [survey.folder / p for p in (*measured.nav, *measured.products)]
-    weather = measured_weather(survey.setup.weather)
     files = [*of_rover, *of_base, *named]
-    inputs = Inputs(rover, base, files, start_m, f"mark {measured.start}", weather=weather)
+    inputs = Inputs(rover, base, files, start_m, f"mark {measured.start}", weather=survey.setup.weather)
     options = replace(
         options_for(rover, base),
         rover_antenna_m=measured.rover_antenna_m,

@@ -40,42 +40,18 @@ _CLIMATE_VAPOUR, _CLIMATE_DRY = 0.42, 0.03
 _MEASURED_VAPOUR, _MEASURED_DRY = 0.12, 0.01
 
 
-@dataclass(frozen=True)
-class Weather:
-    """The air at the base, as measured.
-
-    temperature_c: in the shade.
-    relative_humidity: 0 to 1.
-    pressure_hpa: at the place, not reduced to sea level; None: of the standard atmosphere.
-    """
-
-    temperature_c: float
-    relative_humidity: float
-    pressure_hpa: float | None = None
-
-
-def measured_weather(air: AirAtBase | None) -> Weather | None:
-    """Return the weather of a project or survey file."""
-    if air is None:
-        return None
-    return Weather(air.temperature_c, air.relative_humidity_percent / 100, air.pressure_hpa)
-
-
-def parse_weather(text: str, option: str) -> Weather:
+def parse_weather(text: str, option: str) -> AirAtBase:
     """Return the weather of ``TEMPERATURE,HUMIDITY[,PRESSURE]``: degrees Celsius, percent, hPa there."""
     try:
         values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    bounds = ((-60.0, 60.0), (0.0, 100.0), (400.0, 1100.0))
-    inside = all(low <= v <= high for v, (low, high) in zip(values, bounds, strict=False))
-    if len(values) not in (2, 3) or not inside:
+        names = list(AirAtBase.model_fields)[: len(values)]
+        return AirAtBase.model_validate(dict(zip(names, values, strict=True)))
+    except ValueError as refusal:
         raise ConfigurationError(
             f"{text!r} is no weather",
             where=option,
             remedy="give TEMPERATURE,HUMIDITY[,PRESSURE]: degrees Celsius, percent, hPa at the place",
-        )
-    return Weather(values[0], values[1] / 100, values[2] if len(values) > 2 else None)
+        ) from refusal
 
 
 @dataclass(frozen=True)
@@ -91,7 +67,7 @@ class DelayLapse:
 
 
 def remaining_lapse(
-    lat_deg: float, height_m: float, day_of_year: float, weather: Weather | None = None
+    lat_deg: float, height_m: float, day_of_year: float, weather: AirAtBase | None = None
 ) -> DelayLapse:
     """Return what the engine leaves of the fall of the zenith delay with height."""
     # Over a difference in height the zenith delay changes by the refractivity of the air between (Davis et
@@ -104,7 +80,7 @@ def remaining_lapse(
         kelvin = weather.temperature_c + 273.15
         standard = 1013.25 * (1 - 2.2557e-5 * height_m) ** 5.2568
         pressure = standard if weather.pressure_hpa is None else weather.pressure_hpa
-        vapour = weather.relative_humidity * saturation_hpa(weather.temperature_c)
+        vapour = weather.relative_humidity_percent / 100 * saturation_hpa(weather.temperature_c)
         vapour_share, dry_share, source = _MEASURED_VAPOUR, _MEASURED_DRY, "weather at the base"
     dry, moist = refractivity(pressure, kelvin, vapour)
     value = 1e-6 * (dry + moist) - _engine_lapse(lat_deg, height_m)

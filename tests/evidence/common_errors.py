@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from acquire.simulate.gnss.settings import SkySettings
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.ppk import PpkResult
-from photocal.navigation.troposphere import Weather, remaining_lapse
+from photocal.navigation.troposphere import remaining_lapse
+from photocal.project import AirAtBase
 from tests.acquire.simulate.gnss.flights import BASE_DEG
 from tests.evidence.ppk_fixes import Case, flown
 
@@ -39,7 +40,7 @@ def corrections(common: CommonErrors, humidity: float) -> dict[str, CommonErrors
     """Return the common errors with the air as the climate has it, and as it was measured at the base."""
     lat, _, height = BASE_DEG
     # The simulator's standard atmosphere: 15 degrees at sea level.
-    measured = Weather(15.0 - 0.0065 * height, humidity)
+    measured = AirAtBase(temperature_c=15.0 - 0.0065 * height, relative_humidity_percent=100 * humidity)
     return {
         "climate": replace(common, lapse=remaining_lapse(lat, height, DAY)),
         "weather": replace(common, lapse=remaining_lapse(lat, height, DAY, measured)),

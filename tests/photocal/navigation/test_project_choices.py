@@ -10,8 +10,7 @@ import pytest
 from drivers.errors import InputMalformedError
 from photocal.navigation.exposure_run import choices_of_project
 from photocal.navigation.image_metadata import read_images
-from photocal.navigation.troposphere import Weather
-from photocal.project import read_project
+from photocal.project import AirAtBase, read_project
 
 PROJECT = """
 [project]
@@ -54,7 +53,7 @@ def test_every_key_finds_its_place(tmp_path: Path) -> None:
     assert (sources.base_antenna_m, sources.rover_antenna_m) == (1.5, None)
     assert sources.base_sigma_m is not None
     assert sources.base_sigma_m.tolist() == [0.01, 0.02, 0.03]
-    assert sources.weather == Weather(21.5, 0.6)
+    assert sources.weather == AirAtBase(temperature_c=21.5, relative_humidity_percent=60.0)
     assert (choices.edge, choices.delay_s, choices.largest_offset_s) == ("falling", 0.004, 12.0)
     # From the antenna to the camera here, the other way round in the project.
     assert rig.lever_m is not None

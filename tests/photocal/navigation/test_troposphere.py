@@ -23,7 +23,6 @@ from photocal.navigation.precise_results import ObservationFile, read_observatio
 from photocal.navigation.survey import KnownMark, MeasuredBaseline, Survey, SurveySetup, run_survey
 from photocal.navigation.time import GpsTime
 from photocal.navigation.troposphere import (
-    Weather,
     climate,
     parse_weather,
     refractivity,
@@ -36,6 +35,14 @@ from tests.conftest import needs_engine
 
 Floats = NDArray[np.float64]
 START = gps_ns(2025, 6, 15, 13, 15, 20)
+
+
+def measured_air(
+    temperature_c: float, humidity_percent: float, pressure_hpa: float | None = None
+) -> AirAtBase:
+    return AirAtBase(
+        temperature_c=temperature_c, relative_humidity_percent=humidity_percent, pressure_hpa=pressure_hpa
+    )
 
 
 def test_vapour_pressure_as_tabulated() -> None:
@@ -63,14 +70,15 @@ def test_refractivity_adds_up_to_the_zenith_delay() -> None:
 
 
 def test_the_engine_knows_dry_standard_air() -> None:
-    lapse = remaining_lapse(45.0, 0.0, 100.0, Weather(15.0, 0.0, 1013.25))
+    lapse = remaining_lapse(45.0, 0.0, 100.0, measured_air(15.0, 0.0, 1013.25))
     # Refractivity there is 273 ppm.
     assert abs(lapse.value) < 0.5e-6
-    moist = remaining_lapse(45.0, 0.0, 100.0, Weather(15.0, 1.0))
+    moist = remaining_lapse(45.0, 0.0, 100.0, measured_air(15.0, 100.0))
     assert moist.value == pytest.approx(75e-6, rel=0.05)
     # Measured air is better known than the climate's.
     assert (
-        remaining_lapse(45.0, 0.0, 100.0, Weather(10.0, 0.6)).sigma < remaining_lapse(45.0, 0.0, 100.0).sigma
+        remaining_lapse(45.0, 0.0, 100.0, measured_air(10.0, 60.0)).sigma
+        < remaining_lapse(45.0, 0.0, 100.0).sigma
     )
 
 
@@ -81,8 +89,8 @@ def test_seasons_are_half_a_year_apart_on_both_sides_of_the_equator() -> None:
 
 
 def test_weather_of_the_command_line() -> None:
-    assert parse_weather("21,60", "--weather") == Weather(21.0, 0.6)
-    assert parse_weather("21,60,918", "--weather") == Weather(21.0, 0.6, 918.0)
+    assert parse_weather("21,60", "--weather") == measured_air(21.0, 60.0)
+    assert parse_weather("21,60,918", "--weather") == measured_air(21.0, 60.0, 918.0)
     for text in ("21", "21,160", "21,60,91800", "warm,60"):
         with pytest.raises(ConfigurationError, match="weather"):
             parse_weather(text, "--weather")
@@ -109,7 +117,7 @@ def observed(
     return rover, base, [ephemerides for _, ephemerides in made]
 
 
-def flown(humidity: float, weather: Weather | None, folder: Path) -> tuple[PpkResult, Floats]:
+def flown(humidity: float, weather: AirAtBase | None, folder: Path) -> tuple[PpkResult, Floats]:
     """Fly a loop 120 m above the base in this air; errors of the positions, east, north, up."""
     way, raised = Loop(START), np.array([0.0, 0.0, 70.0]) @ AXES
     rover_at = Antenna(lambda t: way.position(t) + raised, way.velocity)
@@ -135,7 +143,7 @@ def test_moist_air_lowers_a_flight_and_weather_puts_it_right(tmp_path: Path) -> 
     needs_engine()
     _, dry = flown(0.0, None, tmp_path / "dry")
     # The standard atmosphere at the base, 30 m up.
-    measured = Weather(288.15 - 273.15 - 0.0065 * 30, 0.7)
+    measured = measured_air(288.15 - 273.15 - 0.0065 * 30, 70.0)
     result, moist = flown(0.7, measured, tmp_path / "moist")
     common = result.common
     assert common is not None
@@ -178,7 +186,7 @@ def test_a_mark_on_a_hill_is_surveyed_through_the_air(tmp_path: Path) -> None:
         folder = tmp_path / f"air-{humidity}"
         observed(hill, humidity, folder)
         lat, lon, height = BASE_DEG
-        air = AirAtBase(temperature_c=15 - 0.0065 * height, relative_humidity_percent=100 * humidity)
+        air = measured_air(15 - 0.0065 * height, 100 * humidity)
         known = KnownMark(name="B", lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=(0, 0, 0))
         baseline = MeasuredBaseline(
             name="s", start="B", end="H", base=Path("base.obs"), rover=Path("rover.obs"),
