@@ -135,7 +135,8 @@ def recorded(started: Desk) -> Desk:
     while not settings.exists():
         assert time.monotonic() < limit
         time.sleep(0.05)
-    check, record, monitor, *rest = _lines("field")
+    forms, check, record, monitor, *rest = _lines("field")
+    started.follow(forms)
     # The simulated devices are silent before they are recorded: the check has a test of its own.
     assert check.startswith("acquire check")
     started.follow(record)
