@@ -12,7 +12,6 @@ from drivers.errors import ConfigurationError, InputMalformedError
 
 if TYPE_CHECKING:
     from photocal.planning.mission import Home
-    from photocal.planning.wind import Wind
 
 
 _SIZE = re.compile(r"^(?P<columns>[0-9]+)\s*[xX]\s*(?P<rows>[0-9]+)$")
@@ -82,7 +81,6 @@ def plan(
     Example: `photocal plan field.kml -o plan --focal-mm 8.8 --pixel-um 2.41 --image-px 5472x3648
     --gsd-cm 3 --second-height 140 --home -28.853,-51.294,700 --ground-height 705`
     """
-    from drivers.arrays import as_plain
     from photocal.accuracy.standard import load_standard, parse_scale
     from photocal.findings.finding import Finding
     from photocal.planning.area import read_area
@@ -90,8 +88,7 @@ def plan(
     from photocal.planning.frame import Frame, flying_height, scale_denominator
     from photocal.planning.mission import write_plan
     from photocal.planning.summary import remarks, targets_of, to_json, to_text
-    from photocal.planning.wind import farthest_m, fastest, in_wind
-    from photocal.planning.wind import text as wind_text
+    from photocal.planning.wind import WIND_TEXT, at_speed, farthest_m, in_wind
 
     size = _SIZE.match(image_px.strip())
     if size is None:
@@ -122,15 +119,18 @@ def plan(
     takeoff = None if home is None or ground_height is None else (_home(home), ground_height)
     if radio_range is not None and takeoff is None:
         raise ConfigurationError("--radio-range needs --home and --ground-height")
-    blown = None if wind is None else in_wind(flight, _wind(wind), vehicle)
-    fast = flight if blown is None else fastest(flight, blown)
+    blown, fast = None, flight
+    if wind is not None:
+        strength, direction = numbers_of(wind, "--wind", "SPEED,FROM: m/s and degrees, such as 6,220")
+        blown = in_wind(flight, strength, math.radians(direction), vehicle)
+        fast = at_speed(flight, blown["fastest_m_s"])
     notes = remarks(fast, targets, None if exposure_ms is None else exposure_ms * 1e-3, shortest_interval)
     away = None if takeoff is None else farthest_m(flight, *takeoff)
     if away is not None and radio_range is not None and away > radio_range:
         notes = (*notes, Finding("radio-range", "doubtful", figures={"far_m": away, "range_m": radio_range}))
     # Half a base keeps the points on several photos without leaving the corners.
     layout = suggest_layout(flight.corners_m, control, check, flight.levels[0].base_m / 2.0)
-    figures = to_json(flight, targets, notes) | {"farthest_m": away, "wind": as_plain(blown)}
+    figures = to_json(flight, targets, notes) | {"farthest_m": away, "wind": blown}
     simulated = ""
     if simulation:
         from photocal.planning import simulated_adjustment
@@ -146,7 +146,7 @@ def plan(
         figures["simulated"] = simulated_adjustment.to_json(result, survey)
         simulated = "\n" + simulated_adjustment.to_text(result)
     names = write_plan(output, flight, layout, takeoff, autopilot, vehicle, figures)
-    in_the_wind = "" if blown is None else f"\n{wind_text(blown)}"
+    in_the_wind = "" if blown is None else "\n" + WIND_TEXT.format(**blown)
     if away is not None:
         in_the_wind += f"\nfarthest photo {away:.0f} m from the take-off place"
     missing = "" if takeoff else "\nno mission written: give --home LAT,LON,HEIGHT and --ground-height"
@@ -165,15 +165,6 @@ def _pair(text: str) -> tuple[float, float]:
     if not (plane > 0.0 and height > 0.0):
         raise ConfigurationError(f"a precision of {text} m is not positive", remedy="write 0.02,0.03")
     return plane, height
-
-
-def _wind(text: str) -> Wind:
-    from photocal.planning.wind import Wind
-
-    speed, direction = numbers_of(text, "--wind", "SPEED,FROM: m/s and degrees, such as 6,220")
-    if speed < 0.0:
-        raise ConfigurationError(f"a wind of {speed:g} m/s is none", remedy="write 6,220")
-    return Wind(speed, math.radians(direction))
 
 
 def _home(text: str) -> Home:

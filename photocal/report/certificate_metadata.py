@@ -15,6 +15,11 @@ Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 Vertex = tuple[str, FiniteFloat, FiniteFloat]
 # What may add to the uncertainty of c beside the adjustment.
 Source = Literal["control", "datum", "temperature", "refocus", "model"]
+# What `photocal radiometry` measures.
+Radiometry = Literal[
+    "edge_slant_deg", "mtf50_cycles_px", "mtf10_cycles_px", "mtf_at_nyquist", "star_limit_cycles_px",
+    "ground_resolution_cm", "corner_brightness", "linearity_error", "linearity_r2",
+]  # fmt: skip
 
 
 class DocumentKeys(Table):
@@ -124,20 +129,6 @@ class ConditionKeys(Table):
     state: str = ""
 
 
-class RadiometryKeys(Table):
-    """Section `[radiometry]`: as `photocal radiometry` writes it."""
-
-    edge_slant_deg: PositiveFloat | None = None
-    mtf50_cycles_px: PositiveFloat | None = None
-    mtf10_cycles_px: PositiveFloat | None = None
-    mtf_at_nyquist: FiniteFloat | None = None
-    star_limit_cycles_px: PositiveFloat | None = None
-    ground_resolution_cm: PositiveFloat | None = None
-    corner_brightness: PositiveFloat | None = None
-    linearity_error: Annotated[float, Field(ge=0)] | None = None
-    linearity_r2: FiniteFloat | None = None
-
-
 class UncertaintyKeys(Table):
     """Section `[uncertainty]`: standard uncertainties of c by source, in the unit of the camera."""
 
@@ -167,7 +158,7 @@ class Metadata(Table):
     responsible: ResponsibleKeys = ResponsibleKeys()
     laboratory: LaboratoryKeys = LaboratoryKeys()
     conditions: ConditionKeys = ConditionKeys()
-    radiometry: RadiometryKeys = RadiometryKeys()
+    radiometry: dict[Radiometry, FiniteFloat] = Field(default_factory=dict)
     uncertainty: UncertaintyKeys = UncertaintyKeys()
 
 

@@ -71,10 +71,9 @@ def radiometry(title: str, particulars: Metadata, say: Catalogue) -> tuple[Secti
     """Give the radiometric annex, where anything of it was measured."""
     units = {"deg": "°", "cycles_px": say("radiometry.cycles"), "cm": "cm"}
     rows = []
-    for key, value in particulars.radiometry:
-        if value is not None:
-            unit = next((text for end, text in units.items() if key.endswith(end)), "")
-            rows.append((say(f"radiometry.{key}"), f"{say.as_given(value)} {unit}".strip()))
+    for key, value in particulars.radiometry.items():
+        unit = next((text for end, text in units.items() if key.endswith(end)), "")
+        rows.append((say(f"radiometry.{key}"), f"{say.as_given(value)} {unit}".strip()))
     return (Section(title, (KeyValues(tuple(rows)), Paragraph(say("radiometry.note")))),) if rows else ()
 
 

@@ -80,11 +80,11 @@ def test_standard_deviations_against_the_scatter(shape: str) -> None:
         found.append(measure_closed(noisy, shape)[0])  # type: ignore[arg-type]
     volumes = [one["between_sections"]["volume_m3"] for one in found]
     assert np.std(volumes) == pytest.approx(found[0]["between_sections"]["sigma_m3"], rel=0.12)
-    areas = [one["sections"][1]["area"] for one in found]
-    assert np.std(areas) == pytest.approx(found[0]["sections"][1]["area_sigma"], rel=0.12)
+    areas = [one["sections"][1]["area_m2"] for one in found]
+    assert np.std(areas) == pytest.approx(found[0]["sections"][1]["area_sigma_m2"], rel=0.12)
     # Points shifted along their normals by sigma over their share of the circumference, with equal spacing.
     about = 4 * 6.5 * ellipe(1 - (4.0 / 6.5) ** 2)
-    assert found[0]["sections"][1]["area_sigma"] == pytest.approx(0.01 * about / np.sqrt(24), rel=0.15)
+    assert found[0]["sections"][1]["area_sigma_m2"] == pytest.approx(0.01 * about / np.sqrt(24), rel=0.15)
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_the_command(tmp_path: Path) -> None:
     found = json.loads(done.stdout)
     assert found["between_sections"]["volume_m3"] == pytest.approx(24.0)
     # dA by each corner is half the diagonal that it sees, 5 m: sigma 0.01 * 5 / 2 * 2.
-    assert found["sections"][0]["area_sigma"] == pytest.approx(0.05)
+    assert found["sections"][0]["area_sigma_m2"] == pytest.approx(0.05)
     assert (
         "by quadrature"
         in CliRunner().invoke(app, ["volume", str(table), "--sigma", "0.01", "--shape", "curve"]).stdout
