@@ -9,7 +9,7 @@ from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.analysis.components import Components, principal_components
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
 from photocal.analysis.estimates import GROUPS, Estimates, FTest, f_test, from_sigmas
-from photocal.block.table import read_table, require_file
+from photocal.block.table import read_columns, read_table, read_wider_table
 
 # What the studies call the parameters of ours.
 _ALSO = {"f": "c", "xo": "x0", "yo": "y0", "A": "B1", "B": "B2"}
@@ -49,7 +49,7 @@ def analyse_published(
     raises InputNotFoundError, InputMalformedError, ConfigurationError, IllPosedError: for what cannot be
         read, does not fit together, or is no covariance.
     """
-    if "value" not in _head(table):
+    if not read_columns(table).has("value"):
         if matrix is not None or set_name is not None:
             raise ConfigurationError("is itself a matrix", where=table, remedy="leave out --matrix and --set")
         estimates = _matrix(table)
@@ -96,13 +96,6 @@ def _tests(
     return tests
 
 
-def _head(path: Path) -> tuple[str, ...]:
-    """Give the names of the columns."""
-    require_file(path)
-    with path.open(encoding="utf-8-sig", errors="replace") as text:
-        return tuple(name.strip() for name in text.readline().split(","))
-
-
 def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, float]]:
     """Read parameters with their standard deviations, set by set, and the redundancy of each."""
     table = read_table(path, ("parameter", "value"), _OPTIONAL)
@@ -135,8 +128,8 @@ def _matrix(path: Path) -> Estimates:
 
     returns: with values of zero.
     """
-    head = _head(path)
-    table = read_table(path, head)
+    table = read_wider_table(path, ())
+    head = tuple(table.columns.column_names)
     names = table.unique_names(head[0])
     matrix = table.matrix(head[1:])
     if names != head[1:] or not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0):

@@ -188,14 +188,18 @@ def read_columns(path: Path) -> Table:
     return table
 
 
-def require_file(path: Path) -> None:
-    """Complain when a path is no file with content."""
-    if path.is_dir():
+def require_file(path: Path) -> int:
+    """Complain when a path is no file with content; returns its size, bytes."""
+    try:
+        is_folder, size = path.is_dir(), path.stat().st_size
+    except (OSError, ValueError) as failure:
+        # Also a name from another file that is longer than names can be.
+        raise InputNotFoundError("does not exist", where=path, remedy="check the path") from failure
+    if is_folder:
         raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
-    if not path.exists():
-        raise InputNotFoundError("does not exist", where=path, remedy="check the path")
-    if path.stat().st_size == 0:
+    if size == 0:
         raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
+    return size
 
 
 def _read_parquet(path: Path) -> Table:

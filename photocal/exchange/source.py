@@ -15,6 +15,7 @@ from defusedxml.ElementTree import fromstring
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import InputFile
 from photocal.block.model import fingerprint as plain_fingerprint
+from photocal.block.table import MARKS, require_file
 
 # Larger text than any block in use; above it a file is taken for something else.
 MAX_BYTES = 2 << 30
@@ -22,7 +23,6 @@ MAX_BYTES = 2 << 30
 MAX_SIDE_PX = 1_000_000
 # Bytes of a name: what the file systems in use allow.
 _LONGEST_NAME = 255
-_MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 T = TypeVar("T")
 MAX_XML_BYTES = 256 << 20
@@ -48,15 +48,7 @@ def require_readable(path: Path) -> int:
     raises InputNotFoundError: when it is missing, empty or a folder.
     raises InputMalformedError: when it is too large to be what it should be.
     """
-    try:
-        is_folder, size = path.is_dir(), path.stat().st_size
-    except (OSError, ValueError) as failure:
-        # Also a name from another file that is longer than names can be.
-        raise InputNotFoundError("does not exist", where=path, remedy="check the path") from failure
-    if is_folder:
-        raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
-    if size == 0:
-        raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
+    size = require_file(path)
     if size > MAX_BYTES:
         raise InputMalformedError(
             f"has {size / 2**30:.1f} GiB, more than the {MAX_BYTES / 2**30:.0f} GiB that are read",
@@ -74,7 +66,7 @@ def read_text(path: Path) -> str:
     """
     require_readable(path)
     content = path.read_bytes()
-    encoding = next((name for mark, name in _MARKS if content.startswith(mark)), "utf-8")
+    encoding = next((name for mark, name in MARKS if content.startswith(mark)), "utf-8")
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as failure:
