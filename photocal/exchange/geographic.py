@@ -15,6 +15,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from drivers.arrays import Floats
+from drivers.earth import enu_axes, geocentric, geodetic
 from drivers.errors import ConfigurationError
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, to_cartesian, to_wgs84
@@ -32,8 +33,6 @@ def topocentric(origin: Origin) -> ToGeographic:
 
     raises ConfigurationError: for an origin that is not on the Earth.
     """
-    from pyproj import Transformer
-
     if not (
         abs(origin.latitude_deg) <= 90 and abs(origin.longitude_deg) <= 360 and abs(origin.height_m) < 1e5
     ):
@@ -41,16 +40,12 @@ def topocentric(origin: Origin) -> ToGeographic:
             f"origin {origin.latitude_deg}, {origin.longitude_deg}, {origin.height_m} is not on the Earth",
             remedy="give latitude and longitude in degrees, ellipsoidal height in m",
         )
-    pipeline = (
-        f"+proj=pipeline +step +inv +proj=topocentric +ellps=WGS84 +lat_0={origin.latitude_deg!r} "
-        f"+lon_0={origin.longitude_deg!r} +h_0={origin.height_m!r} +step +inv +proj=cart +ellps=WGS84"
-    )
-    transformer = Transformer.from_pipeline(pipeline)
+    middle = geocentric(origin.latitude_deg, origin.longitude_deg, origin.height_m)
+    axes = enu_axes(origin.latitude_deg, origin.longitude_deg)
 
     def turn(xyz: Floats) -> Floats:
-        return np.column_stack(transformer.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], radians=False)).reshape(
-            -1, 3
-        )
+        latitude, longitude, height = geodetic(xyz @ axes + middle)
+        return np.column_stack([longitude, latitude, height])
 
     return turn
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.arrays import Floats
+from drivers.earth import enu_axes, geocentric
 from drivers.errors import ConfigurationError, InputMalformedError
 from drivers.mrk import COLUMNS, parse_event
 from photocal.exchange.ground_points import read_geo
@@ -26,8 +27,6 @@ def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, floa
 
     A picture from elsewhere in the folder does not tilt it.
     """
-    from pyproj import Transformer
-
     known = np.array([f.has_position for f in facts])
     geographic = np.array([[f.latitude_deg, f.longitude_deg, f.altitude_m] for f in facts])
     if not known.any():
@@ -35,15 +34,8 @@ def local_places(facts: Sequence[ImageFacts]) -> tuple[Floats, tuple[float, floa
     latitude, longitude, height = np.median(geographic[known], axis=0)
     # Rounded, so that the origin can be written and read without loss.
     origin = (round(float(latitude), 6), round(float(longitude), 6), float(round(float(height))))
-    pipeline = (
-        "+proj=pipeline +step +proj=cart +ellps=WGS84 +step +proj=topocentric +ellps=WGS84 "
-        f"+lat_0={origin[0]!r} +lon_0={origin[1]!r} +h_0={origin[2]!r}"
-    )
-    transformer = Transformer.from_pipeline(pipeline)
     places = np.full((len(facts), 3), np.nan)
-    places[known] = np.column_stack(
-        transformer.transform(geographic[known, 1], geographic[known, 0], geographic[known, 2], radians=False)
-    )
+    places[known] = (geocentric(*geographic[known].T) - geocentric(*origin)) @ enu_axes(*origin[:2]).T
     return places, origin
 
 
