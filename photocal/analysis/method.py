@@ -166,7 +166,11 @@ def _relief(points: Floats, axes: Floats, convergence_deg: float) -> float:
     """Give how far the object reaches (95th less 5th percentile) along parallel axes, or across its plane."""
     mean = axes.mean(axis=0)
     if convergence_deg > PARALLEL_DEG:
-        mean = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
+        apart = points - np.median(points, axis=0)
+        far = np.linalg.norm(apart, axis=1)
+        # Few points far away, as on a horizon, turn no plane.
+        near = points[far <= np.percentile(far, 95)]
+        mean = np.linalg.svd(near - near.mean(axis=0), full_matrices=False)[2][2]
     low, high = np.percentile(points @ mean, [5, 95]) / np.linalg.norm(mean)
     return float(high - low)
 

@@ -139,6 +139,17 @@ def test_a_flat_wall_has_no_mixed_ranges() -> None:
     assert check_method("self-calibration", wall).met
 
 
+def test_a_point_astray_makes_no_relief_of_a_wall() -> None:
+    points = np.vstack([np.tile(GROUND, (4, 1)), [[5000.0, 50, -4000]]])
+    found = shape_of(
+        [[0, 45, 0], [0, -45, 0], [0, 0, 90]],
+        [[150, 50, 100], [-50, 50, 100], [50, 50, 140]],
+        points,
+        np.full(points.shape, 0.02),
+    )
+    assert found.range_spread == pytest.approx(0.0, abs=1e-9)
+
+
 def test_control_on_one_side_is_not_around_the_object() -> None:
     one_side = np.where(GROUND[:, :1] < 60.0, 0.02, np.inf) * np.ones(3)
     all_over = shape_of([[0, 0, 0]] * 3, [[0, 0, 100], [50, 0, 100], [50, 50, 130]], GROUND, KNOWN, 0.05)
