@@ -14,8 +14,8 @@ from photocal.block.network import frame_of
 from photocal.block.rig import Head
 from photocal.exchange.source import fingerprint
 from photocal.geometry.camera import Camera, among, plane_to_pixel
-from photocal.geometry.frames import ReferenceFrame, nearest_rotation, parsed, reference_frame
-from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.geometry.frames import parsed, reference_frame
+from photocal.geometry.oriented_images import local_poses
 from photocal.results.result import Result
 
 Angle = Literal["deg", "gon"]
@@ -238,7 +238,7 @@ def to_cartesian(given: Reconstruction) -> Reconstruction:
         return given
     frame = reference_frame(given.frame, given.height, middle(given))
     return replace(
-        given, frame="local", height="", poses=_turned(given.poses, frame), xyz=frame.to_local(given.xyz)
+        given, frame="local", height="", poses=local_poses(frame, given.poses), xyz=frame.to_local(given.xyz)
     )
 
 
@@ -270,14 +270,6 @@ def to_wgs84(given: Reconstruction) -> Callable[[Floats], Floats]:
             remedy="install the grids of PROJ, or export a format that keeps the block's own coordinates",
         ) from failure
     return turn
-
-
-def _turned(poses: Floats, frame: ReferenceFrame) -> Floats:
-    if not len(poses):
-        return poses
-    turn = nearest_rotation(frame.derivative(poses[:, 3:]))
-    matrix = matrix_from_angles(poses[:, :3]) @ np.swapaxes(turn, 1, 2)
-    return np.hstack([angles_from_matrix(matrix), frame.to_local(poses[:, 3:])])
 
 
 def file_name(name: str) -> str:
