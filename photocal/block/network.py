@@ -306,10 +306,12 @@ def observed_plane(block: Block) -> tuple[Floats, Floats]:
 
 def observed_pixels(block: Block) -> Floats:
     """Columns and rows of the observations, px, shape (n, 2)."""
-    camera = block.images.camera[block.observations.image]
+    seen, camera = block.observations, block.images.camera[block.observations.image]
+    per_px = (np.array([c.pitch for c in block.cameras]) / plane_per_unit(block))[camera]
+    if seen.axes == "pixel":
+        return np.asarray(seen.values / per_px)
     size = np.array([c.size_px for c in block.cameras], dtype=float)[camera]
-    pitch = np.array([c.pitch for c in block.cameras])[camera]
-    return plane_to_pixel(size, pitch, observed_plane(block)[0])
+    return plane_to_pixel(size, per_px, seen.values)
 
 
 def plane_per_unit(block: Block) -> Floats:

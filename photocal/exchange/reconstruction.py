@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Floats, Integers
 from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
-from photocal.block.network import frame_of
+from photocal.block.network import frame_of, observed_pixels
 from photocal.block.rig import Head
 from photocal.exchange.source import fingerprint
 from photocal.geometry.camera import Camera, among, plane_to_pixel
@@ -120,14 +120,6 @@ def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[In
 
 def of_block(block: Block) -> Reconstruction:
     """Take what other programs know out of a block, the inverse of `as_block`."""
-    given, own = block.observations, block.images.camera[block.observations.image]
-    pitch = np.array([camera.pitch for camera in block.cameras])[own]
-    size = np.array([camera.size_px for camera in block.cameras], dtype=float)[own]
-    values = given.values
-    if given.axes == "photo":
-        values = plane_to_pixel(size, pitch if given.unit == "mm" else np.ones_like(pitch), values)
-    elif given.unit == "mm":
-        values = values / pitch
     return Reconstruction(
         block.cameras,
         block.images.names,
@@ -135,9 +127,9 @@ def of_block(block: Block) -> Reconstruction:
         block.images.values,
         block.points.names,
         block.points.values,
-        given.image,
-        given.point,
-        values,
+        block.observations.image,
+        block.observations.point,
+        observed_pixels(block),
         tuple(ROLES[k] for k in block.points.role),
         xyz_sigma=np.where(np.isfinite(block.points.sigma), block.points.sigma, np.nan),
         frame=block.frame,

@@ -19,6 +19,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_text, need_words, plain
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix
+from photocal.georeferencing.differences import exposure_difference
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.local import in_local_frame
 from photocal.report.stored_analysis import ANALYSIS
@@ -104,9 +105,8 @@ def exterior_difference(block: Block, result: Result) -> ExteriorDifference | No
     if block.frame != "local":
         adjusted = local_poses(block_frame(block), adjusted)
     given = np.hstack([angles_from_matrix(original.rotation), original.centre])
-    d = (given - adjusted)[original.known]
-    d[:, :3] = np.degrees((d[:, :3] + np.pi) % (2 * np.pi) - np.pi) * 3600.0
-    mean, rmse = d.mean(axis=0), np.sqrt(np.mean(d**2, axis=0))
-    place, turn = slice(3, 6), slice(3)
-    figures = [tuple(values[part].tolist()) for part in (place, turn) for values in (mean, rmse)]
-    return ExteriorDifference(len(d), *figures)
+    given[~original.known] = np.nan
+    apart = exposure_difference(given, adjusted)
+    turns = (np.degrees(part[:3]) * 3600.0 for part in (apart.mean, apart.rmse))
+    figures = (apart.mean[3:], apart.rmse[3:], *turns)
+    return ExteriorDifference(apart.images, *(tuple(part.tolist()) for part in figures))
