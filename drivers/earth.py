@@ -38,3 +38,10 @@ def enu_axes(lat_deg: Floats | float, lon_deg: Floats | float) -> Floats:
     (sb, cb), (sl, cl) = ((np.sin(a), np.cos(a)) for a in (np.radians(lat_deg), np.radians(lon_deg)))
     rows = [[-sl, cl, np.zeros_like(sl)], [-sb * cl, -sb * sl, cb], [cb * cl, cb * sl, sb]]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def enu_offsets(lat_deg: Floats, lon_deg: Floats, height_m: Floats, origin: Floats) -> Floats:
+    """Return topocentric east, north, up of geodetic positions on WGS 84."""
+    return np.asarray(
+        (geocentric(lat_deg, lon_deg, height_m) - geocentric(*origin)) @ enu_axes(*origin[:2]).T
+    )

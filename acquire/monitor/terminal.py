@@ -16,14 +16,13 @@ from acquire.console import printable
 from acquire.monitor.state import Alarm
 from acquire.monitor.view_model import CameraRow, Layer, LinkRow, ReceiverRow, View, Word
 from drivers.arrays import Floats, Integers
+from drivers.earth import enu_offsets
 
 # Dots of a Braille cell by column and row (Unicode 15, chapter 21.1).
 _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 _BLANK = 0x2800
 _BRAILLE_SIGNS = {"missed": ("✕", "bold red"), "station": ("▲", "green")}
 _TRACK, _PICTURE, _HERE = "blue", "bold", "bold blue"
-# Ellipsoid of WGS 84.
-_A, _E2 = 6378137.0, 0.00669437999014
 _LEAST_EXTENT_M = 20.0
 
 
@@ -69,14 +68,9 @@ def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
 
 
 def metres(points: Floats, origin: Floats) -> Floats:
-    """Return metres east and north of an origin, with the radii of curvature there."""
-    sine = math.sin(math.radians(origin[0]))
-    w = math.sqrt(1 - _E2 * sine**2)
-    meridian = _A * (1 - _E2) / w**3
-    parallel = _A / w * math.cos(math.radians(origin[0]))
-    north = np.radians(points[:, 0] - origin[0]) * meridian
-    east = np.radians((points[:, 1] - origin[1] + 540) % 360 - 180) * parallel
-    return np.column_stack([east, north])
+    """Return metres east and north of an origin."""
+    level = np.zeros(len(points))
+    return enu_offsets(points[:, 0], points[:, 1], level, np.append(origin, 0.0))[:, :2]
 
 
 def round_step(value: float) -> float:

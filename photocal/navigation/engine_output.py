@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError, InputMalformedError
-from photocal.navigation.time import WEEK_NS, GpsTime
+from photocal.navigation.time import WEEK_NS, GpsTime, exact_ns
 from photocal.navigation.trajectory import Geodetic, Trajectory
 
 FIXED, FLOAT = 1, 2
@@ -83,7 +83,7 @@ def read_solution(path: Path) -> EngineSolution:
     velocity = np.full((len(rows), 3), np.nan)
     try:
         week = np.array([int(row[0]) for row in rows], np.int64)
-        tow_ns = np.array([_exact_ns(row[1]) for row in rows], np.int64)
+        tow_ns = np.array([exact_ns(row[1]) for row in rows], np.int64)
         table = np.array([[float(v) for v in row[2:_COLUMNS]] for row in rows])
         np.asarray_chkfinite(table[:, 5:11])
         for number, row in enumerate(rows):
@@ -137,11 +137,6 @@ def _possible(covariance: Floats, quality: Integers) -> Floats:
         left, right = good[after - 1], good[np.minimum(after, len(good) - 1)]
         covariance[lost] = covariance[np.where(lost - left <= right - lost, left, right)]
     return covariance
-
-
-def _exact_ns(text: str) -> int:
-    whole, _, part = text.partition(".")
-    return int(whole) * 1_000_000_000 + int(part.ljust(9, "0")[:9])
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Floats
+from drivers.earth import enu_offsets
 from drivers.errors import IllPosedError
 from photocal.findings.finding import Finding, untested
 from photocal.navigation.events import CameraEventList, Events
@@ -15,7 +16,7 @@ from photocal.navigation.position_comparison import PositionPairs, compare_posit
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig, check_mounting
 from photocal.navigation.time import leap_seconds
-from photocal.navigation.trajectory import Trajectory, enu_offsets, plainly
+from photocal.navigation.trajectory import Trajectory, plainly
 from photocal.navigation.vehicle import VehicleTrack
 
 # Heights above sea level of autopilots drift by metres with the air pressure.

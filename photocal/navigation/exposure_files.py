@@ -8,13 +8,13 @@ import numpy as np
 
 from acquire.outputs import output_picture, write_rows
 from drivers.arrays import Floats, Integers
-from drivers.earth import enu_axes
+from drivers.earth import enu_axes, enu_offsets
 from drivers.errors import ConfigurationError
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, Orientations, orientations
 from photocal.navigation.rig import Rig
-from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells, enu_offsets
+from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells
 
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
 _SHOWN_GAP_S = 60.0

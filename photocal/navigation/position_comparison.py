@@ -8,13 +8,13 @@ import numpy as np
 from scipy import stats
 
 from drivers.arrays import Floats, Integers
+from drivers.earth import enu_offsets
 from drivers.errors import IllPosedError
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.rotation import skew
 from photocal.geometry.similarity import similarity
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.rig import Rig
-from photocal.navigation.trajectory import enu_offsets
 
 _LEAST = 8
 _SIGNIFICANCE = 0.001

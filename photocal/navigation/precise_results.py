@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError, reading
-from photocal.navigation.time import GpsTime
+from photocal.navigation.time import GpsTime, exact_ns
 from photocal.navigation.trajectory import enu_axes_at
 
 _GPS_EPOCH = dt.date(1980, 1, 6)
@@ -112,10 +112,8 @@ def _gps_ns(*fields: str) -> int:
     year, month, day, hour, minute = map(int, fields[:5])
     if year < 100:
         year += 1900 if year >= 80 else 2000
-    whole, part = fields[5].split(".")
     days = (dt.date(year, month, day) - _GPS_EPOCH).days
-    seconds = days * 86_400 + hour * 3600 + minute * 60 + int(whole)
-    return seconds * 1_000_000_000 + int(part.ljust(9, "0")[:9])
+    return (days * 1440 + hour * 60 + minute) * 60_000_000_000 + exact_ns(fields[5])
 
 
 @dataclass(frozen=True)

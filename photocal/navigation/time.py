@@ -127,3 +127,9 @@ def _refuse_expired(time: UtcTime) -> None:
 def _calendar(unix_ns: Integers) -> list[str]:
     stamps = np.datetime_as_string(unix_ns.astype("datetime64[ns]"), unit="ms")
     return [stamp.replace("T", " ") for stamp in stamps.tolist()]
+
+
+def exact_ns(text: str) -> int:
+    """Return the nanoseconds of seconds that stand as decimals: a double would not hold all of a week's."""
+    whole, _, part = text.partition(".")
+    return int(whole) * SECOND_NS + int(part.ljust(9, "0")[:9])

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acquire.outputs import write_rows
 from drivers.arrays import Columns, Flags, Floats, Integers
-from drivers.earth import enu_axes, geocentric, geodetic
+from drivers.earth import enu_axes, enu_offsets, geocentric, geodetic
 from photocal.navigation.time import GpsTime
 
 COLUMNS = (
@@ -94,13 +94,6 @@ def write_trajectory(path: Path, trajectory: Trajectory) -> None:
         position = (f"{t.lat_deg[i]:.10f}", f"{t.lon_deg[i]:.10f}", f"{t.height_m[i]:.4f}")
         rows.append([int(t.time.ns[i]), *position, str(t.status[i]), *covariance_cells(t.covariance_m2[i])])
     write_rows(path, COLUMNS, rows)
-
-
-def enu_offsets(lat_deg: Floats, lon_deg: Floats, height_m: Floats, origin: Floats) -> Floats:
-    """Return topocentric east, north, up of geodetic positions on WGS 84."""
-    return np.asarray(
-        (geocentric(lat_deg, lon_deg, height_m) - geocentric(*origin)) @ enu_axes(*origin[:2]).T
-    )
 
 
 def enu_axes_at(xyz_m: Floats) -> Floats:

@@ -5,6 +5,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat, model_validator
 
 from acquire.checked_toml import Table, checked_tables, read_tables
@@ -124,12 +125,8 @@ class Plan(Table):
 
     @model_validator(mode="after")
     def _has_area(self) -> Self:
-        east, north = zip(*self.area_m, strict=True)
-        twice = sum(
-            e * n2 - e2 * n
-            for e, n, e2, n2 in zip(east, north, east[1:] + east[:1], north[1:] + north[:1], strict=True)
-        )
-        if abs(twice) < 2.0:
+        east, north = np.array(self.area_m).T
+        if abs(east @ np.roll(north, -1) - np.roll(east, -1) @ north) < 2.0:
             raise ValueError("area_m encloses less than a square metre")
         return self
 

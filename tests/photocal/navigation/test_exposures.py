@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from drivers.earth import enu_offsets
 from drivers.errors import ConfigurationError
 from photocal.block.setup import MountingKeys
 from photocal.navigation.attitude import from_angles
@@ -23,7 +24,7 @@ from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.rig import Rig, rig_of_mounting
 from photocal.navigation.time import GpsTime, UtcTime
-from photocal.navigation.trajectory import Placed, enu_offsets
+from photocal.navigation.trajectory import Placed
 from photocal.navigation.vehicle import decoded_attitude, decoded_positions, read_vehicle
 from tests.photocal.conftest import Answer
 from tests.photocal.navigation.conftest import ImportLog, Run

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.earth import enu_axes, geocentric, geodetic
+from drivers.earth import enu_axes, enu_offsets, geocentric, geodetic
 from photocal.navigation.events import RISING, time_marks
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.receiver_recording import read_receivers
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory, enu_offsets, interpolate, left_out, roughness
+from photocal.navigation.trajectory import Trajectory, interpolate, left_out, roughness
 from tests.photocal.navigation.conftest import Run
 
 ORIGIN = np.array([53.28, -8.98, 90.0])
