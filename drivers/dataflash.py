@@ -147,7 +147,17 @@ def _time_column(name: str, columns: tuple[str, ...]) -> tuple[str, int] | None:
     return ("TimeMS", _MILLISECOND_NS) if "TimeMS" in columns else None
 
 
+def receiver_utc_ns(
+    records: Records, weeks: tuple[str, ...] = ("GWk", "Week"), times: tuple[str, ...] = ("GMS", "TimeMS")
+) -> Integers:
+    """Return UTC of the GPS times that records tell, nanoseconds since 1970; -1 where they tell none."""
+    week, of_week = records.number(*weeks), records.number(*times)
+    known = (week > 0) & (week < 1 << 16) & (of_week >= 0)
+    gps = week_to_ns(np.where(known, week, 0), np.where(known, of_week, 0) * 1e-3)
+    return np.where(known, gps_to_utc_ns(gps), -1)
+
+
 def _utc(records: Records) -> tuple[Integers, Integers]:
-    week, tow = records.number("GWk", "Week"), records.number("GMS", "TimeMS")
-    good = (week > 0) & (week < 1 << 16) & (tow >= 0) & (records.number("Status") >= 3)
-    return records.index[good], gps_to_utc_ns(week_to_ns(week[good], tow[good] * 1e-3))
+    utc = receiver_utc_ns(records)
+    good = (utc >= 0) & (records.number("Status") >= 3)
+    return records.index[good], utc[good]

@@ -134,6 +134,12 @@ def gather(data: bytes, start: Integers, length: Integers, row: np.dtype[Any]) -
     return rows.view(row)
 
 
+def numbers_at(data: bytes, start: Integers, kind: str) -> NDArray[Any]:
+    """Return the numbers of a kind that begin at places of a buffer."""
+    row = np.dtype(kind)
+    return gather(data, start, np.full(len(start), row.itemsize), row)
+
+
 GNSS = (Wire.UBX, Wire.RTCM3, Wire.NMEA)
 
 _FIRST = {Wire.MAVLINK: (V1, V2), Wire.UBX: (0xB5,), Wire.RTCM3: (0xD3,), Wire.NMEA: (0x24,)}

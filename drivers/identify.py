@@ -3,9 +3,8 @@
 import numpy as np
 
 from drivers import mrk, nmea, ulog
-from drivers.arrays import Bytes, Integers
 from drivers.checksums import x25
-from drivers.frames import Batch, Wire, batch_of
+from drivers.frames import Batch, Wire, batch_of, numbers_at
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V2, Dialect
 from drivers.ubx.decode import kind_name as ubx_name
 
@@ -21,7 +20,9 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
     octets = np.frombuffer(data, np.uint8)
     known = np.ones(len(payloads), bool)
     if wire == Wire.MAVLINK:
-        kind = _mavlink_kinds(octets, start)
+        second = octets[start] == V2
+        long = numbers_at(data, np.where(second, start + 7, start), "<u4") & 0xFFFFFF
+        kind = np.where(second, long, octets[start + 5]).astype(np.int64)
         agrees = [_agrees(payload, k, dialect) for payload, k in zip(payloads, kind.tolist(), strict=True)]
         known = np.array(agrees, bool)
     elif wire == Wire.UBX:
@@ -46,14 +47,6 @@ def _ulog_kind(payload: bytes) -> int:
     if len(payload) < 5:
         return 0
     return payload[2] << 16 | (payload[3] | payload[4] << 8 if payload[2] == ulog.DATA else 0)
-
-
-def _mavlink_kinds(octets: Bytes, start: Integers) -> Integers:
-    second = octets[start] == V2
-    at = np.where(second, start + 7, start)
-    wide = octets[at].astype(np.int64) | octets[at + 1].astype(np.int64) << 8
-    wide |= octets[at + 2].astype(np.int64) << 16
-    return np.where(second, wide, octets[start + 5])
 
 
 def _agrees(frame: bytes, kind: int, dialect: Dialect) -> bool:

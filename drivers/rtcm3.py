@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Floats, Integers
 from drivers.checksums import crc24q
-from drivers.frames import Batch, Wire
+from drivers.frames import Batch, Wire, numbers_at
 from drivers.gnsstime import DAY_NS, SECOND_NS
 
 
@@ -76,11 +76,9 @@ def decode_epochs(batch: Batch) -> tuple[Integers, Integers]:
     kinds = [*range(1001, 1005), *range(1071, 1078), *range(1091, 1098)]
     chosen = (batch.wire == Wire.RTCM3) & np.isin(batch.kind, kinds) & (batch.length >= 6 + 8)
     index = np.flatnonzero(chosen)
-    octets = np.frombuffer(batch.data, np.uint8).astype(np.int64)
-    at = batch.start[index] + 6
     # DF004, DF248: 30 bits of milliseconds after message number and station.
-    milliseconds = (octets[at] << 24 | octets[at + 1] << 16 | octets[at + 2] << 8 | octets[at + 3]) >> 2
-    return index, milliseconds * 1_000_000
+    milliseconds = numbers_at(batch.data, batch.start[index] + 6, ">u4") >> 2
+    return index, milliseconds.astype(np.int64) * 1_000_000
 
 
 def _unsigned(bits: int, at: int, width: int) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 from drivers import scan
 from drivers.arrays import Integers
 from drivers.checksums import REVERSED, x25
-from drivers.frames import Batch, Framer, Wire, batch_of, gather
+from drivers.frames import Batch, Framer, Wire, batch_of, numbers_at
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V1, V2, Dialect, ardupilotmega
 from drivers.scan import EARLIEST_US, LATEST_US, STAMP_BYTES
 
@@ -131,11 +131,11 @@ class TlogFramer(Framer):
         second = octets[start] == V2
         flags = np.where(second, octets[start + 2], 0).astype(np.int64)
         checked = after - 2 - np.where(flags & SIGNED, SIGNATURE_BYTES, 0)
-        long = _numbers(self._pending, np.where(second, start + 7, 0), "<u4") & 0xFFFFFF
+        long = numbers_at(self._pending, np.where(second, start + 7, 0), "<u4") & 0xFFFFFF
         kind = np.where(second, long, octets[start + 5]).astype(np.int64)
         seed = np.where(kind < 65536, self._dialect.seed_table[np.minimum(kind, 65535)], -1)
         # A damaged stamp may exceed what a signed number holds; it is out of the believed range anyway.
-        stamp = np.minimum(_numbers(self._pending, start - STAMP_BYTES, ">u8"), LATEST_US).astype(np.int64)
+        stamp = np.minimum(numbers_at(self._pending, start - STAMP_BYTES, ">u8"), LATEST_US).astype(np.int64)
         pairs = zip((start + 1).tolist(), checked.tolist(), strict=True)
         remainder = np.array([crc_hqx(view[a:b], 0xFFFF) for a, b in pairs], np.int64)
         continued = ((remainder << 8) & 0xFFFF) ^ _STEP[(remainder >> 8) ^ _REVERSED[np.maximum(seed, 0)]]
@@ -152,9 +152,3 @@ class TlogFramer(Framer):
         explained = _REVERSED[np.maximum(stepped, 0) ^ (remainder >> 8)].astype(np.int64)
         seeds = np.where(sound & ((seed < 0) | ~fits) & (stepped >= 0), explained, -1)
         return np.stack(rows, axis=1).astype(np.int64), seeds
-
-
-def _numbers(data: bytes, at: Integers, kind: str) -> Integers:
-    """Return the numbers that lie at places of a buffer."""
-    row = np.dtype(kind)
-    return gather(data, at, np.full(len(at), row.itemsize), row)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Integers
+from drivers.arrays import Floats, Integers
 from drivers.frames import Batch, Wire, gather
 from drivers.logged import NOTHING, WAIT, RecordFramer, Records, placed, since_boot_ns
 
@@ -36,6 +36,7 @@ _LONGEST_TEXT = 512
 # Within so many bytes the name of a format ends.
 _NAME_BYTES = 80
 _LONGEST_FORMAT, _LONGEST_ARRAY, _DEEPEST = 4096, 4096, 8
+YEAR_2000_US, _YEAR_2100_US = 946_684_800e6, 4_102_444_800e6
 _PUBLISHED = ("vehicle_gps_position", "sensor_gps")
 
 
@@ -240,7 +241,13 @@ def _parameter(record: bytes) -> tuple[str, float]:
     return name, float(struct.unpack(form, record[at:])[0]) if form and len(record) - at == 4 else math.nan
 
 
+def told_utc_ns(microseconds: Floats, earliest_us: float = YEAR_2000_US) -> Integers:
+    """Return UTC that records tell, nanoseconds since 1970; -1 where they tell none."""
+    plausible = (microseconds > earliest_us) & (microseconds < _YEAR_2100_US)
+    return np.where(plausible, np.where(plausible, microseconds, 0).astype(np.int64) * 1000, -1)
+
+
 def _utc(records: Records) -> tuple[Integers, Integers]:
-    utc_us = records.number("time_utc_usec")
-    good = (utc_us > 946_684_800e6) & (utc_us < 4_102_444_800e6) & (records.number("fix_type") >= 3)
-    return records.index[good], utc_us[good].astype(np.int64) * 1000
+    utc = told_utc_ns(records.number("time_utc_usec"))
+    good = (utc >= 0) & (records.number("fix_type") >= 3)
+    return records.index[good], utc[good]

@@ -13,16 +13,15 @@ from acquire.channels.vehicle_messages import fix_names
 from acquire.log import foxglove
 from drivers import mrk
 from drivers.arrays import Floats, Integers
-from drivers.dataflash import DataflashFormats
+from drivers.dataflash import DataflashFormats, receiver_utc_ns
 from drivers.frames import Batch
-from drivers.gnsstime import gps_to_utc_ns, week_to_ns
+from drivers.gnsstime import gps_to_utc_ns
 from drivers.logged import Records
-from drivers.ulog import UlogFormats
+from drivers.ulog import UlogFormats, told_utc_ns
 
 # A receiver's time further than this from the middle of all is a lag or a leap, not what ties the clocks.
 _LIKELY_NS = 500_000_000
 Formats = TypeVar("Formats", UlogFormats, DataflashFormats)
-_YEAR_2000_US, _YEAR_2100_US = 946_684_800e6, 4_102_444_800e6
 _RECEIVERS = {"vehicle_gps_position": "", "sensor_gps": "-sensor", "sensor_gps[1]": "-sensor-2"}
 # Flag of the receiver.
 _FIXES = {50: "rtk_fixed", 34: "rtk_float", 16: "3d"}
@@ -177,7 +176,7 @@ def _receiver(logged: Logged, receiver: str, part: Part[UlogFormats]) -> Iterato
     columns = {name: records.number(member) for name, member in quality.items()}
     satellites = logged.whole(satellites="satellites_used")
     yield logged.status(receiver, {"fix": fix_names(fix), **satellites, **columns})
-    device = _told_utc(records.number("time_utc_usec"), earliest_us=0.0)
+    device = told_utc_ns(records.number("time_utc_usec"), earliest_us=0.0)
     yield logged.clock_of(device, part.boot_ns[records.index])
 
 
@@ -199,17 +198,11 @@ def _quaternion(logged: Logged) -> Floats:
 
 def _exposure(logged: Logged, edge: str) -> Decoded:
     records = logged.records
-    gps = _told_utc(records.number("timestamp_utc"), earliest_us=_YEAR_2000_US)
+    gps = told_utc_ns(records.number("timestamp_utc"))
     columns: dict[str, Any] = {"time": Times(np.where(gps >= 0, gps, logged.utc_ns))}
     names = {"latitude_deg": "lat", "longitude_deg": "lon", "altitude_msl_m": "alt"}
     columns |= {name: records.number(member) for name, member in names.items() if member in records}
     return logged.exposure(edge, {**columns, **logged.whole(sequence="seq")})
-
-
-def _told_utc(microseconds: Floats, earliest_us: float) -> Integers:
-    """Return UTC that records tell, nanoseconds since 1970; -1 where they tell none."""
-    plausible = (microseconds > earliest_us) & (microseconds < _YEAR_2100_US)
-    return np.where(plausible, np.where(plausible, microseconds, 0).astype(np.int64) * 1000, -1)
 
 
 class EventListClock:
@@ -308,9 +301,7 @@ def _dataflash_receiver(every: Logged, part: Part[DataflashFormats]) -> Iterator
         yield kept.location(f"/gnss/{part.link}{receiver}/fix", _place(kept))
         quality = {**logged.whole(satellites="NSats"), "hdop": records.number("HDop")}
         yield logged.status(receiver, {"fix": fix_names(fix), **quality})
-        yield logged.clock_of(
-            _dataflash_utc(records, ("GWk", "Week"), ("GMS", "TimeMS")), part.boot_ns[records.index]
-        )
+        yield logged.clock_of(receiver_utc_ns(records), part.boot_ns[records.index])
 
 
 def _place(logged: Logged) -> tuple[Floats, Floats, Floats]:
@@ -321,13 +312,11 @@ def _place(logged: Logged) -> tuple[Floats, Floats, Floats]:
 def _dataflash_exposure(logged: Logged, edge: str, part: Part[DataflashFormats]) -> Decoded:
     records = logged.records
     # GPSTime is that of the last fix before: the record's own time is nearer, where it has one.
-    timed = part.boot_ns[records.index] >= 0
+    timed, told = part.boot_ns[records.index] >= 0, receiver_utc_ns(records, ("GPSWeek",), ("GPSTime",))
     return logged.exposure(
         edge,
         {
-            "time": Times(
-                np.where(timed, logged.utc_ns, _dataflash_utc(records, ("GPSWeek",), ("GPSTime",)))
-            ),
+            "time": Times(np.where(timed, logged.utc_ns, told)),
             "latitude_deg": records.number("Lat"),
             "longitude_deg": records.number("Lng"),
             "altitude_msl_m": records.number("Alt"),
@@ -337,13 +326,3 @@ def _dataflash_exposure(logged: Logged, edge: str, part: Part[DataflashFormats])
             **logged.whole(sequence="Img"),
         },
     )
-
-
-def _dataflash_utc(
-    records: Records, week_names: tuple[str, ...], millisecond_names: tuple[str, ...]
-) -> Integers:
-    """Return UTC of the GPS times that records tell, nanoseconds since 1970; -1 where they tell none."""
-    week, milliseconds = records.number(*week_names), records.number(*millisecond_names)
-    known = (week > 0) & (week < 1 << 16) & (milliseconds >= 0)
-    gps = week_to_ns(np.where(known, week, 0), np.where(known, milliseconds, 0) * 1e-3)
-    return np.where(known, gps_to_utc_ns(gps), -1)
