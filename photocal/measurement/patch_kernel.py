@@ -85,7 +85,8 @@ def _prepare(patch: Floats32, template: Floats, jacobian: Floats) -> float:
             n += 1
     mean = 0.0
     for m in range(n):
-        mean += template[m] / n
+        mean += template[m]
+    mean /= n
     squares = 0.0
     for m in range(n):
         template[m] -= mean
@@ -93,8 +94,9 @@ def _prepare(patch: Floats32, template: Floats, jacobian: Floats) -> float:
     for j in range(_UNKNOWNS):
         mean, product = 0.0, 0.0
         for m in range(n):
-            mean += jacobian[m, j] / n
+            mean += jacobian[m, j]
             product += jacobian[m, j] * template[m]
+        mean /= n
         part = product / squares if squares > 0.0 else 0.0
         for m in range(n):
             jacobian[m, j] -= mean + part * template[m]
@@ -104,13 +106,20 @@ def _prepare(patch: Floats32, template: Floats, jacobian: Floats) -> float:
 @compiled
 def _inverted(jacobian: Floats, inverse: Floats) -> bool:
     """Put the inverse of the normal matrix into the right half (Gauss, Jordan); tell whether there is one."""
-    size = len(jacobian)
+    # The sums of a row grow side by side: each waits only for itself.
     for i in range(_UNKNOWNS):
+        a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for m in range(len(jacobian)):
+            own = jacobian[m, i]
+            a += own * jacobian[m, 0]
+            b += own * jacobian[m, 1]
+            c += own * jacobian[m, 2]
+            d += own * jacobian[m, 3]
+            e += own * jacobian[m, 4]
+            f += own * jacobian[m, 5]
+        inverse[i, 0], inverse[i, 1], inverse[i, 2] = a, b, c
+        inverse[i, 3], inverse[i, 4], inverse[i, 5] = d, e, f
         for j in range(_UNKNOWNS):
-            total = 0.0
-            for m in range(size):
-                total += jacobian[m, i] * jacobian[m, j]
-            inverse[i, j] = total
             inverse[i, _UNKNOWNS + j] = 1.0 if i == j else 0.0
     xx, xy, yy = inverse[0, 0], inverse[0, 1], inverse[1, 1]
     if not xx * yy - xy * xy > _STRAIGHT * (xx + yy) ** 2:
@@ -153,14 +162,18 @@ def _settle(
             return
         scale = length / math.sqrt(power)
         squares, product = 0.0, 0.0
-        for j in range(_UNKNOWNS):
-            step[j] = 0.0
+        a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for m in range(len(sample)):
             product += sample[m] * template[m]
             miss = sample[m] * scale - template[m]
             squares += miss * miss
-            for i in range(_UNKNOWNS):
-                step[i] += jacobian[m, i] * miss
+            a += jacobian[m, 0] * miss
+            b += jacobian[m, 1] * miss
+            c += jacobian[m, 2] * miss
+            d += jacobian[m, 3] * miss
+            e += jacobian[m, 4] * miss
+            f += jacobian[m, 5] * miss
+        step[0], step[1], step[2], step[3], step[4], step[5] = a, b, c, d, e, f
         # One look more than steps, so that likeness and misfit belong to the last place.
         if settled:
             result[0], result[1] = product / (length * math.sqrt(power)), squares

@@ -25,8 +25,8 @@ Floats32 = NDArray[np.float32]
 VERSION = 2
 # Patches of 21 x 21 pixels: their outermost ring serves the derivatives.
 HALF = 11
-# Before matching, images are smoothed: aliasing would bias the places.
-SMOOTHING_PX = 0.8
+# Before matching, images are smoothed, over so many pixels: aliasing would bias the places.
+SMOOTHING_PX, _SMOOTHED_PX = 0.8, 7
 # A match must be as like as this, and settle as near to where it was expected.
 LIKENESS = 0.8
 FARTHEST_PX = 4.0
@@ -202,11 +202,13 @@ def _inside(place: Floats, size: Floats) -> Flags:
 def _smoothed(source: Source) -> Floats32:
     import cv2
 
-    grey = as_eight_bit(read_grey(source.path)).astype(np.float32)
-    height, width = grey.shape
-    small = _halved((width, height), source.level)
-    reduced = cv2.resize(grey, small, interpolation=cv2.INTER_AREA) if source.level else grey
-    return np.asarray(cv2.GaussianBlur(reduced, (0, 0), SMOOTHING_PX), dtype=np.float32)
+    grey = as_eight_bit(read_grey(source.path))
+    if source.level:
+        height, width = grey.shape
+        small = _halved((width, height), source.level)
+        grey = cv2.resize(grey.astype(np.float32), small, interpolation=cv2.INTER_AREA)
+    weights = cv2.getGaussianKernel(_SMOOTHED_PX, SMOOTHING_PX, cv2.CV_32F)
+    return np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, weights, weights), dtype=np.float32)
 
 
 def _cut_patches(task: tuple[Source, Floats]) -> Floats32:
