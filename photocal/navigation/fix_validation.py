@@ -11,7 +11,9 @@ from photocal.navigation.time import GpsTime
 
 # A claim of two runs to the same fix holds when they agree as well as two fixes do.
 _SAME_FIX_M = np.array([0.05, 0.05, 0.10])
-_SHORT_RUN = 5
+# So few fixes in a row need the other direction; of a slow receiver fewer, when they last so long: multipath,
+# which feigns fixes, is another by then.
+_SHORT_RUN, _FEWEST, _LASTING_NS = 5, 3, 30_000_000_000
 # Fixes belong to one run when no more than this lies between them, or two epochs of a slow receiver.
 _RUN_GAP_NS = 3_000_000_000
 _RUN_GAP_EPOCHS = 2.5
@@ -162,7 +164,8 @@ def _runs(time: GpsTime, fixed: Flags, broken: Flags | None = None) -> list[tupl
 def _lonely(time: GpsTime, fixed: Flags) -> Flags:
     flagged = np.zeros(len(fixed), bool)
     for start, stop in _runs(time, fixed):
-        if stop - start < _SHORT_RUN:
+        lasting = stop - start >= _FEWEST and time.ns[stop - 1] - time.ns[start] >= _LASTING_NS
+        if stop - start < _SHORT_RUN and not lasting:
             flagged[start:stop] = True
     return flagged
 

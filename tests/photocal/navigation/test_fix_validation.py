@@ -37,28 +37,35 @@ def test_a_long_run_of_fixes_needs_no_second_direction(interval_s: float) -> Non
     assert (judged.solution.quality == FIXED).all()
 
 
-@pytest.mark.parametrize("interval_s", [0.2, 1.0, 15.0, 30.0])
-def test_few_fixes_among_floats_need_one(interval_s: float) -> None:
+@pytest.mark.parametrize(("interval_s", "count"), [(0.2, 4), (1.0, 4), (7.0, 4), (15.0, 2), (30.0, 2)])
+def test_few_fixes_among_floats_need_one(interval_s: float, count: int) -> None:
+    """Four fixes that last less than half a minute; of a slow receiver three last that long."""
     one_way = still(interval_s, 60, FLOAT)
-    few = np.where((np.arange(60) >= 30) & (np.arange(60) < 33), FIXED, FLOAT)
+    few = np.where((np.arange(60) >= 30) & (np.arange(60) < 30 + count), FIXED, FLOAT)
     combined = replace(one_way, quality=few)
     judged = judge(combined, combined, one_way, one_way, 3.0)
     assert (judged.solution.quality == FLOAT).all()
-    assert judged.demoted["few fixes in a row, not confirmed"].sum() == 3
+    assert judged.demoted["few fixes in a row, not confirmed"].sum() == count
     confirmed = judge(combined, combined, combined, one_way, 3.0)
-    assert (confirmed.solution.quality == FIXED).sum() == 3
+    assert (confirmed.solution.quality == FIXED).sum() == count
+
+
+def test_three_fixes_of_a_slow_receiver_need_no_second_direction() -> None:
+    one_way = still(15.0, 60, FLOAT)
+    three = replace(one_way, quality=np.where((np.arange(60) >= 30) & (np.arange(60) < 33), FIXED, FLOAT))
+    judged = judge(three, three, one_way, one_way, 3.0)
+    assert (judged.solution.quality == FIXED).sum() == 3
 
 
 def test_a_pause_ends_a_run() -> None:
-    """Four fixes before a pause of minutes and four after it are no eight in a row."""
+    """Two fixes before a pause of minutes and two after it are no four in a row."""
     whole = still(15.0, 60, FLOAT)
-    at = np.arange(60)
-    combined = replace(whole, quality=np.where((at >= 20) & (at < 28), FIXED, FLOAT))
-    kept = np.r_[0:24, 24 + 12 : 60]
-    late = combined.rows(kept)
-    moved = replace(late, quality=np.where((np.arange(48) >= 20) & (np.arange(48) < 28), FIXED, FLOAT))
-    judged = judge(moved, moved, whole, whole, 3.0)
-    assert (judged.solution.quality == FLOAT).all()
+    fixed = np.where((np.arange(60) >= 22) & (np.arange(60) < 26), FIXED, FLOAT)
+    in_a_row = replace(whole, quality=fixed)
+    assert (judge(in_a_row, in_a_row, whole, whole, 3.0).solution.quality == FIXED).sum() == 4
+    late = GpsTime(whole.time.ns + 180_000_000_000 * (np.arange(60) >= 24))
+    paused = replace(in_a_row, time=late)
+    assert (judge(paused, paused, whole, whole, 3.0).solution.quality == FLOAT).all()
 
 
 _CODE = replace(still(1.0, 60, FLOAT), covariance_m2=np.broadcast_to(np.eye(3), (60, 3, 3)))
