@@ -263,9 +263,10 @@ class Judgement(Table):
 
 
 class CertificateKeys(Table):
-    """`[certificate]`: what only people know, and the language."""
+    """`[certificate]`: what only people know, the `plan.json` that was flown, and the language."""
 
     particulars: Beside | None = None
+    plan: Beside | None = None
     client: str = ""
     operator: str = ""
     language: Literal["en", "pt-BR"] = "en"

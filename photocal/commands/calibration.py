@@ -165,7 +165,7 @@ def certificate(
     from photocal.report.issue import FORMS, issue
     from photocal.report.signing import own_key
     from photocal.results.origin import CARRIED
-    from photocal.run.summary import told_beside
+    from photocal.run.summary import flown_beside, told_beside
 
     pictures = told_conditions([read_facts(path) for path in list_images(images)] if images else [])
     own = own_key()
@@ -182,6 +182,7 @@ def certificate(
             key=own.fingerprint if own else "",
             warnings=told_beside(run),
             pictures=pictures,
+            flown=flown_beside(run),
             done=lambda: step(1),
         )
     written = [str(output / name) for name in (*FORMS, CARRIED) if (output / name).exists()]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from acquire.console import AsJson, answer, argument, numbers_of, option, progress
-from drivers.errors import ConfigurationError, InputMalformedError
+from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from photocal.planning.mission import Home
@@ -196,54 +196,15 @@ def flown(
 
     Example: `photocal flown PROJECT.toml --images photos --plan plan/plan.json -o flown`
     """
-    import json
+    from math import nan
 
-    import numpy as np
-
-    from photocal.accuracy.maps import reference_system
-    from photocal.block.motion import strips, velocity_of_neighbours
-    from photocal.geopackage import changed_utc
-    from photocal.measurement.image_facts import read_facts
-    from photocal.measurement.image_file import list_images
-    from photocal.planning.flown import figures_of, flown_block, ground_through
-    from photocal.planning.flown_output import against_plan, flown_text, write_flown
-    from photocal.products.oriented import oriented
+    from photocal.planning.flown_output import flown_text
     from photocal.project import read_project
-    from photocal.results.folder import read_result
+    from photocal.run.flown import measure_flown
 
     if block.suffix == ".toml" and (block.parent / "block.toml") != block:
         project = read_project(block)
         block, run = project.output / "block", run or project.output / "calibration"
-    model, frame, shots = oriented(block, run)
-    time = model.images.time
-    timed = bool(np.isfinite(time).all())
-    order = np.argsort(time, kind="stable") if timed else np.arange(len(shots))
-    shots, seconds = shots.only(order), time[order] if timed else np.arange(len(shots), dtype=np.float64)
-    velocity = np.full((len(shots), 3), np.nan)
-    velocity[model.positions.image] = model.positions.velocity
-    velocity = np.where((velocity != 0).any(axis=1)[:, None], velocity, np.nan)[order]
-    beside, _ = velocity_of_neighbours(shots.camera, seconds, shots.station)
-    way = np.where(np.isfinite(velocity), velocity, beside)
-    strip, _ = strips(seconds, np.nan_to_num(way))
-    # Neighbours without times tell a direction, no speed.
-    moving = np.linalg.norm(way if timed else velocity, axis=1)
-    moving = np.where(np.isfinite(moving), moving, np.nan if speed is None else speed)
-    facts = {path.name: read_facts(path) for path in list_images(images)} if images is not None else {}
-    stated = [(f.exposure_s, f.iso) if (f := facts.get(name)) else (np.nan, np.nan) for name in shots.names]
-    exposure, iso = np.array(stated).T
-    exposure = np.where(np.isfinite(exposure), exposure, np.nan if exposure_ms is None else exposure_ms / 1e3)
-    points = model.points.values if run is None else read_result(run).points.values
-    measured = flown_block(shots, strip, ground_through(shots, frame.to_local(points)), moving, exposure)
-    figures = figures_of(measured, exposure_ms=1e3 * exposure, iso=iso)
-    if plan is not None:
-        try:
-            figures = against_plan(figures, json.loads(plan.read_text(encoding="utf-8")))
-        except (OSError, ValueError, KeyError) as refusal:
-            raise InputMalformedError(
-                "is no plan", where=plan, remedy="name plan.json of `photocal plan`"
-            ) from refusal
-    if output is not None:
-        system = reference_system(None if model.frame == "local" else model.frame)
-        changed = changed_utc(block if block.is_file() else block / "block.toml")
-        write_flown(output, measured, shots.station, moving, figures, frame.to_given, system, changed)
+    exposure_s = nan if exposure_ms is None else exposure_ms / 1e3
+    figures = measure_flown(block, run, images, plan, exposure_s, nan if speed is None else speed, output)
     answer(as_json, lambda: figures, lambda: flown_text(figures))

@@ -22,8 +22,8 @@ _RAYS = Layer("rays", "POLYGON", has_heights=False, columns={"images": "INTEGER"
 _GAPS = Layer("gaps", "POINT", has_heights=False, columns={"area_m2": "DOUBLE"})
 # Cells of the map, as many of the raster on a side.
 _MERGED = 3
-# Planned figures that may be compared, and the flown one of the same name.
-_PLANNED = {"height_m": "height_m", "gsd_m": "gsd_m"}
+# Planned figures that may be compared with the flown ones of the same names.
+_PLANNED = ("height_m", "gsd_m")
 
 
 def flown_text(figures: Mapping[str, Any]) -> str:
@@ -62,7 +62,7 @@ def against_plan(figures: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, 
     """Add what `photocal plan` wrote to the figures of a flown block: of the level flown nearest."""
     height = figures["height_m"]["median"]
     level = min(plan["levels"], key=lambda one: abs(one["height_m"] - height))
-    return figures | {"planned": {name: level[key] for name, key in _PLANNED.items() if key in level}}
+    return figures | {"planned": {name: level[name] for name in _PLANNED if name in level}}
 
 
 def write_flown(
@@ -74,7 +74,7 @@ def write_flown(
     to_given: Callable[[Floats], Floats],
     system: ReferenceSystem,
     changed_utc: str,
-) -> tuple[str, ...]:
+) -> None:
     """Write figures, a table of the images, a map and a picture.
 
     raises OutputError: when the folder cannot be written.
@@ -101,7 +101,6 @@ def write_flown(
             ]
             add_layer(database, _GAPS, system, holes, changed_utc)
         _draw(block, stations, aside / "flown.svg")
-    return "flown.json", "flown.csv", "flown.gpkg", "flown.svg"
 
 
 def _cells(block: FlownBlock, to_given: Callable[[Floats], Floats]) -> list[Feature]:

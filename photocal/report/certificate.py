@@ -243,6 +243,7 @@ def _judgements(
     made = required_sections
     sections = [made.findings(title("plausibility.section", of), of.findings, say) for of in known]
     sections += [made.acceptance(title("acceptance.section", of), of, final, say) for of in known]
+    sections += made.flown_block(say("flown.section"), particulars, say)
     sections.append(made.equipment(say("equipment.section"), particulars, say))
     contexts = (Context(run, particulars, of, say) for of in known)
     return sections + [made.technical_report(title("ministry.section", c.facts), c) for c in contexts]

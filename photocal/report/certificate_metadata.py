@@ -3,7 +3,7 @@
 import datetime as dt
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, FiniteFloat, PositiveFloat
 
@@ -20,6 +20,8 @@ Radiometry = Literal[
     "edge_slant_deg", "mtf50_cycles_px", "mtf10_cycles_px", "mtf_at_nyquist", "star_limit_cycles_px",
     "ground_resolution_cm", "corner_brightness", "linearity_error", "linearity_r2",
 ]  # fmt: skip
+# What `photocal flown` counts.
+FlownCount = Literal["images", "strips", "tilt_over_3_deg", "tilt_over_5_deg", "smear_over_limit", "gaps"]
 
 
 class DocumentKeys(Table):
@@ -145,7 +147,7 @@ class ResponsibleKeys(Table):
 
 
 class Metadata(Table):
-    """All that a person gives; sections as in the file, and the day of the certificate."""
+    """All that a person gives; sections as in the file, the day of the certificate, and the flown block."""
 
     date: dt.date
     document: DocumentKeys = DocumentKeys()
@@ -160,6 +162,9 @@ class Metadata(Table):
     conditions: ConditionKeys = ConditionKeys()
     radiometry: dict[Radiometry, FiniteFloat] = Field(default_factory=dict)
     uncertainty: UncertaintyKeys = UncertaintyKeys()
+    flown_spread: dict[str, Triple] = Field(default_factory=dict)
+    flown: dict[FlownCount, FiniteFloat] = Field(default_factory=dict)
+    planned: dict[str, FiniteFloat] = Field(default_factory=dict)
 
 
 def read_particulars(
@@ -170,9 +175,13 @@ def read_particulars(
     operator: str = "",
     key: str = "",
     pictures: Mapping[str, Mapping[str, str]] | None = None,
+    flown: Mapping[str, Any] | None = None,
 ) -> Metadata:
     """Read the particulars of a certificate; what nobody typed may stand in the pictures, by section."""
     keys: dict[str, Any] = read_tables(path) if path is not None else {}
+    if given := sorted(keys.keys() & {"flown", "flown_spread", "planned"}):
+        raise ConfigurationError(f"{given[0]} is measured, not given", where=path, remedy="remove it")
+    keys |= _of_flown(flown) if flown else {}
     for section, stated in (pictures or {}).items():
         typed = keys.get(section, {})
         if isinstance(typed, dict):
@@ -187,6 +196,14 @@ def read_particulars(
     if isinstance(responsible, dict) and key:
         keys["responsible"] = {"key": key, **responsible}
     return checked_tables({**keys, "date": date}, Metadata, path)
+
+
+def _of_flown(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Take what a certificate repeats of the figures of a flown block."""
+    spreads = {name: one for name, one in figures.items() if isinstance(one, dict) and "median" in one}
+    told = {name: (one["least"], one["median"], one["most"]) for name, one in spreads.items()}
+    counts = {name: figures[name] for name in get_args(FlownCount)} | {"gaps": len(figures["gaps"])}
+    return {"flown_spread": told, "flown": counts, "planned": figures.get("planned", {})}
 
 
 def given_particulars(keys: dict[str, Any], date: str) -> Metadata:

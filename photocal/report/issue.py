@@ -190,6 +190,7 @@ def issue(
     key: str = "",
     warnings: tuple[Finding, ...] = (),
     pictures: Mapping[str, Mapping[str, str]] | None = None,
+    flown: Mapping[str, Any] | None = None,
     done: Callable[[], None] = lambda: None,
 ) -> Document:
     """Write the certificate of a run.
@@ -198,11 +199,14 @@ def issue(
     particulars: TOML file with what a person gives.
     key: fingerprint of the key by which it will be signed; printed.
     pictures: what they say of camera and conditions, by section and key of the particulars.
+    flown: figures of the flown block, see `planning.flown.figures_of`.
     raises PhotocalError: for inputs that cannot be read or have changed, and for figures that cannot be
         right.
     """
     say = catalogue(language)
-    given = read_particulars(particulars, day, client=client, operator=operator, key=key, pictures=pictures)
+    given = read_particulars(
+        particulars, day, client=client, operator=operator, key=key, pictures=pictures, flown=flown
+    )
     results = read_run(run)
     _refuse_a_guess(run, results.result)
     try:

@@ -48,6 +48,27 @@ def _of_flight(value: float | None, name: str, digits: int, c: Context) -> Fille
     return _number(value, digits, "computed" if name in c.facts.computed else "given", c)
 
 
+def _of_pictures(key: str, typed: str, scale: float, digits: int) -> Callable[[Context], Filled]:
+    """What a person typed, else what the pictures of the flight say."""
+
+    def fill(c: Context) -> Filled:
+        given, told = getattr(c.particulars.campaign, typed), c.particulars.flown_spread.get(key)
+        if given is not None or told is None:
+            return _number(given, digits, "given", c)
+        least, most = (c.say.significant(scale * value, 3) for value in (told[0], told[2]))
+        return (f"{least} (EXIF)" if least == most else f"{least} – {most} (EXIF)"), "given"
+
+    return fill
+
+
+def _rtk(c: Context) -> Filled:
+    flown = c.particulars.flown_spread.get("height_m")
+    if flown is None:
+        return c.say("ministry.rtk"), "fixed"
+    least, most = (c.say.fixed(height, 1) for height in (flown[0], flown[2]))
+    return c.say("ministry.rtk_flown", advice=c.say("ministry.rtk"), least=least, most=most), "computed"
+
+
 def _verdict(c: Context) -> Filled:
     found = verdict(c.facts.limits)
     return None if found == "not_determined" else (c.say(f"acceptance.{found}"), "computed")
@@ -223,7 +244,7 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "image_size_y": _image_side(1),
     "corner_table": lambda c: (c.say("ministry.corners"), "computed"),
     "gnss_ins": lambda c: _given(c.particulars.gnss_ins.receiver),
-    "rtk_advice": lambda c: (c.say("ministry.rtk"), "fixed"),
+    "rtk_advice": _rtk,
     "gnss_ins_description": lambda c: _given(c.particulars.gnss_ins.description),
     "lever_arm": _mounting("lever_arm", "cm", 100.0, "XYZ"),
     "boresight": _mounting("boresight", "deg", 1.0, "ωφκ"),
@@ -235,8 +256,8 @@ FILLERS: dict[str, Callable[[Context], Filled]] = {
     "flying_height": lambda c: _of_flight(c.facts.height_m, "height", 4, c),
     "gsd": lambda c: _of_flight(c.facts.gsd_cm, "gsd", 3, c),
     "calibrated_focal_length": lambda c: _number(c.facts.focal_mm, 6, "computed", c),
-    "iso": lambda c: _number(c.particulars.campaign.iso, 6, "given", c),
-    "exposure_time": lambda c: _number(c.particulars.campaign.exposure_time_s, 3, "given", c),
+    "iso": _of_pictures("iso", "iso", 1.0, 6),
+    "exposure_time": _of_pictures("exposure_ms", "exposure_time_s", 1e-3, 3),
     "targets": lambda c: _count([1.0] * len(c.run.result.points.role), c),
     "readings": lambda c: _count(c.run.result.points.rays.tolist(), c),
     "software": lambda c: (f"{c.run.result.software.name} {c.run.result.software.version}", "computed"),

@@ -1,12 +1,13 @@
 """Sections of a certificate that the ministry's report, a laboratory's accreditation and a client ask for."""
 
 import math
+from typing import get_args
 
 from photocal.findings.digits import decimals_of
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text
 from photocal.report.camera_sections import critical_t
-from photocal.report.certificate_metadata import Metadata, Source
+from photocal.report.certificate_metadata import FlownCount, Metadata, Source
 from photocal.report.derived_figures import DerivedFigures, verdict
 from photocal.report.document import (
     Column,
@@ -25,6 +26,12 @@ from photocal.report.stored_analysis import Run
 
 # Contributions that a person may enter, in the order of the budget; type B.
 ENTERED: tuple[Source, ...] = ("control", "datum", "temperature", "refocus", "model")
+# Unit, factor and decimals of the figures of a flown block, in their order.
+FLOWN: dict[str, tuple[str, float, int]] = {
+    "height_m": ("m", 1.0, 1), "gsd_m": ("cm", 100.0, 2), "tilt_deg": ("°", 1.0, 1),
+    "forward_overlap": ("%", 100.0, 1), "side_overlap": ("%", 100.0, 1), "rays": ("", 1.0, 0),
+    "smear_px": ("px", 1.0, 2), "exposure_ms": ("ms", 1.0, 3), "iso": ("", 1.0, 0),
+}  # fmt: skip
 TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 
 
@@ -75,6 +82,27 @@ def radiometry(title: str, particulars: Metadata, say: Catalogue) -> tuple[Secti
         unit = next((text for end, text in units.items() if key.endswith(end)), "")
         rows.append((say(f"radiometry.{key}"), f"{say.as_given(value)} {unit}".strip()))
     return (Section(title, (KeyValues(tuple(rows)), Paragraph(say("radiometry.note")))),) if rows else ()
+
+
+def flown_block(title: str, particulars: Metadata, say: Catalogue) -> tuple[Section, ...]:
+    """Set what was flown beside what was planned or, without a plan, stated for the campaign."""
+    flown, stated, counts = particulars.flown_spread, particulars.campaign, particulars.flown
+    if not flown:
+        return ()
+    gsd_m = None if stated.gsd_cm is None else stated.gsd_cm / 100.0
+    wanted = {"height_m": stated.flying_height_m, "gsd_m": gsd_m, "forward_overlap": stated.forward_overlap}
+    wanted |= dict(particulars.planned)
+    rows = []
+    for key, (unit, factor, decimals) in FLOWN.items():
+        values = (*flown.get(key, (None,) * 3), wanted.get(key))
+        printed = ("–" if value is None else say.fixed(factor * value, decimals) for value in values)
+        rows.append((say(f"flown.{key}"), unit, *printed))
+    heads = columns(say, "flown", "quantity<", "unit<", "least", "median", "most", "planned")
+    counted = {name: f"{counts.get(name, math.nan):.0f}" for name in get_args(FlownCount)}
+    # Without exposure times and speeds nothing is known of blur: no image is then said to be free of it.
+    notes = ["note", *(["blurred"] if "smear_px" in flown else []), "meaning"]
+    note = " ".join(say(f"flown.{key}", **counted) for key in notes)
+    return (Section(title, (Table(say("flown.table"), heads, tuple(rows), note),)),)
 
 
 def uncertainty(title: str, run: Run, particulars: Metadata, say: Catalogue) -> Section:

@@ -7,7 +7,7 @@ from pathlib import Path
 from photocal.project import Project
 from photocal.report.signing import own_key
 from photocal.run.stage import RECORD, Stage
-from photocal.run.summary import gather
+from photocal.run.summary import gather, read_json
 from photocal.tasks.progress import Progress
 
 
@@ -66,7 +66,8 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 key=fingerprint,
                 warnings=gather(work),
                 pictures=told_conditions(facts_of_pictures(project)),
+                flown=read_json(work / "flown" / "flown.json"),
             )
 
-    settings = {**keys.model_dump(mode="json", exclude={"particulars"}), "key": fingerprint}
+    settings = {**keys.model_dump(mode="json", exclude={"particulars", "plan"}), "key": fingerprint}
     return Stage("certificate", "certificate", make, inputs, settings, earlier)

@@ -13,6 +13,7 @@ from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.exposures import exposures_stage
+from photocal.run.flown import flown_stage
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
 from photocal.run.ppk import ppk_stage
@@ -47,6 +48,7 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
     made = (
         *first,
         calibration_stage(block),
+        *((flown_stage(project, block, calibration),) if given is None or given.block is None else ()),
         georeferencing_stage(project, block),
         analysis_stage(block, calibration),
     )

@@ -52,6 +52,11 @@ def told_beside(run: Path) -> tuple[Finding, ...]:
     return gather(work) if (work / "georeferencing").is_dir() else (*gather(work), _NOT_CHECKED)
 
 
+def flown_beside(run: Path) -> dict[str, Any] | None:
+    """Give what stage `flown` measured to a certificate that is made of another stage of that run."""
+    return read_json(run.resolve().parent / "flown" / "flown.json") if is_stage(run) else None
+
+
 def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding | None:
     """Give the one verdict over a project: that of its certificate, else over what its stages found.
 

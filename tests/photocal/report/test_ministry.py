@@ -82,6 +82,25 @@ def test_given_numbers_keep_their_digits(invented_run: Run) -> None:
     assert {e.row.key: e.value for e in entries(read_layout(), portuguese)}["gsd"] == "2,93"
 
 
+def test_pictures_tell_exposure_where_nobody_typed_it(invented_run: Run, tmp_path: Path) -> None:
+    one = {"least": 0.625, "median": 0.625, "most": 0.625}
+    counts = dict.fromkeys(("images", "strips", "tilt_over_3_deg", "tilt_over_5_deg", "smear_over_limit"), 0)
+    figures: dict[str, Any] = {**counts, "gaps": [], "exposure_ms": one, "iso": None}
+    told = read_particulars(None, DAY, flown=figures)
+    filled = {e.row.key: e for e in entries(read_layout(), context(invented_run, told))}
+    # 1/1600 s.
+    assert (filled["exposure_time"].value, filled["exposure_time"].origin) == ("0.000625 (EXIF)", "given")
+    assert filled["iso"].origin == "not_determined"
+    assert filled["rtk_advice"].origin == "fixed"
+    given = tmp_path / "given.toml"
+    given.write_text("[campaign]\nexposure_time_s = 0.001\n", encoding="utf-8")
+    typed = context(invented_run, read_particulars(given, DAY, flown=figures))
+    assert {e.row.key: e.value for e in entries(read_layout(), typed)}["exposure_time"] == "0.001"
+    given.write_text("[flown]\nimages = 12\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="flown is measured, not given"):
+        read_particulars(given, DAY)
+
+
 def test_interior_orientation_in_millimetres(invented_run: Run) -> None:
     """3412.50 px of 2.41 um are 8.2241 mm; K1 = 1.2e-9 px^-2 is 2.066e-4 mm^-2."""
     filled = {e.row.key: e.value for e in entries(read_layout(), context(invented_run, fitting()))}

@@ -1,0 +1,95 @@
+"""Stage `flown`: what the adjusted block and the pictures themselves say of the flight."""
+
+import json
+import math
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import IllPosedError, InputMalformedError
+from photocal.accuracy.maps import reference_system
+from photocal.block.motion import strips, velocity_of_neighbours
+from photocal.geopackage import changed_utc
+from photocal.measurement.image_facts import read_facts
+from photocal.measurement.image_file import each_picture, list_images
+from photocal.planning.flown import figures_of, flown_block, ground_through
+from photocal.planning.flown_output import against_plan, write_flown
+from photocal.products.oriented import oriented
+from photocal.project import Project
+from photocal.report.derived_figures import NADIR_DEG
+from photocal.results.folder import read_result
+from photocal.run.stage import Stage
+from photocal.tasks.progress import Progress
+
+
+def flown_stage(project: Project, block: Path, calibration: Path) -> Stage:
+    """Describe the stage; it writes nothing of a frame of cameras, nor where they do not look down."""
+    images, plan = project.contents.images, project.contents.certificate.plan
+    named = {"images": None if images is None else images.folder, "plan": plan}
+    inputs = {name: path for name, path in named.items() if path is not None}
+
+    def make(folder: Path, show: Progress) -> None:
+        # Where too few points tell a ground, the adjustment says so.
+        with show("flown block", None), suppress(IllPosedError):
+            pictures, planned = inputs.get("images"), inputs.get("plan")
+            measure_flown(block, calibration, pictures, planned, output=folder, only_nadir=True)
+
+    return Stage("flown", "flown block", make, inputs, after=(block, calibration))
+
+
+def measure_flown(
+    block: Path,
+    run: Path | None,
+    images: Path | None = None,
+    plan: Path | None = None,
+    exposure_s: float = math.nan,
+    speed_m_s: float = math.nan,
+    output: Path | None = None,
+    only_nadir: bool = False,
+) -> dict[str, Any]:
+    """Measure a flown block, and write its figures, table, map and picture where an output is given.
+
+    run: adjustment of the block; None takes the orientations as given.
+    exposure_s, speed_m_s: where images and block do not tell them.
+    only_nadir: leaves out blocks of several cameras or of axes that do not look down; they have no figures.
+    raises IllPosedError: for fewer than three points.
+    """
+    model, frame, shots = oriented(block, run)
+    time = model.images.time
+    timed = bool(np.isfinite(time).all())
+    order = np.argsort(time, kind="stable") if timed else np.arange(len(shots))
+    shots, seconds = shots.only(order), time[order] if timed else np.arange(len(shots), dtype=np.float64)
+    axis = float(np.median(shots.rotation[:, 2, 2])) if len(shots) else -1.0
+    if only_nadir and (len(shots.cameras) > 1 or axis < math.cos(math.radians(NADIR_DEG))):
+        return {}
+    velocity = np.full((len(shots), 3), np.nan)
+    velocity[model.positions.image] = model.positions.velocity
+    velocity = np.where((velocity != 0).any(axis=1)[:, None], velocity, np.nan)[order]
+    beside, _ = velocity_of_neighbours(shots.camera, seconds, shots.station)
+    way = np.where(np.isfinite(velocity), velocity, beside)
+    strip, _ = strips(seconds, np.nan_to_num(way))
+    # Neighbours without times tell a direction, no speed.
+    moving = np.linalg.norm(way if timed else velocity, axis=1)
+    moving = np.where(np.isfinite(moving), moving, speed_m_s)
+    read = each_picture(list_images(images), read_facts)[0] if images is not None else []
+    facts = {picture.name: picture for picture in read}
+    stated = [(f.exposure_s, f.iso) if (f := facts.get(name)) else (np.nan, np.nan) for name in shots.names]
+    exposure, iso = np.array(stated).T
+    exposure = np.where(np.isfinite(exposure), exposure, exposure_s)
+    points = model.points.values if run is None else read_result(run).points.values
+    measured = flown_block(shots, strip, ground_through(shots, frame.to_local(points)), moving, exposure)
+    figures = figures_of(measured, exposure_ms=1e3 * exposure, iso=iso)
+    if plan is not None:
+        try:
+            figures = against_plan(figures, json.loads(plan.read_text(encoding="utf-8")))
+        except (OSError, ValueError, KeyError, TypeError) as refusal:
+            raise InputMalformedError(
+                "is no plan", where=plan, remedy="name plan.json of `photocal plan`"
+            ) from refusal
+    if output is not None:
+        system = reference_system(None if model.frame == "local" else model.frame)
+        changed = changed_utc(block if block.is_file() else block / "block.toml")
+        write_flown(output, measured, shots.station, moving, figures, frame.to_given, system, changed)
+    return figures

@@ -1,0 +1,140 @@
+"""The flown block of a run: measured once from the adjusted block, and repeated by the certificate."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from photocal.project import Project, read_project
+from photocal.report.issue import issue
+from photocal.results.adjusted import adjust_block
+from photocal.run.campaign import stages
+from photocal.run.flown import flown_stage, measure_flown
+from photocal.tasks.progress import quiet
+from tests.photocal.conftest import Answer
+from tests.photocal.georeferencing.flights import FOCAL_MM, PITCH_MM, Plan, fly
+
+DAY = dt.date(2026, 11, 23)
+# Exposure time (s) and sensitivity of the pictures in turn.
+TAKEN = ((1 / 1000, 100), (1 / 2000, 400))
+PROJECT = """
+[project]
+name = "field 9"
+crs = "local"
+height = "local"
+output = "work"
+[images]
+folder = "images"
+[certificate]
+plan = "plan.json"
+"""
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
+    """A flight at 90 m and 130 m above level ground, with its pictures, plan and adjustment."""
+    folder = tmp_path_factory.mktemp("flown")
+    fly(folder / "block", np.random.default_rng(3), plan=Plan(relief_m=0.0))
+    (folder / "images").mkdir()
+    names = [line.split(",")[0] for line in (folder / "block" / "images.csv").read_text().split()[1:]]
+    for k, name in enumerate(names):
+        exif = Image.Exif()
+        exposure, iso = TAKEN[k % 2]
+        exif.get_ifd(0x8769).update({0x829A: exposure, 0x8827: iso})
+        Image.new("L", (40, 30)).save(folder / "images" / f"{name}.jpg", exif=exif)
+    # The images of the block are the pictures: they have their names.
+    for path in (folder / "block").glob("*.csv"):
+        named = re.sub(r"^(s\d_\d+),", r"\1.jpg,", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        path.write_text(named, encoding="utf-8")
+    plan = {"levels": [{"height_m": 130.0, "gsd_m": 0.04875}, {"height_m": 90.0, "gsd_m": 0.03375}]}
+    (folder / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
+    (folder / "project.toml").write_text(PROJECT, encoding="utf-8")
+    adjust_block(folder / "block", folder / "calibration")
+    return read_project(folder / "project.toml")
+
+
+@pytest.fixture(scope="module")
+def made(project: Project) -> Path:
+    folder = project.path.parent
+    made = folder / "flown"
+    made.mkdir()
+    flown_stage(project, folder / "block", folder / "calibration").make(made, quiet)
+    return made
+
+
+def test_the_stage_writes_figures_map_and_picture(made: Path) -> None:
+    assert {path.name for path in made.iterdir()} == {"flown.json", "flown.csv", "flown.gpkg", "flown.svg"}
+    figures = json.loads((made / "flown.json").read_text(encoding="utf-8"))
+    # 25 of 40 images at 90 m; their heights scatter by a metre.
+    assert figures["height_m"]["median"] == pytest.approx(90.0, abs=2.5)
+    assert figures["gsd_m"]["most"] == pytest.approx(130.0 * PITCH_MM / FOCAL_MM, rel=0.03)
+    assert figures["planned"] == {"height_m": 90.0, "gsd_m": 0.03375}
+    assert figures["exposure_ms"] == {"least": 0.5, "median": 0.75, "most": 1.0}
+    assert (figures["iso"]["least"], figures["iso"]["most"]) == (100.0, 400.0)
+    # 14 m/s over pixels of 3.375 cm in 1 ms, at 90 m.
+    assert figures["smear_px"]["most"] == pytest.approx(14e-3 / 0.03375, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("language", "rows"),
+    [
+        ("en", {"iso": "100 – 400 (EXIF)", "exposure_time": "0.000500 – 0.00100 (EXIF)"}),
+        ("pt-BR", {"iso": "100 – 400 (EXIF)", "exposure_time": "0,000500 – 0,00100 (EXIF)"}),
+    ],
+)
+def test_a_certificate_repeats_them_and_verifies(
+    project: Project, made: Path, language: str, rows: dict[str, str], tmp_path: Path,
+    photocal: Callable[..., Answer],
+) -> None:  # fmt: skip
+    folder, figures = project.path.parent, json.loads((made / "flown.json").read_text(encoding="utf-8"))
+    output = tmp_path / "certificate"
+    issue(folder / "calibration", output, day=DAY, language=language, block=folder / "block", flown=figures)
+    record = json.loads((output / "certificate.json").read_text(encoding="utf-8"))
+    report = {row["key"]: row for row in record["technical_reports"]["cam"]}
+    assert {key: report[key]["value"] for key in rows} == rows
+    assert report["iso"]["origin"] == "given"
+    mark = "," if language == "pt-BR" else "."
+    least = f"{figures['height_m']['least']:.1f}".replace(".", mark)
+    assert f"{least} m" in report["rtk_advice"]["value"]
+    page = (output / "certificate.html").read_text(encoding="utf-8")
+    section = page[page.index("The flown block" if language == "en" else "O bloco voado") :]
+    assert f">90{mark}0</td>" in section  # planned height
+    assert f">3{mark}38</td>" in section or f">3{mark}37</td>" in section  # planned ground sampling
+    for key, factor in (("forward_overlap", 100.0), ("side_overlap", 100.0)):
+        assert f">{factor * figures[key]['median']:.1f}</td>".replace(".", mark) in section
+    said = photocal("verify", output, "--json")
+    assert json.loads(said.out)["verified"] is True, said.err
+
+
+def test_a_changed_figure_is_named(project: Project, made: Path, tmp_path: Path,
+                                   photocal: Callable[..., Answer]) -> None:  # fmt: skip
+    folder, figures = project.path.parent, json.loads((made / "flown.json").read_text(encoding="utf-8"))
+    issue(folder / "calibration", tmp_path / "c", day=DAY, block=folder / "block", flown=figures)
+    path = tmp_path / "c" / "certificate.json"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('"tilt_over_5_deg": ', '"tilt_over_5_deg": 1'), encoding="utf-8")
+    assert photocal("verify", tmp_path / "c").code != 0
+
+
+def test_cameras_that_do_not_look_down_have_no_flown_block(project: Project, tmp_path: Path) -> None:
+    block = tmp_path / "block"
+    fly(block, np.random.default_rng(3), plan=Plan(relief_m=0.0))
+    header, *rows = (block / "images.csv").read_text(encoding="utf-8").split()
+    turned = [",".join([*row.split(",")[:5], "90", "0", "0"]) for row in rows]
+    (block / "images.csv").write_text("\n".join([header, *turned, ""]), encoding="utf-8")
+    assert measure_flown(block, None, output=tmp_path / "out", only_nadir=True) == {}
+    assert not (tmp_path / "out").exists()
+    assert not math.isnan(measure_flown(project.path.parent / "block", None)["tilt_deg"]["median"])
+
+
+def test_projects_of_pictures_have_the_stage(project: Project) -> None:
+    names = [stage.name for stage in stages(project, DAY)]
+    assert names.index("calibration") < names.index("flown") < names.index("certificate")
