@@ -119,7 +119,8 @@ def cells_seen(images: OrientedImages, ground: Ground) -> list[Integers]:
     for i, border in enumerate(_directions(images, _BORDER)):
         # Within the corners' circle alone: beyond, a distortion polynomial may fold ground into the image.
         middle, reach = _circle(images.station[i], border, low, high)
-        near = np.flatnonzero(np.hypot(*(ground.places[:, :2] - middle).T) <= reach + ground.cell_m)
+        near = _window(middle, reach + ground.cell_m, ground)
+        near = near[np.hypot(*(ground.places[near, :2] - middle).T) <= reach + ground.cell_m]
         pixel = images.project(np.full(len(near), i), ground.places[near])
         with np.errstate(invalid="ignore"):
             inside = ((pixel >= -0.5) & (pixel <= size[i] - 0.5)).all(axis=1)
@@ -222,6 +223,16 @@ def _cell_of(places: Floats, ground: Ground) -> Integers:
     column, row = np.rint((places - ground.places[0, :2]) / ground.cell_m).astype(np.int64).T
     last = len(ground.places) // ground.columns - 1
     return np.asarray(np.clip(row, 0, last) * ground.columns + np.clip(column, 0, ground.columns - 1))
+
+
+def _window(middle: Floats, reach: float, ground: Ground) -> Integers:
+    """Cells of the square about a place, so that a circle in a large ground is not sought in all of it."""
+    rows = len(ground.places) // ground.columns
+    offset = middle - ground.places[0, :2]
+    ends = np.array([offset - reach, offset + reach]) / ground.cell_m
+    (west, south), (east, north) = np.clip(np.rint(ends), 0, [ground.columns - 1, rows - 1]).astype(np.int64)
+    across, up = np.arange(west, east + 1), np.arange(south, north + 1)
+    return np.asarray((up[:, None] * ground.columns + across).ravel())
 
 
 def _ground_below(station: Floats, ground: Ground) -> Floats:

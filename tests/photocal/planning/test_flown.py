@@ -156,6 +156,18 @@ def test_rays_and_gaps(world: World, images: OrientedImages, block: FlownBlock, 
     assert areas == pytest.approx([gap["area_m2"] for gap in figures["gaps"]])
 
 
+def test_cells_are_sought_where_they_are(images: OrientedImages) -> None:
+    """Every cell projected into every image, without a lens that folds ground beyond its corners into it."""
+    size = images.cameras[0].size_px
+    plain = camera("sim", "brown-ideal", "px", size, (1.0, 1.0), {"c": float(images.cameras[0].values[0])})
+    straight = replace(images, cameras=(plain,))
+    ground = level_ground(straight, 0.0)
+    for i, cells in enumerate(cells_seen(straight, ground)):
+        pixel = straight.project(np.full(len(ground.places), i), ground.places)
+        inside = ((pixel >= -0.5) & (pixel <= np.array(size) - 0.5)).all(axis=1)
+        assert np.array_equal(cells, np.flatnonzero(inside))
+
+
 def test_figures_are_plain(block: FlownBlock) -> None:
     figures = figures_of(block)
     assert figures["images"] == len(block.names)
