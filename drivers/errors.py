@@ -1,6 +1,6 @@
 """The one exception tree: each class of failure has its exit code and teaches in one line."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Self
 
@@ -26,6 +26,11 @@ class PhotocalError(Exception):
         self.details = details
         self.where = "" if where is None else str(where)
         self.remedy = remedy
+
+    @classmethod
+    def at(cls, where: object) -> Callable[..., Self]:
+        """Make failures of one file or place, so that each check there says what happened and its remedy."""
+        return lambda what, remedy="": cls(what, where=where, remedy=remedy)
 
     def __str__(self) -> str:
         place = f"{self.where}: " if self.where else ""

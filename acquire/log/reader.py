@@ -113,37 +113,32 @@ class LogReader:
         with stream:
             total = self.path.stat().st_size
             magic = stream.read(len(records.MAGIC))
+            malformed = InputMalformedError.at(self.path)
             if magic != records.MAGIC:
                 what = "is no flight log (MCAP)" if magic else "is empty"
-                raise InputMalformedError(
-                    what, where=self.path, remedy="name an .mcap file, or import the recording first"
-                )
+                raise malformed(what, "name an .mcap file, or import the recording first")
             stream.seek(max(self.position, len(magic)))
             while not self.complete and len(head := stream.read(9)) == 9:
                 opcode, size = struct.unpack("<BQ", head)
                 if size > total - stream.tell():
                     return
                 if size > LONGEST_RECORD:
-                    raise InputMalformedError(
+                    raise malformed(
                         f"holds a record of {size} bytes, more than {LONGEST_RECORD}",
-                        where=self.path,
-                        remedy="leave attached files of such a size out",
+                        "leave attached files of such a size out",
                     )
                 body = stream.read(size)
                 self.position = stream.tell()
                 yield opcode, body
 
     def _chunk(self, chunk: mcap.Chunk) -> list[Messages]:
+        malformed = InputMalformedError.at(self.path)
         try:
             content = _unpacked(chunk)
         except (RuntimeError, ValueError, EOFError, MemoryError) as damage:
-            raise InputMalformedError(
-                f"a chunk cannot be unpacked ({damage})", where=self.path, remedy="run acquire recover"
-            ) from damage
+            raise malformed(f"a chunk cannot be unpacked ({damage})", "run acquire recover") from damage
         if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
-            raise InputMalformedError(
-                "the checksum of a chunk disagrees", where=self.path, remedy="run acquire recover"
-            )
+            raise malformed("the checksum of a chunk disagrees", "run acquire recover")
         return self._messages(content)
 
     def _messages(self, content: bytes) -> list[Messages]:

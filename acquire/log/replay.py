@@ -43,14 +43,11 @@ def choose_link(path: Path, link: str | None) -> str:
     names = links_of(path)
     if not names:
         raise InputMalformedError("holds no raw frames", where=path, remedy="name a flight log")
+    wrong = ConfigurationError.at(path)
     if link is None and len(names) > 1:
-        raise ConfigurationError(
-            f"has several links: {', '.join(names)}", where=path, remedy="name one with --link"
-        )
+        raise wrong(f"has several links: {', '.join(names)}", "name one with --link")
     if link is not None and link not in names:
-        raise ConfigurationError(
-            f"has no link {link!r}, it has {', '.join(names)}", where=path, remedy="name one of them"
-        )
+        raise wrong(f"has no link {link!r}, it has {', '.join(names)}", "name one of them")
     return link or names[0]
 
 

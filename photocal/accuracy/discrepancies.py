@@ -121,26 +121,23 @@ def _columns(table: Table) -> tuple[dict[str, str], dict[str, float]]:
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}
     place, remedy = f"{table.path}, line 1", f"the columns are {_EXPECTED}, and E, N, h"
+    malformed = InputMalformedError.at(place)
     for title in table.columns.column_names:
         if title == GROUND:
             continue
         match = _COLUMN.match(title.lower())
         if match is None:
-            raise InputMalformedError(f"unknown column {title!r}", where=place, remedy=remedy)
+            raise malformed(f"unknown column {title!r}", remedy)
         name, unit = match["name"].replace("correction_", "d"), match["unit"]
         if name in titles:
-            raise InputMalformedError(f"column {name} stands twice", where=place, remedy="keep one")
+            raise malformed(f"column {name} stands twice", "keep one")
         if unit is not None and (unit not in _METRES or name == "point"):
-            raise InputMalformedError(
-                f"unknown unit {unit!r} of column {title!r}",
-                where=place,
-                remedy=f"known are {', '.join(_METRES)}",
-            )
+            raise malformed(f"unknown unit {unit!r} of column {title!r}", f"known are {', '.join(_METRES)}")
         titles[name], factors[name] = title, _METRES[unit or "m"]
     missing = [] if "point" in titles else ["point"]
     if ("de" in titles) != ("dn" in titles):
         missing.append("dn" if "de" in titles else "de")
     if missing or not {"de", "dh"} & titles.keys():
         lacking = " and ".join(missing) or "dE, dN or dh"
-        raise InputMalformedError(f"has no column {lacking}", where=place, remedy=remedy)
+        raise malformed(f"has no column {lacking}", remedy)
     return titles, factors

@@ -100,10 +100,9 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, f
     """Read parameters with their standard deviations, set by set, and the redundancy of each."""
     table = read_table(path, ("parameter", "value"), _OPTIONAL)
     column = next((name for name in _SIGMAS if table.has(name)), None)
+    malformed = InputMalformedError.at(path)
     if column is None:
-        raise InputMalformedError(
-            "has no standard deviations", where=path, remedy="add a column std_dev beside value"
-        )
+        raise malformed("has no standard deviations", "add a column std_dev beside value")
     which, names = table.names("parameter")
     of_set, sets = table.names("set") if table.has("set") else (np.zeros(len(table), dtype=np.int64), ("",))
     values, sigmas = table.numbers("value"), table.numbers(column)
@@ -113,10 +112,8 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, f
         rows = np.flatnonzero(of_set == k)
         own = tuple(names[j] for j in which[rows])
         if len(set(own)) < len(own):
-            raise InputMalformedError(
-                f"a parameter comes twice{f' in set {name}' if name else ''}",
-                where=path,
-                remedy="give a column set",
+            raise malformed(
+                f"a parameter comes twice{f' in set {name}' if name else ''}", "give a column set"
             )
         estimates = from_sigmas(own, values[rows].tolist(), sigmas[rows].tolist())
         answer[name] = (estimates, float(freedom[rows[0]]))
@@ -132,15 +129,13 @@ def _matrix(path: Path) -> Estimates:
     head = tuple(table.columns.column_names)
     names = table.unique_names(head[0])
     matrix = table.matrix(head[1:])
+    malformed = InputMalformedError.at(path)
     if names != head[1:] or not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0):
-        raise InputMalformedError(
+        raise malformed(
             "is no symmetric matrix with the same names in its head and its first column",
-            where=path,
-            remedy="give every row in full",
+            "give every row in full",
         )
     if not (np.diag(matrix) > 0.0).all():
-        raise InputMalformedError(
-            "has a variance that is not positive", where=path, remedy="leave out what was held fixed"
-        )
+        raise malformed("has a variance that is not positive", "leave out what was held fixed")
     sigma = np.sqrt(np.diag(matrix))
     return from_sigmas(names, [0.0] * len(names), sigma.tolist(), matrix / np.outer(sigma, sigma))

@@ -93,28 +93,23 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
         do not fit.
     """
     place, lens = f"{where}, camera {keys.id}", MODELS[keys.model]
+    wrong = ConfigurationError.at(place)
     for section in ("parameters", "estimate", "prior_sigma", "photo_variant"):
         unknown = [name for name in getattr(keys, section) if name not in lens.names]
         if unknown:
-            raise ConfigurationError(
+            raise wrong(
                 f"{section} names {unknown[0]}, which is no camera parameter of {keys.model}",
-                where=place,
-                remedy=f"use {', '.join(lens.names)}",
+                f"use {', '.join(lens.names)}",
             )
     if lens.relative and (keys.R0 or keys.focus or keys.affinity not in (None, "after")):
-        raise ConfigurationError(
+        raise wrong(
             f"{keys.model} has neither R0 nor focus, and its affinity is after the distortion",
-            where=place,
-            remedy="remove R0, focus and affinity, or take a model of Brown",
+            "remove R0, focus and affinity, or take a model of Brown",
         )
     if not keys.parameters.get("c", 0.0) > 0:
-        raise ConfigurationError(
-            "the principal distance c is missing or not positive", where=place, remedy="give c in parameters"
-        )
+        raise wrong("the principal distance c is missing or not positive", "give c in parameters")
     if keys.unit == "mm" and keys.pitch_mm is None:
-        raise ConfigurationError(
-            "pitch_mm is missing", where=place, remedy='give the pixel pitch, or unit = "px"'
-        )
+        raise wrong("pitch_mm is missing", 'give the pixel pitch, or unit = "px"')
     if keys.unit == "px":
         pitch = (1.0, 1.0)
     else:
@@ -125,15 +120,12 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
     weighted = {name: sigma for name, sigma in keys.prior_sigma.items() if sigma > 0}
     idle = [name for name in weighted if name not in estimate]
     if idle:
-        raise ConfigurationError(
-            f"{idle[0]} has a prior sigma but is not estimated", where=place, remedy="list it in estimate"
-        )
+        raise wrong(f"{idle[0]} has a prior sigma but is not estimated", "list it in estimate")
     for name, deviation in keys.photo_variant.items():
         if deviation == "free" and name in estimate and not weighted.get(name):
-            raise ConfigurationError(
+            raise wrong(
                 f"{name} is free in every image: its value for the camera is then none",
-                where=place,
-                remedy="take it out of estimate, or give photo_variant a standard deviation",
+                "take it out of estimate, or give photo_variant a standard deviation",
             )
     own = _focused(
         keys,
@@ -165,16 +157,11 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
             if "readout" in keys.photo_variant
             else f"has a {keys.shutter} shutter"
         )
-        raise ConfigurationError(
-            f"the readout {what}",
-            where=place,
-            remedy='give shutter = "rolling", and one readout for all images',
-        )
+        raise wrong(f"the readout {what}", 'give shutter = "rolling", and one readout for all images')
     if keys.shutter == "rolling" and not rolling:
-        raise ConfigurationError(
+        raise wrong(
             "a rolling shutter has neither a readout in parameters nor in estimate",
-            where=place,
-            remedy='add "readout" (s) to one of them, or give shutter = "unknown" to have it tested',
+            'add "readout" (s) to one of them, or give shutter = "unknown" to have it tested',
         )
     return replace(
         own,
@@ -224,28 +211,21 @@ def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:
     """Give a camera the distortion of its focus from calibrations at two others."""
     if keys.focus is None:
         return own
+    wrong = ConfigurationError.at(place)
     if own.unit != "mm":
-        raise ConfigurationError(
-            "distortion that varies with the distance needs c in mm", where=place, remedy='give unit = "mm"'
-        )
+        raise wrong("distortion that varies with the distance needs c in mm", 'give unit = "mm"')
     c = own.value("c") / MM
     distances = [keys.focus.distance_m, *(calibration.distance_m for calibration in keys.focus.calibrations)]
     if min(distances) <= c:
-        raise ConfigurationError(
-            f"the focus distance {min(distances):g} m is not beyond c = {c:g} m",
-            where=place,
-            remedy="give distances in metres",
+        raise wrong(
+            f"the focus distance {min(distances):g} m is not beyond c = {c:g} m", "give distances in metres"
         )
     if not keys.focus.calibrations:
         return own
     if len(keys.focus.calibrations) != 2 or distances[1] == distances[2]:
-        raise ConfigurationError(
-            "calibrations must be two, at different distances", where=place, remedy="give distance_m and K1.."
-        )
+        raise wrong("calibrations must be two, at different distances", "give distance_m and K1..")
     if any(name in RADIAL for name in keys.parameters):
-        raise ConfigurationError(
-            "K1 to K4 stand in parameters and in calibrations", where=place, remedy="remove one of them"
-        )
+        raise wrong("K1 to K4 stand in parameters and in calibrations", "remove one of them")
     near, far = (
         replace(own.changed(K1=one.K1, K2=one.K2, K3=one.K3, K4=one.K4), focus_m=one.distance_m)
         for one in sorted(keys.focus.calibrations, key=lambda one: one.distance_m)

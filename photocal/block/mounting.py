@@ -62,18 +62,16 @@ def read_attitudes(path: Path, images: tuple[str, ...]) -> mounting.Attitudes:
 
 def make_mounting(keys: MountingKeys, strips: int) -> mounting.Mounting:
     """Make the mounting that `[mounting]` describes."""
+    wrong = ConfigurationError.at("block.toml, [mounting]")
     if keys.height_scale_sigma and keys.height_scale_from_m is None:
-        raise ConfigurationError(
-            "height_scale_sigma needs height_scale_from_m",
-            where="block.toml, [mounting]",
-            remedy="give the height of the base station's antenna",
+        raise wrong(
+            "height_scale_sigma needs height_scale_from_m", "give the height of the base station's antenna"
         )
     rotation = np.array([BODY_AXES[axis] for axis in keys.camera_axes])
     if not np.isclose(np.linalg.det(rotation), 1.0):
-        raise ConfigurationError(
+        raise wrong(
             f"camera_axes {list(keys.camera_axes)} are not a right-handed system",
-            where="block.toml, [mounting]",
-            remedy="give the body directions of x (right), y (up in the image) and z (backwards)",
+            "give the body directions of x (right), y (up in the image) and z (backwards)",
         )
     values, sigma = np.zeros(mounting.STRIPS + 6 * strips), np.zeros(mounting.STRIPS + 6 * strips)
     values[mounting.LEVER], values[mounting.BORESIGHT] = keys.lever_arm_m, np.radians(keys.boresight_deg)

@@ -164,18 +164,16 @@ def read_wider_table(path: Path, required: tuple[str, ...]) -> Table:
     """Read a table that may have any further columns; errors as of `read_table`."""
     table = read_columns(path)
     found = list(table.columns.column_names)
+    malformed = InputMalformedError.at(path)
     for name in required:
         if name not in found:
-            raise InputMalformedError(
+            raise malformed(
                 f"column {name} is missing (found {', '.join(found)})",
-                where=path,
-                remedy=f"the header must have {', '.join(required)}",
+                f"the header must have {', '.join(required)}",
             )
     for name in found:
         if found.count(name) > 1:
-            raise InputMalformedError(
-                f"column {name} comes twice", where=path, remedy="give each column its own name"
-            )
+            raise malformed(f"column {name} comes twice", "give each column its own name")
     return table
 
 

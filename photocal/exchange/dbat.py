@@ -242,21 +242,19 @@ def _calibrated(element: Element, path: Path, lists: dict[str, list[float]]) -> 
 def _pixel(sensor: str, size_px: tuple[int, int], aspect: float, path: Path) -> tuple[float, float]:
     """Height of a pixel and width of the sensor, mm; one side of the sensor may be "auto"."""
     cells = [cell.strip() for cell in sensor.split(",")]
+    malformed = InputMalformedError.at(path)
     if len(cells) != 2 or cells == ["auto", "auto"]:
-        raise InputMalformedError(
-            f"sensor {sensor!r} is not a width and a height", where=path, remedy="give both in mm"
-        )
+        raise malformed(f"sensor {sensor!r} is not a width and a height", "give both in mm")
     stretch = 2 - aspect
     sides = [0.0 if cell == "auto" else number(cell, path, "sensor") for cell in cells]
     pixel = sides[1] / size_px[1] if sides[1] else sides[0] / size_px[0] / stretch
     if not pixel > 0:
-        raise InputMalformedError(f"sensor {sensor!r} is impossible", where=path, remedy="give it in mm")
+        raise malformed(f"sensor {sensor!r} is impossible", "give it in mm")
     if all(sides) and abs(sides[0] / size_px[0] / (pixel * stretch) - 1) > 1e-4:
-        raise InputMalformedError(
+        raise malformed(
             f"sensor {sensor!r} and image {size_px[0]},{size_px[1]} make pixels that are not square, "
             f"against aspect {aspect:g}",
-            where=path,
-            remedy="correct the sensor or the aspect",
+            "correct the sensor or the aspect",
         )
     return pixel, size_px[0] * pixel
 

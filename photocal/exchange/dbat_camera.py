@@ -118,28 +118,23 @@ class DbatCamera:
 def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
     """Turn DBAT's description into a camera, whose polynomial DBAT evaluates at the measured coordinates."""
     number = described.lens_model
+    malformed = InputMalformedError.at(place)
     if number not in MODELS:
-        raise InputMalformedError(f"lens model {number} is not known", where=place, remedy="use -1 or 1 to 5")
+        raise malformed(f"lens model {number} is not known", "use -1 or 1 to 5")
     value = dict.fromkeys(NAMES, 0.0) | described.values
     estimate = described.estimate
     if number not in WITH_AFFINITY:
         if value["as"] or value["sk"]:
-            raise InputMalformedError(
-                f"lens model {number} has no affinity, but aspect or skew is given",
-                where=place,
-                remedy="use model 3, 4 or 5",
+            raise malformed(
+                f"lens model {number} has no affinity, but aspect or skew is given", "use model 3, 4 or 5"
             )
         estimate = tuple(name for name in estimate if name not in ("as", "sk"))
     if number == 5:
         if value["sk"] or "sk" in estimate:
-            raise InputMalformedError(
-                "the skew of lens model 5 acts elsewhere than its aspect",
-                where=place,
-                remedy="use model 3 or 4",
-            )
+            raise malformed("the skew of lens model 5 acts elsewhere than its aspect", "use model 3 or 4")
         value["px"] /= 1 + value["as"]
     if not value["cc"] > 0:
-        raise InputMalformedError("the camera constant is not positive", where=place, remedy="give cc")
+        raise malformed("the camera constant is not positive", "give cc")
     width, height = np.array(described.size_px) * described.pixel_mm
     ours = {
         "c": value["cc"],

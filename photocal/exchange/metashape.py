@@ -62,12 +62,9 @@ def read_metashape(path: Path) -> Chunk:
 def chunk_of(root: Element, path: Path) -> Chunk:
     """Take the chunk out of a document; parameters and result as of `read_metashape`."""
     chunks = list(root.iter("chunk"))
+    malformed = InputMalformedError.at(path)
     if root.tag != "document" or len(chunks) != 1:
-        raise InputMalformedError(
-            f"has {len(chunks)} chunks where one was expected",
-            where=path,
-            remedy="export the cameras of one chunk",
-        )
+        raise malformed(f"has {len(chunks)} chunks where one was expected", "export the cameras of one chunk")
     chunk = chunks[0]
     sensors = {
         sensor.get("id", ""): _camera(sensor, path)
@@ -78,9 +75,7 @@ def chunk_of(root: Element, path: Path) -> Chunk:
     shots = [shot for shot in chunk.iterfind("cameras/camera") if shot.get("id") in poses_of]
     lost = [shot for shot in shots if shot.get("sensor_id") not in sensors]
     if lost:
-        raise InputMalformedError(
-            f"image {lost[0].get('label')} has a sensor without calibration", where=path
-        )
+        raise malformed(f"image {lost[0].get('label')} has a sensor without calibration")
     order = {key: k for k, key in enumerate(sensors)}
     matrices = np.array([poses_of[shot.get("id", "")] for shot in shots])
     to_world = chunk_transform(chunk, path)

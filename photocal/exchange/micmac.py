@@ -156,23 +156,18 @@ def _distortion(given: Element, place: list[float], path: Path) -> dict[str, flo
     """Our coefficients of a distortion in px about the principal point, whose y runs down."""
     if given.tag == "ModNoDist":
         return {}
+    malformed = InputMalformedError.at(path)
     if given.tag not in ("ModRad", "ModPhgrStd"):
-        raise InputMalformedError(
-            f"distortion {given.tag} has no equivalent",
-            where=path,
-            remedy="calibrate with RadialStd or FraserBasic",
+        raise malformed(
+            f"distortion {given.tag} has no equivalent", "calibrate with RadialStd or FraserBasic"
         )
     radial = given if given.tag == "ModRad" else child(given, "RadialePart", path)
     centre = _vector(radial, "CDist", path, 2)
     if max(abs(a - b) for a, b in zip(centre, place, strict=True)) > 1e-6:
-        raise InputMalformedError(
-            "the distortion has a centre of its own",
-            where=path,
-            remedy="calibrate with a common centre (PPaEqPPs)",
-        )
+        raise malformed("the distortion has a centre of its own", "calibrate with a common centre (PPaEqPPs)")
     coefficients = [numbers(c.text or "", path, "CoeffDist", 1)[0] for c in radial.iterfind("CoeffDist")]
     if any(coefficients[4:]):
-        raise InputMalformedError("has more than four radial coefficients", where=path)
+        raise malformed("has more than four radial coefficients")
     values = {f"K{k}": value for k, value in enumerate(coefficients[:4], start=1)}
     if given.tag == "ModPhgrStd":
         p1, p2, b1, b2 = (

@@ -72,24 +72,17 @@ def observations(
     point_index = {name: k for k, name in enumerate(point_names)}
     seen: set[tuple[str, str]] = set()
     for mark in marks:
+        malformed = InputMalformedError.at(mark.place)
         if mark.image not in image_index:
-            raise InputMalformedError(
-                f"observes image {mark.image}, which is not in the block", where=mark.place
-            )
+            raise malformed(f"observes image {mark.image}, which is not in the block")
         if mark.point not in point_index:
-            raise InputMalformedError(
-                f"observes point {mark.point}, which is not in the block", where=mark.place
-            )
+            raise malformed(f"observes point {mark.point}, which is not in the block")
         if (mark.image, mark.point) in seen:
-            raise InputMalformedError(
-                f"point {mark.point} is observed twice in image {mark.image}",
-                where=mark.place,
-                remedy="keep one of the observations",
+            raise malformed(
+                f"point {mark.point} is observed twice in image {mark.image}", "keep one of the observations"
             )
         if not min(mark.sigma) > 0:
-            raise InputMalformedError(
-                f"the sigma of point {mark.point} in image {mark.image} is not positive", where=mark.place
-            )
+            raise malformed(f"the sigma of point {mark.point} in image {mark.image} is not positive")
         seen.add((mark.image, mark.point))
     return Observations(
         unit,

@@ -155,19 +155,17 @@ def beside(folder: Path, name: str, place: object) -> Path:
     """
     parts = PurePosixPath(name.replace("\\", "/"))
     outside = parts.is_absolute() or bool(PureWindowsPath(name).drive) or ".." in parts.parts
+    malformed = InputMalformedError.at(place)
     if outside or "\0" in name or not 0 < len(parts.name.encode("utf-8", "replace")) <= _LONGEST_NAME:
-        raise InputMalformedError(
+        raise malformed(
             f"names the file {name!r}, which is not inside its folder",
-            where=place,
-            remedy="put the file beside the set-up and name it without folders",
+            "put the file beside the set-up and name it without folders",
         )
     for candidate in (folder / parts, folder / parts.name):
         if candidate.is_file():
             if not candidate.resolve().is_relative_to(folder.resolve()):
-                raise InputMalformedError(
-                    f"names the file {name!r}, a link that leads out of its folder",
-                    where=place,
-                    remedy="copy the file",
+                raise malformed(
+                    f"names the file {name!r}, a link that leads out of its folder", "copy the file"
                 )
             return candidate
     raise InputNotFoundError(

@@ -144,20 +144,18 @@ def parsed(name: str) -> Any:
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
+    wrong = ConfigurationError.at("block.toml")
     try:
         system = CRS.from_user_input(name)
     except CRSError as failure:
-        raise ConfigurationError(
-            f"frame {name!r} is no coordinate reference system",
-            where="block.toml",
-            remedy='use "local" or a name such as "EPSG:31982"',
+        raise wrong(
+            f"frame {name!r} is no coordinate reference system", 'use "local" or a name such as "EPSG:31982"'
         ) from failure
     units = {axis.unit_name for axis in system.axis_info}
     if not units <= {"metre", "degree"}:
-        raise ConfigurationError(
+        raise wrong(
             f"frame {name} is in {', '.join(sorted(units))}",
-            where="block.toml",
-            remedy="transform the coordinates to a system in metres",
+            "transform the coordinates to a system in metres",
         )
     return system
 
@@ -169,23 +167,21 @@ def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
     raises ConfigurationError: when the kind of the heights is not said or does not fit the system.
     """
     system = parsed(name)
+    wrong = ConfigurationError.at("block.toml")
     if height == "orthometric" and not system.is_compound:
-        raise ConfigurationError(
+        raise wrong(
             f"heights are orthometric, but frame {name} says nothing of a geoid",
-            where="block.toml",
-            remedy='name a compound system, for example "EPSG:31982+5773"',
+            'name a compound system, for example "EPSG:31982+5773"',
         )
     if height == "ellipsoidal" and system.is_compound:
-        raise ConfigurationError(
+        raise wrong(
             f"heights are ellipsoidal, but frame {name} has a vertical system",
-            where="block.toml",
-            remedy="name the horizontal system alone",
+            "name the horizontal system alone",
         )
     if height not in ("orthometric", "ellipsoidal"):
-        raise ConfigurationError(
+        raise wrong(
             f"the kind of the heights in frame {name} is not said",
-            where="block.toml",
-            remedy='add height = "ellipsoidal" or height = "orthometric"',
+            'add height = "ellipsoidal" or height = "orthometric"',
         )
     return ReferenceFrame(name, origin)
 

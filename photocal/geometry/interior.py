@@ -81,21 +81,19 @@ def _require(readings: Floats, known: Floats, kind: Transformation, names: Seque
     """Refuse marks that do not determine the transformation."""
     where = f"marks {', '.join(names)}" if names else None
     fewest = PARAMETER_COUNT[kind] // 2
+    ill_posed = IllPosedError.at(where)
     if len(readings) < fewest:
-        raise IllPosedError(
+        raise ill_posed(
             f"{len(readings)} mark(s) do not determine a {kind} interior orientation",
-            where=where,
-            remedy=f"read at least {fewest}, one more to have a check",
+            f"read at least {fewest}, one more to have a check",
         )
     for system, place in ((readings, "readings"), (known, "calibrated coordinates")):
         spread = np.linalg.svd(system - system.mean(axis=0), compute_uv=False)
         line = kind != "conformal" and spread[1] < DEGENERATE * spread[0]
         if spread[0] == 0 or line:
             what = "coincide" if spread[0] == 0 else "lie in a line"
-            raise IllPosedError(
-                f"the {place} of the marks {what}",
-                where=where,
-                remedy="read marks at the corners or the sides of the frame",
+            raise ill_posed(
+                f"the {place} of the marks {what}", "read marks at the corners or the sides of the frame"
             )
 
 

@@ -373,17 +373,15 @@ def _patterns(control: _Control, block: Block, path: Path) -> tuple[Pattern, ...
     patterns = []
     for pattern in control.pattern:
         for name in pattern.points:
+            wrong = ConfigurationError.at(path)
             if name not in index:
-                raise ConfigurationError(
-                    f"point {name} of pattern {pattern.name} is not in the block",
-                    where=path,
-                    remedy="name points of points.csv",
+                raise wrong(
+                    f"point {name} of pattern {pattern.name} is not in the block", "name points of points.csv"
                 )
             if not surveyed[index[name]]:
-                raise ConfigurationError(
+                raise wrong(
                     f"point {name} of pattern {pattern.name} has no sigma, so it cannot be control",
-                    where=path,
-                    remedy="give it sX, sY, sZ in points.csv",
+                    "give it sX, sY, sZ in points.csv",
                 )
         patterns.append((pattern.name, np.array([index[n] for n in pattern.points])))
     usable = ground_points(block)

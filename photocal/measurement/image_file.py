@@ -210,15 +210,10 @@ def _sixteen_bits(values: NDArray[Any]) -> Grey:
 
 def _require_sensible(path: Path, size: tuple[int, int]) -> None:
     width, height = size
+    malformed = InputMalformedError.at(path)
     if width * height > LARGEST_PX:
-        raise InputMalformedError(
-            f"claims {width} x {height} pixels",
-            where=path,
-            remedy=f"is the header damaged? At most {LARGEST_PX:_} are read",
+        raise malformed(
+            f"claims {width} x {height} pixels", f"is the header damaged? At most {LARGEST_PX:_} are read"
         )
     if min(size) < SMALLEST_SIDE_PX:
-        raise InputMalformedError(
-            f"has only {width} x {height} pixels",
-            where=path,
-            remedy=f"at least {SMALLEST_SIDE_PX} are needed",
-        )
+        raise malformed(f"has only {width} x {height} pixels", f"at least {SMALLEST_SIDE_PX} are needed")

@@ -141,17 +141,15 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
 
 def _chunk(path: Path) -> Element:
     chunks = list(read_xml(path).iter("chunk"))
+    malformed = InputMalformedError.at(path)
     if not chunks:
-        raise InputMalformedError(
+        raise malformed(
             "is no XML of Metashape's markers, the only one that is read",
-            where=path,
-            remedy="from Pix4D export the marks as text (*.txt or *.csv: image, point, x, y)",
+            "from Pix4D export the marks as text (*.txt or *.csv: image, point, x, y)",
         )
     if len(chunks) != 1:
-        raise InputMalformedError(
-            f"has {len(chunks)} chunks where one was expected",
-            where=path,
-            remedy="export the markers of one chunk as XML",
+        raise malformed(
+            f"has {len(chunks)} chunks where one was expected", "export the markers of one chunk as XML"
         )
     return chunks[0]
 

@@ -47,10 +47,9 @@ class ObservationFile:
 def read_observation_file(path: Path) -> ObservationFile:
     """Read the epochs of a RINEX 2 or 3 observation file."""
     lines = _lines(path)
+    malformed = InputMalformedError.at(path)
     if not lines or "RINEX VERSION" not in lines[0] or lines[0][20:21] != "O":
-        raise InputMalformedError(
-            "is no RINEX observation file", where=path, remedy="give the file with ending .obs"
-        )
+        raise malformed("is no RINEX observation file", "give the file with ending .obs")
     second = lines[0].lstrip().startswith("2")
     systems, bands, end = set(), set(), len(lines)
     letter, antenna, antenna_m = "", "", 0.0
@@ -70,21 +69,17 @@ def read_observation_file(path: Path) -> ObservationFile:
         elif label == "# / TYPES OF OBSERV":
             bands |= {code[1] for code in line[6:60].split() if code[0] == "L" and code[1:]}
         elif label == "TIME OF FIRST OBS" and line[48:51].strip() not in ("", "GPS"):
-            raise InputMalformedError(
-                f"counts {line[48:51]} time", where=path, remedy="convert it with GPS time"
-            )
+            raise malformed(f"counts {line[48:51]} time", "convert it with GPS time")
     epoch = _EPOCH_2 if second else _EPOCH_3
     found = [match for line in lines[end:] if (match := epoch.match(line))]
     if second:
         systems = set("GR")
     if not found:
-        raise InputMalformedError("has no epochs", where=path, remedy="check the recording")
+        raise malformed("has no epochs", "check the recording")
     try:
         time = GpsTime(np.array([_gps_ns(*match.groups()) for match in found], np.int64))
     except (ValueError, OverflowError) as failure:
-        raise InputMalformedError(
-            f"has an epoch that no calendar has ({failure})", where=path, remedy="was it damaged?"
-        ) from failure
+        raise malformed(f"has an epoch that no calendar has ({failure})", "was it damaged?") from failure
     return ObservationFile(path, time, frozenset(systems), frozenset(bands), antenna, antenna_m)
 
 

@@ -175,23 +175,21 @@ def refuse_unusable(recording: ReceiverRecording, role: str, log: FlightLog) -> 
     if recording.epochs or recording.observation_frames:
         return
     place = f"{log}, link {recording.link}"
+    ill_posed = IllPosedError.at(place)
     if recording.untimed_epochs:
-        raise IllPosedError(
+        raise ill_posed(
             f"all {recording.untimed_epochs} RXM-RAWX epochs of the {role} have GPS week 0: the receiver "
             "never knew the time",
-            where=place,
-            remedy="record until the receiver has a fix",
+            "record until the receiver has a fix",
         )
     if recording.empty_epochs:
-        raise IllPosedError(
+        raise ill_posed(
             f"all {recording.empty_epochs} RXM-RAWX epochs of the {role} are empty",
-            where=place,
-            remedy="check antenna and sky view",
+            "check antenna and sky view",
         )
-    raise IllPosedError(
+    raise ill_posed(
         f"the {role} has no raw observations (RXM-RAWX or RTCM MSM)",
-        where=place,
-        remedy="let the receiver send RXM-RAWX and RXM-SFRBX",
+        "let the receiver send RXM-RAWX and RXM-SFRBX",
     )
 
 

@@ -244,19 +244,14 @@ def _precise_point(
     rover: ObservationFile, files: list[Path], options: ProcessingOptions, engine: Rtklib, folder: Path
 ) -> Trajectory:
     """Compute the position of a receiver that stood still by itself, with precise orbits and clocks."""
+    ill_posed = IllPosedError.at(rover.path.name)
     if "2" not in rover.bands:
-        raise IllPosedError(
-            "a precise point needs two frequencies",
-            where=rover.path.name,
-            remedy="measure a baseline instead",
-        )
+        raise ill_posed("a precise point needs two frequencies", "measure a baseline instead")
     epochs = in_order(engine.solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
     epochs = epochs.rows(epochs.quality == _PRECISE)
     if not len(epochs):
-        raise IllPosedError(
-            "the engine found no precise position",
-            where=rover.path.name,
-            remedy="check that the products cover the observations",
+        raise ill_posed(
+            "the engine found no precise position", "check that the products cover the observations"
         )
     last = epochs.rows(np.array([len(epochs) - 1]))
     way = epochs.rows(np.arange(len(epochs) // 2, len(epochs))).offsets(last.place[0])

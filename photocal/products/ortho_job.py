@@ -111,10 +111,9 @@ def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terr
     """
     west, south = max(bounds[0], raster.bounds[0]), max(bounds[1], raster.bounds[1])
     east, north = min(bounds[2], raster.bounds[2]), min(bounds[3], raster.bounds[3])
+    malformed = InputMalformedError.at(raster.path)
     if west >= east or south >= north:
-        raise InputMalformedError(
-            "does not reach the images", where=raster.path, remedy="do block and terrain share a system?"
-        )
+        raise malformed("does not reach the images", "do block and terrain share a system?")
     cell = math.sqrt(
         abs(raster.transform[0] * raster.transform[4] - raster.transform[1] * raster.transform[3])
     )
@@ -128,9 +127,7 @@ def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terr
         piece = terrain((x[0], y[-1], x[-1], y[0]))
         heights[first : first + len(y)] = piece.at(*np.meshgrid(x, y))
     if not np.isfinite(heights).any():
-        raise InputMalformedError(
-            "has no height where the images are", where=raster.path, remedy="do they belong together?"
-        )
+        raise malformed("has no height where the images are", "do they belong together?")
     return Terrain(heights, (step, 0.0, west, 0.0, -step, north), raster.crs, raster.height_kind)
 
 

@@ -107,17 +107,15 @@ def _require_square(raster: RasterFile, diameter: float) -> None:
 def _heights(dtm: Path, points: GroundPoints, kind: str | None, said: str | None) -> Floats:
     raster = describe(dtm)
     model = raster.stated_heights(said)
+    wrong = ConfigurationError.at(dtm)
     if not kind:
-        raise ConfigurationError(
+        raise wrong(
             "the kind of the heights of the check points is not said",
-            where=dtm,
-            remedy="name it: ellipsoidal, orthometric or local",
+            "name it: ellipsoidal, orthometric or local",
         )
     if model != kind:
-        raise ConfigurationError(
-            f"has {model} heights, the check points {kind} ones",
-            where=dtm,
-            remedy="convert one of them with its geoid",
+        raise wrong(
+            f"has {model} heights, the check points {kind} ones", "convert one of them with its geoid"
         )
     source = terrain_source(raster, model)
     return np.array(

@@ -50,16 +50,14 @@ class RasterFile:
 
         raises ConfigurationError: when both differ, or neither tells.
         """
+        wrong = ConfigurationError.at(self.path)
         if said is not None and self.height_kind and said != self.height_kind:
-            raise ConfigurationError(
-                f"has {self.height_kind} heights, not {said} ones", where=self.path, remedy="correct the kind"
-            )
+            raise wrong(f"has {self.height_kind} heights, not {said} ones", "correct the kind")
         if kind := said or self.height_kind:
             return kind
-        raise ConfigurationError(
+        raise wrong(
             "the kind of the heights of the terrain model is not said",
-            where=self.path,
-            remedy="name it: ellipsoidal, orthometric or local",
+            "name it: ellipsoidal, orthometric or local",
         )
 
 
@@ -122,14 +120,11 @@ def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], T
     """
     a, b, c, d, e, f = raster.transform
     determinant = a * e - b * d
+    malformed = InputMalformedError.at(raster.path)
     if determinant == 0 or (raster.transform == (1.0, 0.0, 0.0, 0.0, 1.0, 0.0) and not raster.crs):
-        raise InputMalformedError(
-            "has no georeference", where=raster.path, remedy="give a terrain model with its position"
-        )
+        raise malformed("has no georeference", "give a terrain model with its position")
     if raster.bands != 1:
-        raise InputMalformedError(
-            f"has {raster.bands} bands, a terrain model has one", where=raster.path, remedy="name the model"
-        )
+        raise malformed(f"has {raster.bands} bands, a terrain model has one", "name the model")
 
     def piece(bounds: Bounds) -> Terrain:
         west, south, east, north = bounds

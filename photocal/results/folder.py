@@ -306,29 +306,24 @@ def _not_a_number(constant: str) -> float:
 
 def _camera(name: str, stored: _Camera, path: Path) -> Camera:
     where = f"{path}, camera {name}"
+    malformed = InputMalformedError.at(where)
     if "c" not in stored.parameters or not stored.parameters["c"].value > 0.0:
-        raise InputMalformedError("has no positive principal distance c", where=where, remedy=AGAIN)
+        raise malformed("has no positive principal distance c", AGAIN)
     if stored.unit == "mm" and (stored.pitch_mm is None or not min(stored.pitch_mm) > 0.0):
-        raise InputMalformedError(
-            "has no positive pixel pitch", where=where, remedy="give pitch_mm in block.toml"
-        )
+        raise malformed("has no positive pixel pitch", "give pitch_mm in block.toml")
     names = stored.correlation.names
     if len(stored.correlation.matrix) != len(names) or any(
         len(row) != len(names) for row in stored.correlation.matrix
     ):
-        raise InputMalformedError(
-            f"correlation matrix is not {len(names)} by {len(names)}", where=where, remedy=AGAIN
-        )
+        raise malformed(f"correlation matrix is not {len(names)} by {len(names)}", AGAIN)
     unknown = sorted(set(stored.parameters) - set(PARAMETERS))
     if unknown:
-        raise InputMalformedError(f"{unknown[0]} is no parameter", where=where, remedy=AGAIN)
+        raise malformed(f"{unknown[0]} is no parameter", AGAIN)
     if sorted(key for key, parameter in stored.parameters.items() if parameter.estimated) != sorted(names):
-        raise InputMalformedError(
-            "correlation names differ from the estimated parameters", where=where, remedy=AGAIN
-        )
+        raise malformed("correlation names differ from the estimated parameters", AGAIN)
     for key, one in stored.parameters.items():
         if not (math.isfinite(one.sigma) and one.sigma >= 0.0):
-            raise InputMalformedError(f"sigma of {key} is negative", where=where, remedy=AGAIN)
+            raise malformed(f"sigma of {key} is negative", AGAIN)
     sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
     for key, one in stored.parameters.items():
         sigma[PARAMETERS.index(key)] = one.sigma

@@ -250,11 +250,11 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
     which, track = np.unique(seen.point[order], return_inverse=True)
     if not len(rows):
         return
+    wrong = ConfigurationError.at(control_file)
     if not len(which):
-        raise ConfigurationError(
+        raise wrong(
             f"none of the {len(rows)} surveyed points is measured in an image",
-            where=control_file,
-            remedy=f"are the names the same? The table has {block.points.names[rows[0]]}",
+            f"are the names the same? The table has {block.points.names[rows[0]]}",
         )
     tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
     met = given_places(frame, intersected(views_of(block, frame), tracks))
@@ -272,22 +272,20 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
         for cause, left in slips:
             if left <= most and left < EXPLAINS * miss:
                 remedy = f"then they lie {left:.1f} m from the rays, not {miss:.0f} m"
-                raise ConfigurationError(cause, where=control_file, remedy=remedy)
+                raise wrong(cause, remedy)
     shifted = survey + np.median(met - survey, axis=0)
     if np.median(np.linalg.norm(shifted - met, axis=1)) <= max(limit, EXPLAINS * miss):
         if not alike:
             return
         east, north, up = np.median(survey - met, axis=0)
-        raise ConfigurationError(
+        raise wrong(
             f"the control points lie all {east:+.0f} m east, {north:+.0f} m north and {up:+.0f} m up from "
             "where the rays of the exposures meet them",
-            where=control_file,
-            remedy="check base_position, the datum of control and crs, and the place of the control points",
+            "check base_position, the datum of control and crs, and the place of the control points",
         )
-    raise ConfigurationError(
+    raise wrong(
         f"the control points lie {miss:.0f} m from where the rays of the exposures meet them",
-        where=control_file,
-        remedy=f"check crs, datum and names, first of {block.points.names[roles[0]]}",
+        f"check crs, datum and names, first of {block.points.names[roles[0]]}",
     )
 
 

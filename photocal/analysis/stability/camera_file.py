@@ -131,25 +131,21 @@ def _ours(entry: Any, path: Path) -> Any:
 
 def _with_sigmas(made: Camera, one: _Camera, where: str) -> Camera:
     """The camera with what the file says of its parameters, as after an adjustment."""
+    wrong = ConfigurationError.at(where)
     if one.sigma is None:
         if one.correlation is not None:
-            raise ConfigurationError(
-                "has correlations but no sigma", where=where, remedy="add [camera.sigma]"
-            )
+            raise wrong("has correlations but no sigma", "add [camera.sigma]")
         return made
     names = tuple(one.sigma) if one.correlation is None else tuple(one.correlation.names)
     stray = [name for name in names if name not in PARAMETERS or name not in one.sigma]
     if stray or len(set(names)) != len(one.sigma):
-        raise ConfigurationError(
+        raise wrong(
             "sigma and correlation do not name the same parameters",
-            where=where,
-            remedy="name each estimated parameter once in both",
+            "name each estimated parameter once in both",
         )
     rows = one.correlation.matrix if one.correlation else np.eye(len(names)).tolist()
     if any(len(row) != len(rows) for row in rows):
-        raise ConfigurationError(
-            "the correlation matrix is not square", where=where, remedy="give every row in full"
-        )
+        raise wrong("the correlation matrix is not square", "give every row in full")
     try:
         estimates = from_sigmas(
             names,
@@ -158,13 +154,12 @@ def _with_sigmas(made: Camera, one: _Camera, where: str) -> Camera:
             np.array(rows, dtype=np.float64),
         )
     except PhotocalError as refusal:
-        raise ConfigurationError(refusal.what, where=where, remedy=refusal.remedy) from None
+        raise wrong(refusal.what, refusal.remedy) from None
     least = float(np.linalg.eigvalsh(estimates.correlation)[0])
     if least < -ROUNDING_OF_A_CORRELATION * len(names):
-        raise ConfigurationError(
+        raise wrong(
             f"the correlation matrix is not positive definite (least eigenvalue {least:.3f})",
-            where=where,
-            remedy="correct the entry that was misprinted",
+            "correct the entry that was misprinted",
         )
     sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
     at = [PARAMETERS.index(name) for name in names]
