@@ -8,8 +8,9 @@ import sys
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar, cast
 
 import numba
@@ -84,7 +85,7 @@ def compile_ahead() -> None:
     if not any(FOLDER.rglob("*.nbi")):
         part = "import photocal.adjustment.compile as part; part.compile_other_lenses()"
         command, nowhere = [sys.executable, "-c", part], subprocess.DEVNULL
-        subprocess.Popen(command, stdout=nowhere, stderr=nowhere)  # noqa: S603
+        Thread(target=partial(subprocess.run, command, stdout=nowhere, stderr=nowhere), daemon=True).start()
 
 
 def compiled(function: Function) -> Function:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from drivers.arrays import Columns, Flags, Floats, Integers
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.features import Arrays, array_key, cached, combined_key
-from photocal.measurement.image_file import as_eight_bit, read_grey
+from photocal.measurement.image_file import Grey, as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
 from photocal.tasks.workers import Workers, run_tasks
 
@@ -203,12 +203,13 @@ def _smoothed(source: Source) -> Floats32:
     import cv2
 
     grey = as_eight_bit(read_grey(source.path))
-    if source.level:
-        height, width = grey.shape
-        small = _halved((width, height), source.level)
-        grey = cv2.resize(grey.astype(np.float32), small, interpolation=cv2.INTER_AREA)
+    height, width = grey.shape
+    small = _halved((width, height), source.level)
+    reduced = (
+        cv2.resize(grey.astype(np.float32), small, interpolation=cv2.INTER_AREA) if source.level else grey
+    )
     weights = cv2.getGaussianKernel(_SMOOTHED_PX, SMOOTHING_PX, cv2.CV_32F)
-    return np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, weights, weights), dtype=np.float32)
+    return np.asarray(cv2.sepFilter2D(reduced, cv2.CV_32F, weights, weights), dtype=np.float32)
 
 
 def _cut_patches(task: tuple[Source, Floats]) -> Floats32:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
+from queue import Empty, Queue
 from typing import Any
 
 import pytest
@@ -14,20 +15,21 @@ from photocal import compiled
 def test_what_comes_last_is_compiled_beside_where_nothing_was_compiled_yet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun: list[list[str]] = []
+    begun = Queue[list[str]]()
 
     def begin(command: list[str], **_: Any) -> None:
-        begun.append(command)
+        begun.put(command)
 
     monkeypatch.setattr(compiled, "FOLDER", tmp_path)
-    monkeypatch.setattr(subprocess, "Popen", begin)
+    monkeypatch.setattr(subprocess, "run", begin)
     compiled.compile_ahead()
     # What is begun is a program that runs: its names exist.
-    (command,) = begun
+    command = begun.get(timeout=60)
     compile(command[2], "part", "exec")
     module, _, function = command[2].partition("; ")[0].split()[1].rpartition(".")
     assert hasattr(__import__(f"{module}.{function}", fromlist=["part"]), command[2].split("part.")[1][:-2])
     (tmp_path / "kernels").mkdir()
     (tmp_path / "kernels" / "one.nbi").touch()
     compiled.compile_ahead()
-    assert len(begun) == 1
+    with pytest.raises(Empty):
+        begun.get(timeout=0.2)
