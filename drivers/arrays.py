@@ -28,6 +28,18 @@ class Columns:
         return replace(self, **kept)  # type: ignore[type-var]
 
 
+def spread(places: Floats, count: int, first: list[int]) -> list[int]:
+    """Choose rows of places (n, 2) far from each other: after the first ones always the farthest.
+
+    first: empty: the place farthest from the middle. Source: Gonzalez (1985).
+    """
+    chosen = first or [int(np.argmax(np.hypot(*(places - places.mean(axis=0)).T)))]
+    while len(chosen) < count:
+        apart = np.hypot(*np.moveaxis(places[:, None] - places[chosen], 2, 0)).min(axis=1)
+        chosen = [*chosen, int(np.argmax(apart))]
+    return chosen[:count]
+
+
 def as_plain(value: Any, beside: Callable[[Any], dict[str, Any]] = lambda _: {}) -> Any:
     """Turn dataclasses into mappings and arrays into lists; what is no finite number becomes null.
 

@@ -11,22 +11,28 @@ if TYPE_CHECKING:
     from pyproj import Transformer
 
 
+WGS84 = "+ellps=WGS84"
+
+
 @cache
 def _cartesian(ellipsoid: str) -> "Transformer":
     from pyproj import Transformer
 
     degrees = "+proj=unitconvert +xy_in=deg +xy_out=rad"
-    return Transformer.from_pipeline(f"+proj=pipeline +step {degrees} +step +proj=cart +ellps={ellipsoid}")
+    return Transformer.from_pipeline(f"+proj=pipeline +step {degrees} +step +proj=cart {ellipsoid}")
 
 
 def geocentric(
-    lat_deg: Floats | float, lon_deg: Floats | float, height_m: Floats | float, ellipsoid: str = "WGS84"
+    lat_deg: Floats | float, lon_deg: Floats | float, height_m: Floats | float, ellipsoid: str = WGS84
 ) -> Floats:
-    """Return earth-centred coordinates (..., 3), m, of latitude, longitude (deg), ellipsoidal height (m)."""
+    """Return earth-centred coordinates (..., 3), m, of latitude, longitude (deg), ellipsoidal height (m).
+
+    ellipsoid: in the words of PROJ, by its name or its axes.
+    """
     return np.stack(_cartesian(ellipsoid).transform(lon_deg, lat_deg, height_m), axis=-1)
 
 
-def geodetic(xyz_m: Floats, ellipsoid: str = "WGS84") -> tuple[Floats, Floats, Floats]:
+def geodetic(xyz_m: Floats, ellipsoid: str = WGS84) -> tuple[Floats, Floats, Floats]:
     """Return latitude, longitude (deg) and ellipsoidal height (m) of earth-centred coordinates (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(xyz_m, np.float64), -1, 0)
     lon, lat, height = _cartesian(ellipsoid).transform(x, y, z, direction="INVERSE")

@@ -40,63 +40,59 @@ HOST_TIME = "host stamps of the recording"
 Timed = Iterator[tuple[Batch, Integers]]
 
 
-def stamped(batches: Iterable[Batch]) -> Iterator[tuple[Batch, Integers]]:
+def stamped(batches: Iterable[Batch]) -> Timed:
     """Yield batches with the host stamps of their recording."""
     for batch in batches:
         assert batch.host_ns is not None  # noqa: S101
         yield batch, batch.host_ns
 
 
-def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Iterator[tuple[Batch, Integers]]:
+def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Timed:
     """Yield batches with the receiver's own UTC, since there is no time of receipt."""
-    # Each frame has the last time that was told before it; what comes before the first time has that one.
-    # Times never go back.
-    waiting: list[Batch] = []
-    last = -1
-    for batch in batches:
-        if last >= 0:
-            times = _steady(clock.feed(batch), last)
-            last = int(times[-1]) if len(times) else last
-            yield batch, times
-            continue
-        waiting.append(batch)
-        device = clock.feed(batch)
-        if not (device >= 0).any():
-            continue
-        # The date is known now: what came before it can be read again, with the date at hand.
-        clock.restart(int(device[device >= 0][0]))
-        devices = [clock.feed(earlier) for earlier in waiting]
-        told = np.concatenate(devices)
-        last = int(told[told >= 0][0])
-        for earlier, device in zip(waiting, devices, strict=True):
-            times = _steady(device, last)
-            last = int(times[-1]) if len(times) else last
-            yield earlier, times
-        waiting.clear()
-    if waiting:
-        raise InputMalformedError(
-            "no message tells the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC, ZDA or 1013)",
-            where=where,
-            remedy="give --date YYYY-MM-DD, or record one of these messages too",
-        )
+
+    def told() -> Timed:
+        left, waiting = iter(batches), list[Batch]()
+        for batch in left:
+            waiting.append(batch)
+            device = clock.feed(batch)
+            if (device >= 0).any():
+                # The date is known now: what came before it can be read again, with the date at hand.
+                clock.restart(int(device[device >= 0][0]))
+                devices = [clock.feed(earlier) for earlier in waiting]
+                first = next(time for device in devices for time in device.tolist() if time >= 0)
+                yield from zip(waiting, (np.maximum(device, first) for device in devices), strict=True)
+                break
+        else:
+            if waiting:
+                raise InputMalformedError(
+                    "no message tells the date (RXM-RAWX, NAV-PVT, NAV-TIMEGPS, NAV-TIMEUTC, RMC, ZDA "
+                    "or 1013)",
+                    where=where,
+                    remedy="give --date YYYY-MM-DD, or record one of these messages too",
+                )
+        for batch in left:
+            yield batch, clock.feed(batch)
+
+    return _steadily(told(), -1)
 
 
-def since_boot(
-    batches: Iterable[Batch], definitions: Definitions, boot: BootTime
-) -> Iterator[tuple[Batch, Integers]]:
+def since_boot(batches: Iterable[Batch], definitions: Definitions, boot: BootTime) -> Timed:
     """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt."""
-    # Records without a time have the last one; what comes before the first has the time of the start. Times
-    # never go back.
-    last = boot.utc_ns
-    for batch in batches:
-        definitions.learn(batch)
-        times = _steady(boot.of(definitions.boot_ns(batch)), last)
-        last = int(times[-1]) if len(times) else last
-        yield batch, times
+
+    def told() -> Timed:
+        for batch in batches:
+            definitions.learn(batch)
+            yield batch, boot.of(definitions.boot_ns(batch))
+
+    return _steadily(told(), boot.utc_ns)
 
 
-def _steady(device: Integers, last: int) -> Integers:
-    return np.asarray(np.maximum.accumulate(np.concatenate([[last], device]))[1:], np.int64)
+def _steadily(told: Timed, last: int) -> Timed:
+    """Yield batches with times that never go back: a frame without a time has the last one before it."""
+    for batch, device in told:
+        times = np.maximum.accumulate(np.append(last, device))
+        last = int(times[-1])
+        yield batch, times[1:]
 
 
 @dataclass(frozen=True)

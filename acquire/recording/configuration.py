@@ -133,19 +133,18 @@ def read_configuration(path: Path) -> Configuration:
         if names.count(name) > 1:
             raise ConfigurationError(f"the link {name!r} is named twice", where=path, remedy="rename one")
     for link in configuration.link:
-        for target in link.corrections_to:
-            if target not in names or target == link.name:
-                raise ConfigurationError(
-                    f"{link.name}.corrections_to names {target!r}, which is no other link",
-                    where=path,
-                    remedy=f"name one of {', '.join(n for n in names if n != link.name) or 'none'}",
-                )
-        if link.position_from is not None and (
-            link.position_from not in names or link.position_from == link.name
-        ):
-            raise ConfigurationError(
-                f"{link.name}.position_from names {link.position_from!r}, which is no other link",
-                where=path,
-                remedy="name the link of the rover or of the vehicle",
+        others = [name for name in names if name != link.name]
+        named = [
+            ("corrections_to", name, f"name one of {', '.join(others) or 'none'}")
+            for name in link.corrections_to
+        ]
+        if link.position_from is not None:
+            named.append(
+                ("position_from", link.position_from, "name the link of the rover or of the vehicle")
             )
+        for key, name, remedy in named:
+            if name not in others:
+                raise ConfigurationError(
+                    f"{link.name}.{key} names {name!r}, which is no other link", where=path, remedy=remedy
+                )
     return configuration

@@ -65,15 +65,19 @@ class ShieldedDecoder:
             return log_ns, []
 
 
+def decoder_of(link: Link, dialect: Dialect) -> ShieldedDecoder:
+    """Return what decodes the frames of a link."""
+    if link.protocol == "mavlink":
+        return ShieldedDecoder(VehicleDecoder(link.name, dialect))
+    return ShieldedDecoder(ReceiverDecoder(link.name))
+
+
 class LinkSession:
     """A link."""
 
     def __init__(self, link: Link, writer: MessageWriter, source: Source, dialect: Dialect) -> None:
-        wires = wires_of(link.protocol)
-        mavlink = Wire.MAVLINK in wires
-        decoder: Decoder = VehicleDecoder(link.name, dialect) if mavlink else ReceiverDecoder(link.name)
         self.name = link.name
-        self._decoder = ShieldedDecoder(decoder)
+        self._decoder = decoder_of(link, dialect)
         self.log = LinkLog(writer, link.name, [self._decoder])
         self.listeners: list[LinkSession] = []
         # Where this link's device is told to be, and who wants to know where this link's device is.
@@ -82,7 +86,7 @@ class LinkSession:
         self._writer = writer
         self._source = source
         self._encoding = link.protocol
-        self._framer = StreamFramer(wires, dialect)
+        self._framer = StreamFramer(wires_of(link.protocol), dialect)
         self._dialogue: VehicleDialogue | ReceiverDialogue | None = None
         self._vehicle: VehicleDialogue | None = None
         self._sent = 0
@@ -90,7 +94,7 @@ class LinkSession:
         # Where in the stream each arrival ended, and when it came: as long as a frame may still end in it.
         self._ends: list[int] = []
         self._times_ns: list[int] = []
-        if mavlink:
+        if link.protocol == "mavlink":
             self._speak_to_vehicle(link, dialect)
         elif link.ublox is not None:
             wanted = link.ublox

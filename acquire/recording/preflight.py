@@ -1,29 +1,34 @@
 """Before the flight: do all links speak, is the fix good, are rates, disk and clock as they should be."""
 
 import contextlib
+import json
 import math
 import threading
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from acquire.channels.decoded import SECOND_NS, Decoder
 from acquire.console import Check
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
+from acquire.recording.link_session import decoder_of
 from acquire.recording.reader import MOST_AT_ONCE, left_behind, start_readers
 from acquire.recording.recorder import Host
 from acquire.transports.sources import LinkLostError, Source
 from drivers.frames import Batch, StreamFramer, Wire, wires_of
-from drivers.mavlink.decode import autopilots, decode
+from drivers.mavlink.decode import autopilots
 from drivers.mavlink.dialect import Dialect
-from drivers.ubx.decode import NAV_PVT, RXM_RAWX, civil_utc_ns
-from drivers.ubx.decode import decode as decode_ubx
+from drivers.ubx.decode import NAV_PVT, RXM_RAWX
 
 _MB = 1_000_000
 # A receiver's message comes some tenths of a second after its time; more is a wrong clock.
 _CLOCK_LIMIT_S = 1.0
 _LEAST_RATE = 0.8
-_MAVLINK_FIXES = ("no receiver", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed")
+_NOT_IN_SPACE = ("none", "time_only", "dead_reckoning", "2d")
 # What a receiver sends once for each solution; the other messages come when there is something to tell.
 _PERIODIC = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX}
 
@@ -33,7 +38,7 @@ class _Heard:
     frames: int = 0
     damage_bytes: int = 0
     event: str = ""
-    counts: dict[str, int] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
     autopilots: set[tuple[int, int]] = field(default_factory=set)
     fix: str = ""
     fix_good: bool = False
@@ -53,6 +58,7 @@ def check(
     """Listen to all links for a while and judge what was heard."""
     stop = threading.Event()
     framers = {link.name: StreamFramer(wires_of(link.protocol), dialect) for link in configuration.link}
+    decoders = {link.name: decoder_of(link, dialect) for link in configuration.link}
     heard = {link.name: _Heard() for link in configuration.link}
     until = host.steady_s() + seconds
     inboxes, readers = start_readers(sources, stop, host.clock_ns)
@@ -64,7 +70,7 @@ def check(
                     continue
                 heard[name].first_s = min(heard[name].first_s, host.steady_s())
                 batch = framers[name].feed(arrival.data)
-                _hear(heard[name], batch, arrival.time_ns, dialect)
+                _hear(heard[name], name, batch, arrival.time_ns, decoders[name], dialect)
                 for link in configuration.link:
                     if link.position_from == name:
                         _tell(positions[link.name], sources[link.name], batch, host)
@@ -90,40 +96,26 @@ def _tell(position: CasterPosition, caster: Source, batch: Batch, host: Host) ->
             caster.write(sentence)
 
 
-def _hear(heard: _Heard, batch: Batch, time_ns: int, dialect: Dialect) -> None:
+def _hear(heard: _Heard, link: str, batch: Batch, time_ns: int, decoder: Decoder, dialect: Dialect) -> None:
     heard.frames += len(batch)
     heard.damage_bytes += int(batch.damage[:, 1].sum())
     known = (batch.wire == Wire.MAVLINK) & batch.known
-    for kind in batch.kind[known].tolist():
-        name = dialect.name(kind)
-        heard.counts[name] = heard.counts.get(name, 0) + 1
+    heard.counts.update(map(dialect.name, batch.kind[known].tolist()))
+    heard.counts.update({name: len(batch.where(Wire.UBX, kind)) for name, kind in _PERIODIC.items()})
     if known.any():
         heard.autopilots.update(autopilots(batch, dialect))
-        fixes = decode(batch, dialect.number("GPS_RAW_INT"), dialect)
-        if len(fixes):
-            fix = int(fixes.fields["fix_type"][-1])
-            name = _MAVLINK_FIXES[fix] if fix < len(_MAVLINK_FIXES) else f"type {fix}"
-            heard.fix = f"{name}, {int(fixes.fields['satellites_visible'][-1])} satellites"
-            heard.fix_good = fix >= 3
-        clocks = decode(batch, dialect.number("SYSTEM_TIME"), dialect)
-        if len(clocks) and clocks.fields["time_unix_usec"][-1] > 0:
-            device_ns = int(clocks.fields["time_unix_usec"][-1]) * 1000
-            heard.host_minus_device_s = (time_ns - device_ns) / 1e9
-    for message, kind in _PERIODIC.items():
-        heard.counts[message] = heard.counts.get(message, 0) + len(batch.where(Wire.UBX, kind))
-    _hear_receiver(heard, batch, time_ns)
-
-
-def _hear_receiver(heard: _Heard, batch: Batch, time_ns: int) -> None:
-    pvt = decode_ubx(batch, NAV_PVT)
-    if not len(pvt):
-        return
-    last = pvt.fields[-1]
-    carrier = ("", ", rtk_float", ", rtk_fixed", "")[int(last["flags"]) >> 6]
-    heard.fix_good = int(last["fixType"]) in (3, 4) and bool(int(last["flags"]) & 1)
-    heard.fix = f"{'3d' if heard.fix_good else 'none'}{carrier}, {int(last['numSV'])} satellites"
-    if int(last["valid"]) & 3 == 3:
-        heard.host_minus_device_s = (time_ns - int(civil_utc_ns(last))) / 1e9
+    _, decoded = decoder.feed(batch, np.full(len(batch), time_ns))
+    told = {part.channel.topic: part for part in decoded}
+    status = told.get(f"/gnss/{link}/status")
+    for part in filter(None, (status, told.get("/clock"))):
+        # What has no time of its own has that of its receipt.
+        if part.publish_ns[-1] != time_ns:
+            heard.host_minus_device_s = (time_ns - int(part.publish_ns[-1])) / SECOND_NS
+    if status is not None:
+        fix = json.loads(status.payloads[-1])
+        heard.fix = f"{fix['fix']}, {fix['satellites']} satellites"
+        # A receiver that doubts its position tells its status alone.
+        heard.fix_good = fix["fix"] not in _NOT_IN_SPACE and f"/gnss/{link}/fix" in told
 
 
 def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
@@ -147,7 +139,7 @@ def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
         periodic = [message for message in _PERIODIC if message in link.ublox.messages]
         rates_hz |= dict.fromkeys(periodic, 1000 / link.ublox.rate_ms)
     for message, wanted in rates_hz.items():
-        rate = heard.counts.get(message, 0) / seconds
+        rate = heard.counts[message] / seconds
         good = rate >= _LEAST_RATE * wanted
         found.append(_check(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
     if heard.fix or link.protocol == "mavlink" or link.ublox is not None:

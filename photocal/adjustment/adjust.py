@@ -17,11 +17,12 @@ from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, chords, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
 from photocal.geometry.distortion import slopes_of
+from photocal.geometry.resection import intersect
 
 # Squared distance, in units of the standard deviations, at which the movements of images are freed.
 NEAR = 1.0
-# Sum of squared sines between the rays of an image that tell where it was.
-LEAST_ACROSS = 0.01
+# Mean squared sine between the rays of an image that tell where it was.
+LEAST_ACROSS = 1e-4
 # Angles and points that belong together leave so much less of a usual residual's square: others are no better
 # than positions.
 MUCH_LESS = 0.1
@@ -81,17 +82,11 @@ def _where_rays_come_from(problem: Problem, start: State) -> State | None:
         return None
     rays = rays.rows(loose[rays.image])
     slopes = slopes_of(network.cameras, exposures.camera[rays.image], rays.plane)
-    towards = np.column_stack([slopes, -np.ones(len(slopes))])
-    towards = np.einsum("nba,nb->na", start.rotation[rays.image], towards)
-    towards /= np.linalg.norm(towards, axis=1)[:, None]
-    across = np.eye(3) - towards[:, :, None] * towards[:, None, :]
-    matrix, pull = np.zeros((len(loose), 3, 3)), np.zeros((len(loose), 3))
-    np.add.at(matrix, rays.image, across)
-    np.add.at(pull, rays.image, np.einsum("nab,nb->na", across, points.values[rays.point]))
-    known = np.linalg.eigvalsh(matrix)[:, 0] > LEAST_ACROSS
-    centre = start.centre.copy()
-    centre[known] = np.linalg.solve(matrix[known], pull[known][:, :, None])[:, :, 0]
-    moved = replace(start, centre=centre)
+    rotation, from_points = start.rotation[rays.image], points.values[rays.point]
+    centre = intersect(
+        rays.image, len(loose), from_points, rotation, slopes, np.ones(len(slopes)), LEAST_ACROSS
+    )
+    moved = replace(start, centre=np.where(np.isfinite(centre), centre, start.centre))
     # Of a few heads or images that are far off, the sum of squares tells nothing but of them.
     (total, usual), (total_before, usual_before) = _misfit(problem, moved), _misfit(problem, start)
     return moved if total < total_before and usual < MUCH_LESS * usual_before else None

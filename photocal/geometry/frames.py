@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.earth import enu_axes
+from drivers.earth import enu_axes, geocentric, geodetic
 from drivers.errors import ConfigurationError, InputMalformedError
 
 
@@ -71,13 +71,9 @@ class ReferenceFrame:
         return Transformer.from_crs(source, geodetic, always_xy=True, allow_ballpark=False, only_best=True)
 
     @cached_property
-    def _to_geocentric(self) -> Any:
-        from pyproj import Transformer
-
+    def _ellipsoid(self) -> str:
         ellipsoid = parsed(self.crs).ellipsoid
-        return Transformer.from_pipeline(
-            f"+proj=cart +a={ellipsoid.semi_major_metre!r} +b={ellipsoid.semi_minor_metre!r}"
-        )
+        return f"+a={ellipsoid.semi_major_metre!r} +b={ellipsoid.semi_minor_metre!r}"
 
     @cached_property
     def _axes(self) -> tuple[Floats, Floats]:
@@ -100,9 +96,7 @@ class ReferenceFrame:
 
     def _geocentric(self, given: Floats) -> Floats:
         longitude, latitude, height = self._geodetic(given).T
-        return np.column_stack(
-            self._to_geocentric.transform(np.radians(longitude), np.radians(latitude), height, radians=True)
-        )
+        return geocentric(latitude, longitude, height, self._ellipsoid)
 
     def to_local(self, given: Floats) -> Floats:
         """See `Frame`."""
@@ -116,14 +110,8 @@ class ReferenceFrame:
     def to_given(self, local: Floats) -> Floats:
         """See `Frame`."""
         origin, rotation = self._axes
-        x, y, z = (local @ rotation + origin).T
-        longitude, latitude, height = self._to_geocentric.transform(
-            x, y, z, direction="INVERSE", radians=True
-        )
-        back = self._to_geodetic.transform(
-            np.degrees(longitude), np.degrees(latitude), height, direction="INVERSE"
-        )
-        return np.column_stack(back)
+        latitude, longitude, height = geodetic(local @ rotation + origin, self._ellipsoid)
+        return np.column_stack(self._to_geodetic.transform(longitude, latitude, height, direction="INVERSE"))
 
     def derivative(self, given: Floats) -> Floats:
         """See `Frame`."""

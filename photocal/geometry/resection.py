@@ -141,7 +141,13 @@ def _poses(
 
 
 def intersect(
-    point: Integers, count: int, centre: Floats, rotation: Floats, ideal: Floats, principal_distance: Floats
+    point: Integers,
+    count: int,
+    centre: Floats,
+    rotation: Floats,
+    ideal: Floats,
+    principal_distance: Floats,
+    least: float = 1e-9,
 ) -> Floats:
     """Intersect rays linearly: least squares of the distances from the rays.
 
@@ -150,6 +156,7 @@ def intersect(
     rotation (n, 3, 3): object to camera axes of each ray.
     ideal (n, 2): undistorted image coordinates from the principal point.
     principal_distance (n,).
+    least: mean squared sine between the rays of a point that has a place.
 
     returns (count, 3): NaN for points whose rays are parallel or fewer than two.
     """
@@ -167,7 +174,7 @@ def intersect(
     determinant = np.linalg.det(matrix)
     rays = np.bincount(point, minlength=count)
     # The determinant of the mean of I - d d' falls with the square of the angle between the rays.
-    good = determinant > 1e-9 * np.maximum(rays, 1) ** 3
+    good = determinant > least * np.maximum(rays, 1) ** 3
     result = np.full((count, 3), np.nan)
     result[good] = np.linalg.solve(matrix[good], vector[good][..., None])[..., 0]
     return result

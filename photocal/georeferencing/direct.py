@@ -8,7 +8,7 @@ from drivers.arrays import Flags, Floats
 from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
-from photocal.adjustment.envelope import factorise, selected_inverse
+from photocal.adjustment.factored import factored
 from photocal.adjustment.mounting import (
     BORESIGHT,
     HEIGHT_SCALE,
@@ -20,7 +20,6 @@ from photocal.adjustment.mounting import (
     Mounting,
     body_to_camera,
 )
-from photocal.adjustment.normal import normal_equations, prepare
 from photocal.adjustment.readout import READOUT
 from photocal.block.model import Block
 from photocal.block.network import assemble, observed_pixels
@@ -62,20 +61,17 @@ def calibrate(block: Block) -> Calibration:
     """Adjust a block and keep camera and mounting; raises PhotocalError as the adjustment does."""
     network = assemble(block).network
     solution = adjust(network)
-    problem = prepare(network)
-    normal = normal_equations(problem, solution.state)
-    factorise(problem.layout.envelope, normal.matrix)
-    inverse = selected_inverse(problem.layout.envelope, normal.matrix)
-    columns = [problem.layout.common_columns[:STRIPS]]
-    for active, at in problem.layout.camera_columns:
+    at = factored(network, solution.state)
+    columns = [at.problem.layout.common_columns[:STRIPS]]
+    for active, where in at.problem.layout.camera_columns:
         own = np.full(len(PARAMETERS), -1)
-        own[active] = at
+        own[active] = where
         columns.append(own)
     column = np.concatenate(columns)
     unknown = np.flatnonzero(column >= 0)
     covariance = np.zeros((len(column), len(column)))
     if len(unknown):
-        found = blocks(column[unknown][None, :], problem.structure, inverse)[0]
+        found = blocks(column[unknown][None, :], at.problem.structure, at.inverse)[0]
         covariance[np.ix_(unknown, unknown)] = found
     return Calibration(solution.cameras, solution.state.common[:STRIPS], covariance)
 

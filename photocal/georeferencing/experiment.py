@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from acquire.checked_toml import Table, read_toml
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Floats, Integers, spread
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.accuracy.statistics import BiasTest, bias_test, moments, rmse_after_trend_removal
 from photocal.block.model import Block
@@ -191,18 +191,13 @@ def _reference(block: Block) -> Floats | None:
 
 
 def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
-    """Choose points far from each other: from the outermost always to the farthest one (Gonzalez 1985)."""
+    """Choose points far from each other, see `spread`."""
     if not 0 < count <= len(candidates):
         raise ConfigurationError(
             f"{count} control points were asked for, the block has {len(candidates)}",
             remedy="ask for as many as there are, or fewer",
         )
-    plane = block.points.values[candidates, :2]
-    chosen = [int(np.argmax(np.hypot(*(plane - plane.mean(axis=0)).T)))]
-    while len(chosen) < count:
-        apart = np.min([np.hypot(*(plane - plane[k]).T) for k in chosen], axis=0)
-        chosen.append(int(np.argmax(apart)))
-    return np.asarray(candidates[chosen])
+    return np.asarray(candidates[spread(block.points.values[candidates, :2], count, [])])
 
 
 def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camera]]:

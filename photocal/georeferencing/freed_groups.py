@@ -1,6 +1,7 @@
 """Faults of the table in a block: how they are freed, what they become, what a flight cannot separate."""
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,11 +14,10 @@ from drivers.arrays import Floats
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust, minimum_of
 from photocal.adjustment.covariance import Shared, blocks
-from photocal.adjustment.envelope import factorise, selected_inverse
+from photocal.adjustment.factored import factored
 from photocal.adjustment.groups import FEWEST, GroupTest, tested
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, STRIPS, TIME
 from photocal.adjustment.network import Network
-from photocal.adjustment.normal import normal_equations, prepare
 from photocal.adjustment.readout import READOUT
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
@@ -74,25 +74,21 @@ def separation(block: Block) -> Separation | None:
     cameras = tuple(replace(camera, prior_sigma=_scales(camera)) for camera in block.cameras)
     network = assemble(replace(block, mounting=replace(block.mounting, sigma=sigma), cameras=cameras)).network
     try:
-        state = adjust(network).state
+        at = factored(network, adjust(network).state)
     except (IllPosedError, NotConvergedError):
         return None
-    problem = prepare(network)
-    normal = normal_equations(problem, state)
-    if factorise(problem.layout.envelope, normal.matrix) >= 0:
-        return None
-    inverse = selected_inverse(problem.layout.envelope, normal.matrix)
-    columns = [problem.layout.common_columns[k] for k in taken]
+    layout = at.problem.layout
+    columns = [layout.common_columns[k] for k in taken]
     names = [COMMON[k] for k in taken]
     scale = [float(_SCALE_COMMON[k]) for k in taken]
     several = len(cameras) > 1
-    for own, (active, at) in zip(cameras, problem.layout.camera_columns, strict=True):
-        for k, column in zip(active, at, strict=True):
+    for own, camera_columns in zip(cameras, layout.camera_columns, strict=True):
+        for k, column in zip(*camera_columns, strict=True):
             if np.isfinite(own.prior_sigma[k]):
                 names.append(PARAMETERS[k] + (f"[{own.id}]" if several else ""))
                 columns.append(column)
                 scale.append(float(own.prior_sigma[k]))
-    covariance = blocks(np.array([columns]), problem.structure, inverse)[0]
+    covariance = blocks(np.array([columns]), at.problem.structure, at.inverse)[0]
     deviation = np.sqrt(np.diag(covariance))
     groups = _groups(tuple(names), covariance / np.outer(scale, scale))
     return Separation(tuple(names), deviation, covariance / np.outer(deviation, deviation), groups)
@@ -315,21 +311,16 @@ def unknowns_of(block: Block, fault: Fault, estimates: tuple[Estimate, ...]) -> 
 
 def best_change(block: Block, first: Solution, table: tuple[Fault, ...] = FAULTS) -> Change | None:
     """Find the image from which a second camera explains most."""
-    best: tuple[float, Change] | None = None
     one = next((fault for fault in table if fault.each == "part"), None)
     if one is None:
         return None
+    found: dict[int, float] = {}
     for image in places_of_change(block):
-        change = image, first.cameras[0]
-        network = assemble(with_freed(block, one, change)).network
-        try:
+        network = assemble(with_freed(block, one, (image, first.cameras[0]))).network
+        with suppress(IllPosedError, NotConvergedError):
             minimum = minimum_of(network, state=beside(network, first))[1]
-            chi_squared = minimum.iterations[-1].chi_squared
-        except (IllPosedError, NotConvergedError):
-            continue
-        if best is None or chi_squared < best[0]:
-            best = chi_squared, change
-    return None if best is None else best[1]
+            found[image] = minimum.iterations[-1].chi_squared
+    return (min(found, key=found.__getitem__), first.cameras[0]) if found else None
 
 
 def beside(network: Network, first: Solution) -> State:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -56,10 +57,17 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
     ground = ground_points.GroundPoints(control.names + check.names, np.vstack([control.xyz_m, check.xyz_m]))
     if not len(ground.names):
         return tuple(listed)
-    place = _place_findings(block, ground)
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = None if block.frame == "local" else CRS.from_user_input(block.frame)
+    except CRSError:
+        return (*listed, Finding("unknown-frame", "grave", block.frame))
+    place = _place_findings(block, ground, system)
     listed += place
     # Distances say nothing where the whole frame is wrong.
-    if not place and _metric(block):
+    if not place and (system is None or not system.is_geographic):
         listed += ground_points.feet_for_metres(ground, by_start_values(block))
     return tuple(listed)
 
@@ -69,33 +77,16 @@ def _of_role(block: Block, role: Role) -> ground_points.GroundPoints:
     return ground_points.GroundPoints(tuple(block.points.names[j] for j in mine), block.points.values[mine])
 
 
-def _metric(block: Block) -> bool:
-    if block.frame == "local":
-        return True
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
-
-    try:
-        return not CRS.from_user_input(block.frame).is_geographic
-    except CRSError:
-        return False
-
-
-def _place_findings(block: Block, ground: ground_points.GroundPoints) -> tuple[Finding, ...]:
+def _place_findings(block: Block, ground: ground_points.GroundPoints, system: Any) -> tuple[Finding, ...]:
     # Observed antenna positions, else the centres of images.csv.
     exposures = block.positions.values if len(block.positions.image) else block.images.values[:, 3:]
     exposures = exposures[np.isfinite(exposures).all(axis=1)]
     if not len(exposures):
         return ()
-    if block.frame == "local":
+    if system is None:
         return _far_in_local_frame(ground, exposures)
-    from pyproj import CRS, Transformer
-    from pyproj.exceptions import CRSError
+    from pyproj import Transformer
 
-    try:
-        system = CRS.from_user_input(block.frame)
-    except CRSError:
-        return (Finding("unknown-frame", "grave", block.frame),)
     if system.is_geographic:
         # X is longitude (east) and Y latitude (north), as for every other frame.
         return ground_points.latitude_longitude_swapped(
@@ -229,17 +220,18 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, .
         removed, chi_squared = (*removed, k), best
 
 
-def _design(n: int, common: Floats, removed: tuple[int, ...]) -> Floats:
-    own = np.zeros((3 * n, 3 * len(removed)))
-    for place, k in enumerate(removed):
-        own[3 * k : 3 * k + 3, 3 * place : 3 * place + 3] = np.eye(3)
-    return np.hstack([own, common])
+def _equations(
+    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]
+) -> tuple[Floats, Floats]:
+    """Equations of unit weight for the errors of points left out and the common part."""
+    own = np.eye(d.size).reshape(d.size, -1, 3)[:, list(removed)].reshape(d.size, -1)
+    root = np.linalg.cholesky(covariance)
+    return np.linalg.solve(root, np.hstack([own, common])), np.linalg.solve(root, d.ravel())
 
 
 def _misfit(d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]) -> float:
     """Least d' C^-1 d with the common part free and some points left out."""
-    root = np.linalg.cholesky(covariance)
-    a, y = (np.linalg.solve(root, v) for v in (_design(len(d), common, removed), d.ravel()))
+    a, y = _equations(d, covariance, common, removed)
     return float(np.sum((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2))
 
 
@@ -247,8 +239,7 @@ def _beside_others(
     d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...], k: int
 ) -> tuple[Floats, Floats]:
     """Error of a point that was left out, by the others, and its covariance."""
-    root = np.linalg.cholesky(covariance)
-    a, y = (np.linalg.solve(root, v) for v in (_design(len(d), common, removed), d.ravel()))
+    a, y = _equations(d, covariance, common, removed)
     normal = np.linalg.pinv(a.T @ a, hermitian=True)
     mine = slice(3 * removed.index(k), 3 * removed.index(k) + 3)
     return np.asarray((normal @ a.T @ y)[mine]), np.asarray(normal[mine, mine])
@@ -340,23 +331,16 @@ def _zone_slip(given: Floats, wanted: Floats, tolerance: Floats, system: str) ->
     from pyproj.exceptions import ProjError
 
     horizontal = CRS.from_user_input(system).to_2d()
-    zone = horizontal.utm_zone
-    if zone is None:
+    zone, ellipsoid = horizontal.utm_zone, horizontal.ellipsoid
+    if zone is None or ellipsoid is None:
         return ""
+    axes = f"+a={ellipsoid.semi_major_metre} +b={ellipsoid.semi_minor_metre}"
+    utm = f"+proj=utm {axes} {'+south' if zone[-1] == 'S' else ''} +units=m +no_defs +zone="
     for step in (-1, 1):
         number = (int(zone[:-1]) - 1 + step) % 60 + 1
-        south = " +south" if zone[-1] == "S" else ""
-        base = horizontal.geodetic_crs
-        ellipsoid = base.ellipsoid if base is not None else None
-        axes = (
-            f"+a={ellipsoid.semi_major_metre} +b={ellipsoid.semi_minor_metre}"
-            if ellipsoid
-            else "+ellps=GRS80"
-        )
-        other = CRS.from_proj4(f"+proj=utm +zone={number}{south} {axes} +units=m +no_defs")
-        back = CRS.from_proj4(f"+proj=utm +zone={zone[:-1]}{south} {axes} +units=m +no_defs")
+        way = Transformer.from_crs(f"{utm}{number}", f"{utm}{zone[:-1]}", always_xy=True)
         try:
-            x, y = Transformer.from_crs(other, back, always_xy=True).transform(given[0], given[1])
+            x, y = way.transform(given[0], given[1])
         except ProjError:
             continue
         if abs(x - wanted[0]) <= tolerance[0] + 0.05 and abs(y - wanted[1]) <= tolerance[1] + 0.05:

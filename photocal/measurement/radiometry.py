@@ -66,8 +66,7 @@ def falls_to(frequency: Floats, transfer: Floats, level: float) -> float:
     if not len(below) or below[0] == 0:
         return float("nan")
     k = below[0]
-    share = (transfer[k - 1] - level) / (transfer[k - 1] - transfer[k])
-    return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
+    return float(np.interp(-level, -transfer[k - 1 : k + 1], frequency[k - 1 : k + 1]))
 
 
 def siemens_star(

@@ -144,11 +144,9 @@ def _jump(device: Integers, reference: Integers, least_s: float) -> int | None:
     width = min(_WINDOW, n // 2)
     step = np.zeros(n)
     for i in range(_LEAST_READINGS, n - _LEAST_READINGS + 1):
-        before, after = residual[max(0, i - width) : i], residual[i : i + width]
-        low, high = max(0, i - width), min(len(residual), i + width)
-        steps = np.diff(residual[low:high])
-        trend = float(np.median(steps)) * (high - low) / 2
-        step[i] = np.median(after) - np.median(before) - trend
+        low, high = max(0, i - width), min(n, i + width)
+        trend = float(np.median(np.diff(residual[low:high]))) * (high - low) / 2
+        step[i] = np.median(residual[i:high]) - np.median(residual[low:i]) - trend
     noise = 1.4826 * float(np.median(np.abs(np.diff(residual) - np.median(np.diff(residual)))))
     limit = max(_JUMP_SIGMAS * noise, least_s)
     worst = int(np.argmax(np.abs(step)))
@@ -177,9 +175,8 @@ def _fit(device: Integers, reference: Integers, resolution_s: float) -> ClockSeg
     residual = np.clip(y - offset - rate * x, -3 * scale, 3 * scale)
     cofactor = np.linalg.inv(design.T @ (design * weight[:, None]))
     # Delays of a link come in bursts; n (1 - r) / (1 + r) readings are worth as much as n independent ones.
-    spread = float(residual @ residual)
-    r = float(residual[1:] @ residual[:-1]) / spread if spread > 0 else 0.0
-    r = min(max(r, 0.0), 0.98)
+    spread = max(float(residual @ residual), 1e-300)
+    r = min(max(float(residual[1:] @ residual[:-1]) / spread, 0.0), 0.98)
     variance = scale**2 * (1 + r) / (1 - r) * cofactor
     sigmas = np.sqrt(np.diag(variance))
     return ClockSegment(

@@ -11,7 +11,7 @@ from drivers.errors import IllPosedError
 from photocal.findings.finding import Finding, untested
 from photocal.navigation.events import CameraEventList, Events
 from photocal.navigation.exposures import Exposures, at_camera
-from photocal.navigation.image_metadata import ImageMetadata
+from photocal.navigation.image_metadata import ImageMetadata, stated_places
 from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig, check_mounting
@@ -160,7 +160,6 @@ def _other_positions(e: Evidence) -> list[Finding]:
 
 def _sources(e: Evidence) -> list[tuple[str, Floats, str, str]]:
     """Return name, latitude/longitude/height (n, 3), what is unknown, and what was located."""
-    n = len(e.antenna)
     sources = []
     if e.listed is not None and e.trajectory is not None:
         sources.append(("vehicle-event-list", e.listed.placed.place, "shift", "camera"))
@@ -168,13 +167,8 @@ def _sources(e: Evidence) -> list[tuple[str, Floats, str, str]]:
         sources.append(("event-source", e.events.claimed[:, :3], "shift", "antenna"))
     by_name = {image.name: image.facts for image in e.images}
     facts = [by_name.get(name.split(" ")[0]) for name in e.antenna.image]
-    stated = [f for f in facts if f is not None and f.has_position]
-    if stated and e.trajectory is not None:
-        place = np.full((n, 3), np.nan)
-        for row, f in enumerate(facts):
-            if f is not None:
-                place[row] = f.latitude_deg, f.longitude_deg, f.altitude_m
-        sources.append(("image-positions", place, "shift", "antenna"))
+    if e.trajectory is not None and any(f is not None and f.has_position for f in facts):
+        sources.append(("image-positions", stated_places(facts), "shift", "antenna"))
     return sources
 
 

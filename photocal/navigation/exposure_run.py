@@ -13,7 +13,7 @@ from photocal.findings.finding import Finding
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.engine import Rtklib
-from photocal.navigation.events import CameraEventList, Events, listed_in, read_mrk
+from photocal.navigation.events import Events, listed_in, read_mrk
 from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposure_report import exposure_figures
 from photocal.navigation.exposure_sources import (
@@ -83,16 +83,6 @@ class ExposureRun:
     figures: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _Flight:
-    """What the logs and images hold."""
-
-    receivers: dict[str, ReceiverRecording]
-    vehicle: VehicleTrack | None
-    listed: CameraEventList | None
-    images: list[ImageMetadata]
-
-
 def run_exposures(choices: Choices, engine: Rtklib, folder: Path) -> ExposureRun:
     """Find events, positions, attitudes and images of a flight.
 
@@ -116,31 +106,45 @@ def place_exposures(
     """
     if trajectory is not None and ppk is not None and "common" in ppk:
         trajectory = from_plain(CommonErrors, ppk["common"]).corrected(trajectory)
-    sources = choices.sources
+    sources, rig = choices.sources, choices.rig
     receivers = read_receivers(sources.log)
-    gnss = _receiver_clock(receivers.get(sources.rover_link))
-    flight = _Flight(
-        receivers,
-        read_vehicle(sources.log, sources.vehicle_link, gnss) if sources.log else None,
-        listed_in(sources.log) if choices.mrk is None else read_mrk(choices.mrk),
-        [] if choices.images is None else read_images(choices.images),
-    )
-    noted, others = events_of(sources, choices.edge, flight.receivers, flight.vehicle)
-    noted = noted if flight.listed is None else flight.listed.events
+    rover = receivers.get(sources.rover_link)
+    vehicle = read_vehicle(sources.log, sources.vehicle_link, _receiver_clock(rover)) if sources.log else None
+    listed = listed_in(sources.log) if choices.mrk is None else read_mrk(choices.mrk)
+    images = [] if choices.images is None else read_images(choices.images)
+    noted, others = events_of(sources, choices.edge, receivers, vehicle)
+    noted = noted if listed is None else listed.events
     if noted is None:
-        return _without_events(choices, flight)
+        return _without_events(choices, rover, vehicle, images)
     events = noted.delayed(choices.delay_s, choices.delay_sigma_s)
     names = [""] * len(events)
     cameras: list[CameraMatch] = []
-    if flight.images:
-        names, cameras = match_images(flight.images, events, choices.largest_offset_s)
-    antenna = _exposures(choices, flight, events, trajectory, names)
-    rig = choices.rig
-    later = antenna
+    if images:
+        names, cameras = match_images(images, events, choices.largest_offset_s)
+    by_name = {image.name: image for image in images}
+    shown = [by_name.get(name.split(" ")[0]) for name in names]
+    camera, of_images, stated = attitudes_of_images(shown, rig)
+
+    def at(events: Events) -> Exposures:
+        placed, kind = placed_by(events, trajectory, listed, vehicle)
+        flown = attitudes_of_vehicle(vehicle, events.time, rig)
+        if not stated.any():
+            return at_events(events, placed, flown, events.accuracy_s, names, kind)
+        # A gimbal holds the camera: its attitude is the camera's, the lever arm turns with the vehicle.
+        carrier = flown if flown.known.any() else of_images
+        made = at_events(events, placed, camera, events.accuracy_s, names, kind)
+        return replace(made, carrier=carrier, above_take_off_m=_above_take_off(shown))
+
+    antenna = later = at(events)
     if rig.time_offset_s or rig.time_offset_sigma_s:
-        shifted = events.delayed(rig.time_offset_s, rig.time_offset_sigma_s)
-        later = _exposures(choices, flight, shifted, trajectory, names)
-    return _judged(choices, flight, events, others, antenna, later, trajectory, cameras, ppk)
+        later = at(events.delayed(rig.time_offset_s, rig.time_offset_sigma_s))
+    return _judged(
+        choices,
+        Evidence(rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk),
+        # A list's positions are those of the camera already.
+        at_camera(later, rig) if listed is None else later,
+        cameras,
+    )
 
 
 def exposures_of_pictures(images: list[ImageMetadata]) -> ExposureRun:
@@ -148,28 +152,16 @@ def exposures_of_pictures(images: list[ImageMetadata]) -> ExposureRun:
 
     raises ConfigurationError: when none states a position, or one no time.
     """
-    return _without_events(Choices(Sources()), _Flight({}, None, None, images))
+    return _without_events(Choices(Sources()), None, None, images)
 
 
-def _exposures(
-    choices: Choices, flight: _Flight, events: Events, trajectory: Trajectory | None, names: list[str]
-) -> Exposures:
-    placed, kind = placed_by(events, trajectory, flight.listed, flight.vehicle)
-    by_name = {image.name: image for image in flight.images}
-    shown = [by_name.get(name.split(" ")[0]) for name in names]
-    camera, vehicle, stated = attitudes_of_images(shown, choices.rig)
-    flown = attitudes_of_vehicle(flight.vehicle, events.time, choices.rig)
-    if not stated.any():
-        return at_events(events, placed, flown, events.accuracy_s, names, kind)
-    # A gimbal holds the camera: its attitude is the camera's, the lever arm turns with the vehicle.
-    carrier = flown if flown.known.any() else vehicle
-    made = at_events(events, placed, camera, events.accuracy_s, names, kind)
-    return replace(made, carrier=carrier, above_take_off_m=_above_take_off(shown))
-
-
-def _without_events(choices: Choices, flight: _Flight) -> ExposureRun:
+def _without_events(
+    choices: Choices,
+    rover: ReceiverRecording | None,
+    track: VehicleTrack | None,
+    images: list[ImageMetadata],
+) -> ExposureRun:
     """Exposures of images that are their own events: by the host's time in their names, or by their EXIF."""
-    images = flight.images
     if not images or (choices.sources.log and not all(image.from_name for image in images)):
         raise ConfigurationError(
             "has no camera events (time marks, CAMERA_* messages, CAM or TRIG records, an event list)",
@@ -183,40 +175,27 @@ def _without_events(choices: Choices, flight: _Flight) -> ExposureRun:
         names = [image.name for image in ordered]
         made = at_events(events, placed, camera, events.accuracy_s, names, OF_IMAGES)
         antenna = replace(made, carrier=vehicle, above_take_off_m=_above_take_off(ordered))
-        return _judged(choices, flight, events, [], antenna, antenna, None, [], None)
-    track = flight.vehicle
-    if track is None or len(track.path) < 2:
+    elif track is None or len(track.path) < 2:
         raise ConfigurationError(
             "has no positions of an autopilot", where=choices.sources.log, remedy="check the log"
         )
-    host = HostTime(np.array([round(clock_time_s(image) * 1e9) for image in images], np.int64))
-    time, sigma = autopilot_time(track, host)
-    events = Events("time of receipt in file names", time, np.arange(len(images)), sigma)
-    flown = attitudes_of_vehicle(track, time, choices.rig)
-    antenna = at_events(
-        events, plainly(track.path, time), flown, sigma, [image.name for image in images], SEA_LEVEL
-    )
-    return _judged(choices, flight, events, [], antenna, antenna, None, [], None)
+    else:
+        host = HostTime(np.array([round(clock_time_s(image) * 1e9) for image in images], np.int64))
+        time, sigma = autopilot_time(track, host)
+        events = Events("time of receipt in file names", time, np.arange(len(images)), sigma)
+        flown = attitudes_of_vehicle(track, time, choices.rig)
+        names = [image.name for image in images]
+        antenna = at_events(events, plainly(track.path, time), flown, sigma, names, SEA_LEVEL)
+    evidence = Evidence(choices.rig, events, [], antenna, None, rover, track, None, images, None)
+    return _judged(choices, evidence, at_camera(antenna, choices.rig), [])
 
 
 def _judged(
-    choices: Choices,
-    flight: _Flight,
-    events: Events,
-    others: list[Events],
-    antenna: Exposures,
-    later: Exposures,
-    trajectory: Trajectory | None,
-    cameras: list[CameraMatch],
-    ppk: dict[str, Any] | None,
+    choices: Choices, evidence: Evidence, exposures: Exposures, cameras: list[CameraMatch]
 ) -> ExposureRun:
-    vehicle, listed, images = flight.vehicle, flight.listed, flight.images
-    # The file's positions are those of the camera already.
-    exposures = later if listed is not None else at_camera(later, choices.rig)
-    rover = flight.receivers.get(choices.sources.rover_link)
-    gnss = _receiver_clock(rover)
+    vehicle, images, ppk = evidence.vehicle, evidence.images, evidence.ppk
+    gnss = _receiver_clock(evidence.rover)
     clocks = [*([] if vehicle is None else vehicle.clocks.compared), *([] if gnss is None else [gnss])]
-    evidence = Evidence(choices.rig, events, others, antenna, trajectory, rover, vehicle, listed, images, ppk)
     checks = check_exposures(evidence)
     if choices.oriented is not None:
         oriented = oriented_images(choices.oriented, exposures.image)
@@ -227,8 +206,8 @@ def _judged(
         # What was said to be out of sight is in sight now.
         seen = {check.code for check in checks if check.severity != "untested"}
         checks = [c for c in checks if c.severity != "untested" or c.code not in seen]
-    figures = exposure_figures(exposures, events, cameras, clocks, checks, ppk)
-    return ExposureRun(antenna, exposures, trajectory, cameras, flight.images, checks, figures)
+    figures = exposure_figures(exposures, evidence.events, cameras, clocks, checks, ppk)
+    return ExposureRun(evidence.antenna, exposures, evidence.trajectory, cameras, images, checks, figures)
 
 
 def _receiver_clock(rover: ReceiverRecording | None) -> ComparedClocks | None:

@@ -15,7 +15,7 @@ from photocal.navigation.events import (
     logged_exposures,
     time_marks,
 )
-from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
+from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, stated_places
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import Rig
@@ -107,8 +107,7 @@ def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
     time_s = np.array([clock_time_s(image) for image in images])
     order = np.argsort(time_s, kind="stable")
     facts = [images[i].facts for i in order.tolist()]
-    columns = ("latitude_deg", "longitude_deg", "altitude_m")
-    place = np.array([[np.nan] * 3 if f is None else [getattr(f, c) for c in columns] for f in facts])
+    place = stated_places(facts)
     sigma = np.array([[np.nan] * 3 if f is None else f.position_sigma_m for f in facts])
     if not np.isfinite(place).all(axis=1).any():
         raise ConfigurationError(

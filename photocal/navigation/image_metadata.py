@@ -4,10 +4,14 @@ import contextlib
 import csv
 import datetime as dt
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from re import compile as pattern
 
+import numpy as np
+
+from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
@@ -62,6 +66,12 @@ def image_of(path: Path, facts: ImageFacts) -> ImageMetadata:
             moment = dt.datetime.strptime(stamp[1], "%Y%m%d%H%M%S").replace(tzinfo=dt.UTC)
             time, resolution, from_name = moment.timestamp() + int(stamp[2]) / 100, 0.01, True
     return ImageMetadata(path.name, camera, time, resolution, from_name, facts, path)
+
+
+def stated_places(facts: Sequence[ImageFacts | None]) -> Floats:
+    """Return latitude, longitude (deg) and height (m) that images state (n, 3); NaN where they state none."""
+    rows = [(f.latitude_deg, f.longitude_deg, f.altitude_m) if f else (np.nan,) * 3 for f in facts]
+    return np.array(rows, np.float64).reshape(-1, 3)
 
 
 def clock_time_s(image: ImageMetadata) -> float:

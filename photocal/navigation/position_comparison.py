@@ -2,7 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -118,11 +118,10 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     places = {TIME: slice(unknown, unknown + 1)} | (
         {LEVER: slice(unknown + 1, unknown + 4)} if turned else {}
     )
-    free = np.full(design.shape[2], np.inf)
     difference = pairs.theirs - pairs.ours
     rows = _without_gross(design, difference, rows)
     model = _Model(design[rows], difference[rows], *_noise(design[rows], difference[rows]))
-    sigma = free.copy()
+    sigma = np.full(design.shape[2], np.inf)
     sigma[unknown] = pairs.time_sigma_s
     sigma[unknown + 1 :] = 0.0 if pairs.lever_sigma_m is None else pairs.lever_sigma_m
     tried = [_freed(name, model, sigma, place) for name, place in places.items()]
@@ -150,16 +149,17 @@ class _Model:
 
     design: Floats
     difference: Floats
-    noise_m: float
-    share: float
+    noise_m: float = 1.0
+    share: float = 1.0
 
     @property
     def size(self) -> float:
         """Number of independent differences, each of three coordinates."""
         return self.share * self.difference.size
 
-    def solved(self, sigma: Floats) -> tuple[float, Floats, Floats, Floats]:
-        """Solve with unknowns that are free (infinite), weighted (positive) or held at zero (0)."""
+    def solved(self, sigma: Floats | None = None) -> tuple[float, Floats, Floats, Floats]:
+        """Solve with unknowns free (infinite; None: all), weighted (positive) or held at zero (0)."""
+        sigma = np.full(self.design.shape[2], np.inf) if sigma is None else sigma
         used = np.flatnonzero(sigma > 0)
         a = self.design.reshape(-1, self.design.shape[2])[:, used]
         weight = np.where(np.isfinite(sigma[used]), self.noise_m / np.sqrt(self.share) / sigma[used], 0.0)
@@ -176,17 +176,11 @@ class _Model:
         squares = float(residual @ residual + np.sum((weight * found) ** 2))
         return max(squares, 1e-18), x, residual.reshape(self.difference.shape), cofactor
 
-    def moved(self, by_m: Floats) -> Self:
-        """Return the model of other differences."""
-        return replace(self, difference=self.difference - by_m)
-
 
 def _without_gross(design: Floats, difference: Floats, rows: Integers) -> Integers:
-    free = np.full(design.shape[2], np.inf)
     for _ in range(5):
         # Gross errors are told by what is left when all errors looked for are allowed.
-        residual = _Model(design[rows], difference[rows], 1.0, 1.0).solved(free)[2]
-        size = np.linalg.norm(residual, axis=1)
+        size = np.linalg.norm(_Model(design[rows], difference[rows]).solved()[2], axis=1)
         kept = rows[size <= _GROSS * max(float(np.median(size)), 1e-6)]
         if len(kept) == len(rows) or len(kept) < _LEAST:
             break
@@ -196,8 +190,7 @@ def _without_gross(design: Floats, difference: Floats, rows: Integers) -> Intege
 
 def _noise(design: Floats, difference: Floats) -> tuple[float, float]:
     """Give the standard deviation of a difference, and which share of the differences is independent."""
-    free = np.full(design.shape[2], np.inf)
-    squares, _, residual, _ = _Model(design, difference, 1.0, 1.0).solved(free)
+    squares, _, residual, _ = _Model(design, difference).solved()
     together = float(np.sum(residual[1:] * residual[:-1]))
     r = float(np.clip(together / max(float(np.sum(residual**2)), 1e-300), 0.0, _MOST_ALIKE))
     return float(np.sqrt(squares / max(difference.size - design.shape[2], 1))), (1 - r) / (1 + r)
@@ -242,7 +235,8 @@ def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats)
             meant = np.array(signs) * lever_m[list(order)]
             if np.allclose(meant, lever_m, atol=1e-6):
                 continue
-            rss = model.moved(np.einsum("nij,j->ni", to_camera, meant - lever_m)).solved(sigma)[0]
+            left = model.difference - to_camera @ (meant - lever_m)
+            rss = replace(model, difference=left).solved(sigma)[0]
             # Nothing is estimated: the ratio of the two variances is judged as if one value had been.
             p = float(stats.f.sf(max(rss0 / rss - 1, 0.0) * dof, 1, dof))
             text = ", ".join(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))

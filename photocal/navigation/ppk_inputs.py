@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -56,13 +56,9 @@ class Sources:
         weather: ``TEMPERATURE,HUMIDITY[,PRESSURE]``.
         raises ConfigurationError: when a text is none of these; named by its option.
         """
-        return replace(
-            self,
-            base_sigma_m=None
-            if sigma is None
-            else np.array(numbers_of(sigma, "--base-sigma", "E,N,U: metres")),
-            weather=None if weather is None else parse_weather(weather, "--weather"),
-        )
+        sigmas = None if sigma is None else np.array(numbers_of(sigma, "--base-sigma", "E,N,U: metres"))
+        air = None if weather is None else parse_weather(weather, "--weather")
+        return replace(self, base_sigma_m=sigmas, weather=air)
 
 
 def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Inputs, list[str]]:
@@ -74,25 +70,23 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     receivers = read_receivers(sources.log)
     remarks: list[str] = []
     navigation: list[Path] = []
-    rover_path = sources.rover
-    if rover_path is None:
-        log = _needed(sources.log, "rover")
-        recording = pick(receivers, sources.rover_link, "rover", log)
-        refuse_unusable(recording, "rover", log)
-        _refuse_without_ephemerides(recording, sources)
-        rover_path, ephemerides = converted(recording, engine, folder / "rover")
+
+    def recorded(link: str, role: str, near: GpsTime | None = None) -> tuple[Path, ReceiverRecording]:
+        log = _needed(sources.log, role)
+        recording = pick(receivers, link, role, log)
+        refuse_unusable(recording, role, log)
+        if role == "rover":
+            _refuse_without_ephemerides(recording, sources)
+        observations, ephemerides = converted(recording, engine, folder / role, near)
         navigation.append(ephemerides)
-        remarks += _remarks(recording, "rover")
-    rover = read_observation_file(rover_path)
-    near = rover.time[[0]]
+        counts = {"without signals": recording.empty_epochs, "of week 0": recording.untimed_epochs}
+        remarks.extend(f"{role}: {n} epochs {kind} left out" for kind, n in counts.items() if n)
+        return observations, recording
+
+    rover = read_observation_file(sources.rover or recorded(sources.rover_link, "rover")[0])
     base_path, base_recording = sources.base, None
     if base_path is None:
-        log = _needed(sources.log, "base")
-        base_recording = pick(receivers, sources.base_link, "base", log)
-        refuse_unusable(base_recording, "base", log)
-        base_path, ephemerides = converted(base_recording, engine, folder / "base", near)
-        navigation.append(ephemerides)
-        remarks += _remarks(base_recording, "base")
+        base_path, base_recording = recorded(sources.base_link, "base", rover.time[[0]])
     base = read_observation_file(base_path)
     for name in sources.navigation:
         if name != NAV_OF_BASE:
@@ -100,18 +94,16 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
                 raise IllPosedError("has no ephemerides", where=name, remedy="give a RINEX navigation file")
             navigation.append(Path(name))
     given = sources.base_position
-    precise = None if given is None or "," in given else read_precise_result(Path(given))
-    position, source = (
-        _base_position(sources, base_recording)
-        if precise is None
-        else (precise.position_m, f"{sources.base_position}{precise.said}")
-    )
+    sigma = None
+    if given is None or "," in given:
+        position, source = _base_position(sources, base_recording)
+        if given is None and base_recording is not None:
+            sigma = base_recording.position_sigma_m()
+    else:
+        precise = read_precise_result(Path(given))
+        position, source, sigma = precise.position_m, f"{given}{precise.said}", precise.sigma_enu_m
     files = [path for path in navigation if path.exists()]
-    sigma = sources.base_sigma_m
-    if sigma is None and precise is not None:
-        sigma = precise.sigma_enu_m
-    elif sigma is None and sources.base_position is None and base_recording is not None:
-        sigma = base_recording.position_sigma_m()
+    sigma = sigma if sources.base_sigma_m is None else sources.base_sigma_m
     return Inputs(rover, base, files, position, source, sigma, sources.weather), remarks
 
 
@@ -137,15 +129,13 @@ def converted(
 ) -> tuple[Path, Path]:
     """Convert what a receiver recorded to RINEX; raises IllPosedError when no observations come out."""
     # A base that sends both repeats the same observations; the raw ones are finer.
-    form = "ubx" if recording.epochs else "rtcm3"
+    form: Literal["ubx", "rtcm3"] = "ubx" if recording.epochs else "rtcm3"
     frames = recording.ubx if form == "ubx" else recording.rtcm
     if near is None:
         epochs, _ = recording.epochs_and_arrivals()
         # The receiver knows the time; the recording computer's clock may be years off.
-        near = (
-            GpsTime(epochs[:1]) if len(epochs) else GpsTime(np.array([recording.first_log_ns - GPS_EPOCH_NS]))
-        )
-    made = engine.convert(b"".join(frames), "ubx" if form == "ubx" else "rtcm3", stem, near)
+        near = GpsTime(epochs[:1] if len(epochs) else np.array([recording.first_log_ns - GPS_EPOCH_NS]))
+    made = engine.convert(b"".join(frames), form, stem, near)
     if not made[0].exists():
         raise IllPosedError(
             "the observations could not be converted to RINEX",
@@ -153,15 +143,6 @@ def converted(
             remedy="check that the receiver sent RXM-RAWX or RTCM MSM of known signals",
         )
     return made
-
-
-def _remarks(recording: ReceiverRecording, role: str) -> list[str]:
-    remarks = []
-    if recording.empty_epochs:
-        remarks.append(f"{role}: {recording.empty_epochs} epochs without signals left out")
-    if recording.untimed_epochs:
-        remarks.append(f"{role}: {recording.untimed_epochs} epochs of week 0 left out")
-    return remarks
 
 
 def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tuple[Floats, str]:

@@ -1,6 +1,6 @@
 """What a person judges a PPK run by: figures, sentences and a plot."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,6 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     rover, base = result.inputs.rover.time, result.inputs.base.time
     trajectory = result.trajectory
     first, last = max(rover.ns[0], base.ns[0]), min(rover.ns[-1], base.ns[-1])
-    lat, lon, height = (float(v) for v in geodetic(result.inputs.base_m))
     counts = {name: int((trajectory.status == name).sum()) for name in ("fixed", "float", "single")}
     say = catalogue("en")
     figures: dict[str, Any] = {
@@ -69,9 +68,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
         "rover": _span(result.inputs.rover),
         "base": {
             **_span(result.inputs.base),
-            "lat_deg": lat,
-            "lon_deg": lon,
-            "height_m": height,
+            **_place(geodetic(result.inputs.base_m)),
             "position_from": result.inputs.base_source,
             "off_code_solution_m": float(np.linalg.norm(result.base_off_code_m)),
             "up_off_code_solution_m": float(result.base_off_code_m[2]),
@@ -93,12 +90,12 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     if result.common is not None and result.mode != "static":
         figures["common"] = result.common.as_json()
     if result.mode == "static":
-        figures["position"] = {
-            "lat_deg": float(trajectory.lat_deg[0]),
-            "lon_deg": float(trajectory.lon_deg[0]),
-            "height_m": float(trajectory.height_m[0]),
-        }
+        figures["position"] = _place(trajectory.place[0])
     return figures
+
+
+def _place(values: Iterable[Any]) -> dict[str, float]:
+    return dict(zip(("lat_deg", "lon_deg", "height_m"), map(float, values), strict=True))
 
 
 def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
@@ -174,7 +171,7 @@ def ppk_text(figures: dict[str, Any]) -> str:
     """Return the summary in words."""
     rover, base, options = figures["rover"], figures["base"], figures["options"]
     method = f"{options['systems']} {options['frequencies']}, mask {options['elevation_deg']:g} deg"
-    place = f"{base['lat_deg']:.9f} {base['lon_deg']:.9f} {base['height_m']:.4f} m ellipsoidal"
+    place = "{lat_deg:.9f} {lon_deg:.9f} {height_m:.4f} m ellipsoidal".format(**base)
     counts = f"{figures['fixed']} fixed ({figures['fixed_percent']:.1f} %), {figures['float']} float"
     missing = figures["rover_epochs_without_position"]
     lines = [
@@ -188,16 +185,12 @@ def ppk_text(figures: dict[str, Any]) -> str:
         f"{missing} rover epochs without a position",
     ]
     lines += [f"  gap of {g['seconds']:.0f} s from {g['from_gps']}" for g in base["longest_gaps"][:3]]
-    validation = figures.get("validation")
-    if validation:
-        lines += _validation_text(validation)
+    if "validation" in figures:
+        lines += _validation_text(figures["validation"])
     if "common" in figures:
         lines += common_text(figures["common"])
-    position = figures.get("position")
-    if position:
-        lines.append(
-            f"position {position['lat_deg']:.9f} {position['lon_deg']:.9f} {position['height_m']:.4f} m"
-        )
+    if "position" in figures:
+        lines.append("position {lat_deg:.9f} {lon_deg:.9f} {height_m:.4f} m".format(**figures["position"]))
     warnings = [f"WARNING {found['text']}" for found in figures["findings"]]
     return "\n".join([*lines, *figures["remarks"], *warnings])
 
@@ -207,10 +200,8 @@ def _validation_text(validation: dict[str, Any]) -> list[str]:
     lines = [f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:"]
     lines += [f"  {count} {reason}" for reason, count in demoted.items()] or ["  none"]
     if validation["combinations_replaced"]:
-        lines.append(
-            f"replaced because the combination lay apart from both directions: "
-            f"{validation['combinations_replaced']}"
-        )
+        told = "replaced because the combination lay apart from both directions"
+        lines.append(f"{told}: {validation['combinations_replaced']}")
     if validation["median_ratio_of_fixes"] is not None:
         lines.append(f"ratio of the fixes (median): {validation['median_ratio_of_fixes']:.1f}")
     for kind, rms in validation["forward_minus_backward_rms_enu_m"].items():

@@ -37,42 +37,41 @@ class KnownMark(Table):
     sigma_m: tuple[float, float, float]
 
 
-class MeasuredBaseline(Table):
-    """A session between two marks; files relative to the set-up file.
+class _Session(Table):
+    """A receiver on a mark; files relative to the set-up file.
 
-    start, end: marks of base and rover.
-    base, rover: RINEX observations, or flight logs (MCAP) with raw frames.
+    rover: RINEX observations, or a flight log (MCAP) with raw frames.
     nav: RINEX navigation files, beside the ephemerides that logs recorded.
     products: precise orbits and clocks (SP3, CLK) that take the place of broadcast ones.
-    base_antenna_m, rover_antenna_m: heights of the antenna reference points above the marks.
-    base_antenna, rover_antenna: types and radomes in `antex`; empty: as the RINEX header names them.
+    rover_antenna_m: height of the antenna reference point above the mark.
+    rover_antenna: type and radome in `antex`; empty: as the RINEX header names them.
     """
 
     name: str
-    start: str
-    end: str
-    base: Path
     rover: Path
-    base_link: str = "base"
     rover_link: str = "rover"
     nav: tuple[Path, ...] = ()
     products: tuple[Path, ...] = ()
+    rover_antenna_m: float
+    rover_antenna: str = ""
+
+
+class MeasuredBaseline(_Session):
+    """A session between two marks, `start` of the base and `end` of the rover; base as rover."""
+
+    start: str
+    end: str
+    base: Path
+    base_link: str = "base"
     base_antenna_m: float
-    rover_antenna_m: float
     base_antenna: str = ""
-    rover_antenna: str = ""
 
 
-class PrecisePoint(Table):
-    """A mark that is positioned by itself with precise orbits and clocks; keys as of a baseline's rover."""
+class PrecisePoint(_Session):
+    """A mark that is positioned by itself with precise orbits and clocks."""
 
-    name: str
-    rover: Path
     rover_link: str = "base"
-    nav: tuple[Path, ...] = ()
     products: tuple[Path, ...] = Field(min_length=1)
-    rover_antenna_m: float
-    rover_antenna: str = ""
 
 
 class SurveySetup(Table):

@@ -59,14 +59,14 @@ def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
     lat, lon, height = geodetic(solution.xyz_m)
     local = _local_covariances(solution)
-    found = ellipses(local, _PROBABILITY)
+    found, sigma = ellipses(local, _PROBABILITY), _sigma(local)
     return [
         {
             "name": name,
             "lat_deg": float(lat[i]),
             "lon_deg": float(lon[i]),
             "height_m": float(height[i]),
-            "sigma_enu_m": np.sqrt(np.maximum(np.diag(local[i]), 0.0)).tolist(),
+            "sigma_enu_m": sigma[i].tolist(),
             "ellipse_95_m": found.semi_axes[i].tolist(),
             "ellipse_azimuth_deg": float(np.degrees(found.azimuth[i])),
         }
@@ -75,11 +75,13 @@ def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
 
 
 def _local_covariances(solution: NetworkSolution) -> Floats:
-    turn = enu_axes_at(solution.xyz_m)
-    blocks = np.array(
-        [solution.covariance_m2[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(len(solution.names))]
-    )
+    turn, n = enu_axes_at(solution.xyz_m), np.arange(len(solution.names))
+    blocks = solution.covariance_m2.reshape(len(n), 3, len(n), 3)[n, :, n]
     return np.asarray(turn @ blocks @ np.swapaxes(turn, 1, 2))
+
+
+def _sigma(covariance: Floats) -> Floats:
+    return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
 
 
 def _finite(values: Floats) -> list[float | None]:
@@ -89,15 +91,13 @@ def _finite(values: Floats) -> list[float | None]:
 def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict[str, Any]:
     """Write the block's `points.csv` with full covariances; return the frame of its coordinates."""
     lat, lon, height = geodetic(solution.xyz_m)
-    local = _local_covariances(solution)
     xyz, turn, frame = in_frame(lat, lon, height, np.array([lat[0], lon[0], height[0]]), crs)
-    rows = []
-    for i, name in enumerate(solution.names):
-        c = turn[i] @ local[i] @ turn[i].T
-        sigma = np.sqrt(np.maximum(np.diag(c), 0.0))
-        cross = [f"{v:.10f}" for v in (c[0, 1], c[0, 2], c[1, 2])]
-        place = [f"{v:.5f}" for v in xyz[i].tolist()]
-        rows.append([name, *place, *(f"{v:.6f}" for v in sigma.tolist()), *cross, "control"])
+    covariance = turn @ _local_covariances(solution) @ np.swapaxes(turn, 1, 2)
+    figures = np.hstack([xyz, _sigma(covariance), covariance[:, [0, 0, 1], [1, 2, 2]]]).tolist()
+    forms = [".5f"] * 3 + [".6f"] * 3 + [".10f"] * 3
+    rows = [
+        [name, *map(format, own, forms), "control"] for name, own in zip(solution.names, figures, strict=True)
+    ]
     write_rows(path, COLUMNS, rows)
     return frame
 

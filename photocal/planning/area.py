@@ -99,6 +99,12 @@ def polygon_area(corners_m: Floats) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
+def grid(low: Floats, high: Floats, step_m: float) -> Floats:
+    """Give the middles of square cells between two corners, shape (n, 2)."""
+    axes = [np.arange(a + step_m / 2.0, b, step_m) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
 def inside(points_m: Floats, corners_m: Floats) -> Flags:
     """Say which points lie in a polygon."""
     from matplotlib.path import Path as Outline
@@ -107,21 +113,12 @@ def inside(points_m: Floats, corners_m: Floats) -> Flags:
 
 
 def _crosses_itself(corners: Floats) -> bool:
-    count = len(corners)
-    ends = np.roll(corners, -1, axis=0)
-    return any(
-        _cross(corners[i], ends[i], corners[j], ends[j])
-        for i in range(count)
-        for j in range(i + 2, count)
-        if (j + 1) % count != i
-    )
-
-
-def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> bool:
-    def side(p: Floats, q: Floats, r: Floats) -> float:
-        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
-
-    return side(a, b, c) * side(a, b, d) < 0.0 and side(c, d, a) * side(c, d, b) < 0.0
+    (x, y), away = (np.roll(corners, -1, axis=0) - corners).T[:, :, None], corners - corners[:, None]
+    # On which side of each border each corner lies; a border whose ends lie on either side of another one's
+    # line, and the other way round, crosses it.
+    side = np.sign(x * away[:, :, 1] - y * away[:, :, 0])
+    parted = side * np.roll(side, -1, axis=1) < 0.0
+    return bool((parted & parted.T).any())
 
 
 def read_area(path: Path) -> Area:

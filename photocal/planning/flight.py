@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
+from drivers.arrays import Floats, spread
 from drivers.errors import ConfigurationError
-from photocal.planning.area import Area, LocalPlane, inside, polygon_area
+from photocal.planning.area import Area, LocalPlane, grid, inside, polygon_area
 from photocal.planning.frame import (
     ExpectedPrecision,
     Frame,
@@ -266,18 +266,16 @@ def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float)
     corners = _corner_candidates(candidates, corners_m)
     # When there are fewer control points than corners, the ones farthest apart are taken.
     if control < len(corners):
-        corners = [corners[row] for row in _farthest(candidates[corners], [0], control)]
-    chosen = _farthest(candidates, corners, control + check)
+        corners = [corners[row] for row in spread(candidates[corners], control, [0])]
+    chosen = spread(candidates, control + check, corners)
     return candidates[chosen[:control]], candidates[chosen[control:]]
 
 
 def _candidates(corners: Floats, margin: float) -> Floats:
     step = max(1.0, _GRID_SHARE * math.sqrt(abs(polygon_area(corners))))
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    axes = [np.arange(low[k] + step / 2.0, high[k], step) for k in range(2)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    grid = grid[inside(grid, corners)]
-    return grid[_distance_to_border(grid, corners) >= margin]
+    places = grid(corners.min(axis=0), corners.max(axis=0), step)
+    places = places[inside(places, corners)]
+    return places[_distance_to_border(places, corners) >= margin]
 
 
 def _corner_candidates(candidates: Floats, corners: Floats) -> list[int]:
@@ -298,16 +296,3 @@ def _distance_to_border(points: Floats, corners: Floats) -> Floats:
         foot = start + share[:, np.newaxis] * side
         nearest = np.minimum(nearest, np.hypot(*(points - foot).T))
     return nearest
-
-
-def _farthest(candidates: Floats, chosen: list[int], count: int) -> list[int]:
-    """Add the candidate farthest from all chosen ones until there are enough (Gonzalez 1985)."""
-    result = list(chosen)
-    nearest = np.full(len(candidates), np.inf)
-    for row in result:
-        nearest = np.minimum(nearest, np.hypot(*(candidates - candidates[row]).T))
-    while len(result) < count:
-        row = int(np.argmax(nearest))
-        result.append(row)
-        nearest = np.minimum(nearest, np.hypot(*(candidates - candidates[row]).T))
-    return result

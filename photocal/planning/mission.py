@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from acquire.outputs import output_folder
+from acquire.outputs import output_folder, rows_text
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.planning.flight import Flight, Layout
@@ -185,13 +185,12 @@ def write_plan(
 
 
 def _exposures(flight: Flight) -> str:
-    lines = ["strip,exposure,lat_deg,lon_deg,height_above_ground_m"]
-    for number, strip in enumerate(flight.strips, start=1):
-        lines += [
-            f"{number},{exposure},{latitude:.8f},{longitude:.8f},{strip.height_m:.2f}"
-            for exposure, (latitude, longitude) in enumerate(_places(flight, strip.exposures_m), start=1)
-        ]
-    return "\n".join(lines) + "\n"
+    rows = [
+        (number, exposure, f"{latitude:.8f}", f"{longitude:.8f}", f"{strip.height_m:.2f}")
+        for number, strip in enumerate(flight.strips, start=1)
+        for exposure, (latitude, longitude) in enumerate(_places(flight, strip.exposures_m), start=1)
+    ]
+    return rows_text(("strip", "exposure", "lat_deg", "lon_deg", "height_above_ground_m"), rows)
 
 
 def _map(flight: Flight, layout: Layout) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from photocal.adjustment.network import Exposures, Network, Points, Rays, point_
 from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
+from photocal.planning.area import grid
 from photocal.planning.flight import Flight, Layout
 from photocal.planning.frame import Frame
 
@@ -146,9 +147,7 @@ def _ties(flight: Flight) -> Floats:
     reach = max(max(level.footprint_m) for level in flight.levels) / 2.0
     step = min(sides) / _TIES_PER_SIDE
     exposures = np.vstack([strip.exposures_m for strip in flight.strips])
-    low, high = exposures.min(axis=0) - reach, exposures.max(axis=0) + reach
-    axes = [np.arange(low[k] + step / 2.0, high[k], step) for k in range(2)]
-    return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2))
+    return grid(exposures.min(axis=0) - reach, exposures.max(axis=0) + reach, step)
 
 
 def _camera(frame: Frame, *, calibrated: bool) -> Camera:

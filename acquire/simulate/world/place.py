@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pyproj import Transformer
 
 
-_ELLIPSOID = "GRS80"
+_ELLIPSOID = "+ellps=GRS80"
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from acquire.simulate.world import block_folder
 from acquire.simulate.world.configuration import Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
 from acquire.simulate.world.streams import Wire, make_streams, telemetry_log
-from acquire.simulate.world.truth import write_truth
+from acquire.simulate.world.truth import told, write_truth
 from acquire.simulate.world.world import World, make_world, picture_stamps
 
 Advance = Callable[[float], None]
@@ -180,12 +180,9 @@ def summary(world: World) -> dict[str, Any]:
     """Give what a flight consists of."""
     roles = world.targets.roles
     return {
-        "name": world.configuration.name,
-        "level": world.configuration.level.value,
-        "seed": world.configuration.seed,
+        **told(world.configuration),
         "images": len(world.exposures),
         "control": roles.count("control"),
         "check": roles.count("check"),
         "duration_s": round(world.motion.duration_s, 1),
-        "faults": sorted(fault.value for fault in world.configuration.faults),
     }

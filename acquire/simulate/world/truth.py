@@ -7,6 +7,7 @@ import numpy as np
 from acquire.outputs import write_json
 from acquire.simulate.world.block_folder import Columns, take_notes, toml_text, write_table
 from acquire.simulate.world.camera import OPENCV, Camera
+from acquire.simulate.world.configuration import Configuration
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
 from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.place import Place
@@ -33,16 +34,9 @@ def _figures(world: World) -> dict[str, object]:
     }
     return {
         "schema": "acquire.simulate.truth/1",
-        "name": world.configuration.name,
-        "seed": world.configuration.seed,
-        "level": world.configuration.level.value,
-        "faults": sorted(fault.value for fault in world.configuration.faults),
+        **told(world.configuration),
         "mistyped_control": take_notes(world, world.targets.surveyed_m).mistyped,
-        "missing_images": [
-            name
-            for name, kept in zip(world.exposures.names, kept_images(world).tolist(), strict=True)
-            if not kept
-        ],
+        "missing_images": np.array(world.exposures.names)[~kept_images(world)].tolist(),
         "camera": {
             "id": world.configuration.camera.id,
             "model": "brown-ideal",
@@ -76,6 +70,12 @@ def _figures(world: World) -> dict[str, object]:
         "start_gps_ns": world.start_gps_ns,
         "duration_s": world.motion.duration_s,
     }
+
+
+def told(given: Configuration) -> dict[str, object]:
+    """Give what names a flight."""
+    named = {"name": given.name, "seed": given.seed, "level": given.level.value}
+    return {**named, "faults": sorted(fault.value for fault in given.faults)}
 
 
 def _settings(world: World) -> str:

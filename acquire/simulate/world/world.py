@@ -12,7 +12,7 @@ from acquire.simulate.world.exposures import Exposures, Rig, make_exposures, mak
 from acquire.simulate.world.motion import Motion, legs, make_motion, strips
 from acquire.simulate.world.place import Place
 from acquire.simulate.world.terrain import Terrain, make_terrain
-from drivers.arrays import Floats, Integers
+from drivers.arrays import Floats, Integers, spread
 from drivers.errors import ConfigurationError
 
 # The plate lies on the highest ground beneath it, on stones of this height.
@@ -54,7 +54,7 @@ def make_targets(
     count = given.control + given.check
     places = spread_points(area_m, count, random)
     centre = np.column_stack([places, _bed(terrain, places, given.side_m)])
-    control = np.isin(np.arange(count), widest(places, given.control))
+    control = np.isin(np.arange(count), spread(places, given.control, []))
     numbers = np.where(control, np.cumsum(control), np.cumsum(~control)).tolist()
     kinds = [("control", "GCP") if chosen else ("check", "CHK") for chosen in control.tolist()]
     surveyed = centre + random.standard_normal((count, 3)) * given.sigma_m
@@ -84,17 +84,6 @@ def spread_points(area_m: Floats, count: int, random: np.random.Generator) -> Fl
             drawn = drawn[np.argmax(apart)][None]
         chosen = np.vstack([chosen, drawn[:1]])
     return chosen
-
-
-def widest(places: Floats, count: int) -> list[int]:
-    """Choose points far from each other, the first the farthest from the middle (Gonzalez 1985)."""
-    if count == 0:
-        return []
-    chosen = [int(np.argmax(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
-    while len(chosen) < count:
-        apart = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(axis=1)
-        chosen.append(int(np.argmax(apart)))
-    return sorted(chosen)
 
 
 def _bed(terrain: Terrain, places: Floats, side_m: float) -> Floats:
