@@ -108,16 +108,15 @@ def private_folder(folder: Path) -> Path:
 
     raises OutputError: when it cannot be made, belongs to another user or stands open to others.
     """
+    unwritten = OutputError.at(folder)
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         private = _is_private(folder)
     except OSError as refusal:
-        raise OutputError(f"cannot be made ({refusal.strerror})", where=folder) from refusal
+        raise unwritten(f"cannot be made ({refusal.strerror})") from refusal
     if not private:
-        raise OutputError(
-            "belongs to another user or is open to others",
-            where=folder,
-            remedy=f"remove it, or run: chmod 700 {folder}",
+        raise unwritten(
+            "belongs to another user or is open to others", f"remove it, or run: chmod 700 {folder}"
         )
     return folder
 

@@ -49,15 +49,16 @@ def analyse_published(
     raises InputNotFoundError, InputMalformedError, ConfigurationError, IllPosedError: for what cannot be
         read, does not fit together, or is no covariance.
     """
+    wrong = ConfigurationError.at(table)
     if not read_columns(table).has("value"):
         if matrix is not None or set_name is not None:
-            raise ConfigurationError("is itself a matrix", where=table, remedy="leave out --matrix and --set")
+            raise wrong("is itself a matrix", "leave out --matrix and --set")
         estimates = _matrix(table)
         strong, components = strong_correlations(estimates, threshold), principal_components(estimates)
         return (PublishedSet("", estimates, np.inf, (), strong, components),)
     sets = _sets(table, degrees_of_freedom)
     if set_name is not None and set_name not in sets:
-        raise ConfigurationError(f"has no set {set_name}", where=table, remedy=f"it has {', '.join(sets)}")
+        raise wrong(f"has no set {set_name}", f"it has {', '.join(sets)}")
     chosen = sets if set_name is None else {set_name: sets[set_name]}
     if matrix is None:
         return tuple(
@@ -65,9 +66,7 @@ def analyse_published(
             for name, (own, freedom) in chosen.items()
         )
     if len(chosen) > 1:
-        raise ConfigurationError(
-            f"holds {len(chosen)} sets, but the matrix is of one", where=table, remedy="name it with --set"
-        )
+        raise wrong(f"holds {len(chosen)} sets, but the matrix is of one", "name it with --set")
     ((name, (single, freedom)),) = chosen.items()
     correlation = _matrix(matrix)
     if correlation.names != single.names:

@@ -177,14 +177,13 @@ def _with_known_readout(keys: CameraKeys, place: str, own: Camera) -> Camera:
     """Take the readout of a known camera; estimated, it is an observation with the table's sigma."""
     if not keys.readout_from:
         return own
+    wrong = ConfigurationError.at(place)
     if "readout" in keys.parameters:
-        raise ConfigurationError(
-            "readout_from stands beside a readout in parameters", where=place, remedy="remove one of them"
-        )
+        raise wrong("readout_from stands beside a readout in parameters", "remove one of them")
     try:
         known, sigma = known_readout(keys.readout_from, keys.size_px)
     except ConfigurationError as refusal:
-        raise ConfigurationError(refusal.what, where=place, remedy=refusal.remedy) from refusal
+        raise wrong(refusal.what, refusal.remedy) from refusal
     at = among("readout")
     return replace(
         own,

@@ -24,9 +24,10 @@ from photocal.block.motion import motion_of
 from photocal.block.rig import rig_of
 from photocal.geometry.camera import Camera, among, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import slopes_of
-from photocal.geometry.frames import Frame, ShiftedFrame, nearest_rotation, reference_frame
+from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
+from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.resection import intersect, ray_residuals
-from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
+from photocal.geometry.rotation import matrix_from_angles
 
 # Start coordinates are impossible where a ray misses them by this many principal distances, and by this many
 # times what rays usually miss: attitudes of a flight may be degrees off, those of all images alike.
@@ -159,7 +160,7 @@ def assemble(block: Block) -> NetworkOfBlock:
     frame = block_frame(block)
     exposures = Exposures(
         block.images.camera,
-        local_exposures(block.images.values, frame),
+        local_poses(frame, block.images.values),
         block.images.sigma,
         time=block.images.time,
         temperature=block.images.temperature,
@@ -244,20 +245,6 @@ def frame_of(system: str, height: str, *places: Floats) -> Frame:
     if system == "local":
         return ShiftedFrame(np.asarray(np.round(np.nanmean(every, axis=0)), dtype=np.float64))
     return reference_frame(system, height, np.asarray(np.nanmean(every, axis=0)))
-
-
-def local_exposures(given: Floats, frame: Frame) -> Floats:
-    """Exterior orientation in the local frame, (n, 6): the given angles refer to the given axes there."""
-    values = given.copy()
-    known = np.isfinite(values).all(axis=1)
-    turn = np.broadcast_to(np.eye(3), (len(values), 3, 3)).copy()
-    turn[known] = nearest_rotation(frame.derivative(values[known, 3:]))
-    matrix = matrix_from_angles(values[:, :3]) @ np.swapaxes(turn, 1, 2)
-    # A Cartesian frame keeps the very angles that were given.
-    if not np.array_equal(turn, np.broadcast_to(np.eye(3), turn.shape)):
-        values[:, :3] = angles_from_matrix(matrix)
-    values[:, 3:] = frame.to_local(values[:, 3:])
-    return values
 
 
 def local_positions(positions: Positions, frame: Frame) -> Positions:

@@ -228,7 +228,7 @@ def _text_lenses(path: Path) -> Iterator[Lens]:
         if not cells:
             continue
         if len(cells) < 4:
-            raise InputMalformedError("is no row of a camera", where=line.place)
+            raise line.malformed("is no row of a camera")
         if cells[1] not in NUMBERS:
             raise unknown_model(cells[1], line.place)
         key, width, height = (whole(cells[k], line.place, "camera") for k in (0, 2, 3))
@@ -243,7 +243,7 @@ def _text_shots(path: Path) -> Iterator[Shot]:
             continue
         cells = line.text.split(maxsplit=9)
         if len(cells) != 10:
-            raise InputMalformedError("is no row of an image", where=line.place, remedy="is the file cut?")
+            raise line.malformed("is no row of an image", "is the file cut?")
         values = numbers(" ".join(cells[:9]), line.place, "image")
         marks = next(rows, None)
         if marks is None:
@@ -266,7 +266,7 @@ def _text_points(path: Path) -> Iterator[Point]:
         if not cells:
             continue
         if len(cells) < 8 or len(cells) % 2:
-            raise InputMalformedError("is no row of a point", where=line.place, remedy="is the file cut?")
+            raise line.malformed("is no row of a point", "is the file cut?")
         values = numbers(line.text, line.place, "point")
         key, *track = (key_of(value, line.place) for value in (values[0], *values[8:]))
         yield key, values[1:4], values[7], np.array(track, dtype=np.int64).reshape(-1, 2)

@@ -143,9 +143,7 @@ def _rule(element: Element, path: Path) -> tuple[set[str], bool]:
 def _mark(row: Row, names: dict[str, str], common: float | None) -> parts.Mark:
     image = row.name("im")
     if image not in names:
-        raise InputMalformedError(
-            f"observes image {image}, which is not in the list of images", where=row.line.place
-        )
+        raise row.line.malformed(f"observes image {image}, which is not in the list of images")
     x, y = to_column_row(row.value("x"), row.value("y"))
     # The sigma of the set-up overrides that of the table.
     sigma = (row.value("sx"), row.value("sy")) if common is None else (common, common)
@@ -189,12 +187,11 @@ def _truth(text: str, path: Path) -> bool:
 def _camera(element: Element, path: Path, loaded: bool) -> DbatCamera:
     """Read `<camera>`; with `loaded`, its calibrated values, else nominal ones."""
     unit = (element.findtext("unit") or "mm").strip()
+    malformed = InputMalformedError.at(path)
     if unit not in _UNITS:
-        raise InputMalformedError(
-            f"camera unit {unit!r} is not known", where=path, remedy=f"use {', '.join(_UNITS)}"
-        )
+        raise malformed(f"camera unit {unit!r} is not known", f"use {', '.join(_UNITS)}")
     if unit != "mm":
-        raise InputMalformedError(f"camera unit is {unit}", where=path, remedy="give the camera in mm")
+        raise malformed(f"camera unit is {unit}", "give the camera in mm")
     size = _list(element, "image", path, 2)
     size_px = image_size(size[0], size[1], path)
     aspect = _list(element, "aspect", path, 1, [1.0])[0]
@@ -210,7 +207,7 @@ def _camera(element: Element, path: Path, loaded: bool) -> DbatCamera:
     for name, most in (("K", 4), ("P", 2)):
         count = counts[name] if counts[name] >= 0 else len(lists[name])
         if not max(count, len(lists[name])) <= most:
-            raise InputMalformedError(f"has more than {most} coefficients {name}", where=path)
+            raise malformed(f"has more than {most} coefficients {name}")
         counts[name] = count
     if loaded:
         values |= _calibrated(element, path, lists)
@@ -263,15 +260,14 @@ def _list(
     element: Element, name: str, path: Path, count: int | None, default: list[float] | None = None
 ) -> list[float]:
     text = (element.findtext(name) or "").strip()
+    malformed = InputMalformedError.at(path)
     if not text:
         if default is None:
-            raise InputMalformedError(f"<camera> has no <{name}>", where=path, remedy="add it")
+            raise malformed(f"<camera> has no <{name}>", "add it")
         return default
     values = [number(cell, path, name) for cell in text.split(",")]
     if count is not None and len(values) != count:
-        raise InputMalformedError(
-            f"<{name}> has {len(values)} values where {count} were expected", where=path
-        )
+        raise malformed(f"<{name}> has {len(values)} values where {count} were expected")
     return values
 
 

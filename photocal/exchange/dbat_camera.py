@@ -50,25 +50,21 @@ class Row:
         if field in self.cells:
             return number(self.cells[field], self.line.place, field)
         if default is None:
-            raise InputMalformedError(
-                f"has no field {field}", where=self.line.place, remedy="name it in the format"
-            )
+            raise self.line.malformed(f"has no field {field}", "name it in the format")
         return default
 
     def name(self, field: str) -> str:
         """Identifier in a field; leading zeros of a number do not matter."""
         text = self.cells.get(field, "")
         if not text:
-            raise InputMalformedError(
-                f"has no {field}", where=self.line.place, remedy="give every row its id"
-            )
+            raise self.line.malformed(f"has no {field}", "give every row its id")
         return str(int(text)) if text.isdecimal() else text
 
     def sigma(self, default: float = 0.0) -> tuple[float, float, float]:
         """Standard deviations in x, y, z."""
         values = (self.value("sx", default), self.value("sy", default), self.value("sz", default))
         if min(values) < 0:
-            raise InputMalformedError("a standard deviation is negative", where=self.line.place)
+            raise self.line.malformed("a standard deviation is negative")
         return values
 
 
@@ -85,10 +81,9 @@ def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[Row
     for line in read_lines(path):
         cells = [cell.strip() for cell in line.text.split(",")]
         if len(cells) != len(fields):
-            raise InputMalformedError(
+            raise line.malformed(
                 f"has {len(cells)} cells where the format {layout!r} has {len(fields)}",
-                where=line.place,
-                remedy="write decimal points, not commas"
+                "write decimal points, not commas"
                 if len(cells) > len(fields)
                 else "complete the row, or is the file cut?",
             )

@@ -71,16 +71,15 @@ def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
     names: dict[tuple[float, float, float], str] = {}
     for line in lines:
         cells = _cells(line.text)
-        malformed = InputMalformedError.at(line.place)
         if len(cells) < 6:
-            raise malformed(
+            raise line.malformed(
                 f"has {len(cells)} cells where X Y Z column row image were expected",
                 "complete the row, or is the file cut?",
             )
         x, y, z, column, row = numbers(" ".join(cells[:5]), line.place, "ground point")
         known = names.setdefault((x, y, z), cells[6] if len(cells) > 6 else f"point{len(names) + 1}")
         if len(cells) > 6 and cells[6] != known:
-            raise malformed(f"points {known} and {cells[6]} have the same coordinates")
+            raise line.malformed(f"points {known} and {cells[6]} have the same coordinates")
         marks.append(GroundMark(known, (x, y, z), column, row, cells[5], line.place))
     require_unique(list(names.values()), "a point with other coordinates,", path)
     require_unique([f"{mark.point} in image {mark.image}" for mark in marks], "point", path)
@@ -111,9 +110,8 @@ def read_geo(path: Path) -> tuple[str, tuple[ImagePosition, ...]]:
     for line in lines:
         cells = line.text.split()
         if not 3 <= len(cells) <= 9:
-            raise InputMalformedError(
-                f"has {len(cells)} cells where image X Y [Z yaw pitch roll accuracies] were expected",
-                where=line.place,
+            raise line.malformed(
+                f"has {len(cells)} cells where image X Y [Z yaw pitch roll accuracies] were expected"
             )
         # Orientation may be skipped by writing "-" or "nan"; both mean not known.
         values = [

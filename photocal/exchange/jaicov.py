@@ -74,7 +74,7 @@ def read_scale_bars(path: Path) -> tuple[Bar, ...]:
     for line in read_lines(path):
         row = re.fullmatch(r'\s*\S+\s+"[^"]*"\s+(\S+)\s+(\S+)\s+(\S+)\s+(\S+)\s+([01])\s*', line.text)
         if row is None:
-            raise InputMalformedError("is no row of a scale bar", where=line.place, remedy="is the file cut?")
+            raise line.malformed("is no row of a scale bar", "is the file cut?")
         one, other, length, sigma, on = row.groups()
         if on == "1":
             sizes = number(length, line.place, "length") * MM, number(sigma, line.place, "sigma") * MM
@@ -128,10 +128,10 @@ def _camera(lines: list[Line]) -> Camera:
         for line, count in zip(lines, (8, 1, 2, 2, 4), strict=True)
     )
     if not head[2] < 0:
-        raise InputMalformedError("the principal distance is not negative", where=lines[0].place)
+        raise lines[0].malformed("the principal distance is not negative")
     size_px = image_size(sensor[2], sensor[3], lines[4].place)
     if not min(sensor[:2]) > 0:
-        raise InputMalformedError("the sensor has no size", where=lines[4].place)
+        raise lines[4].malformed("the sensor has no size")
     return camera(
         f"{int(head[0])}",
         "brown-ideal",
@@ -150,9 +150,7 @@ def _orientations(lines: list[Line], cameras: list[str]) -> tuple[list[str], lis
     for line in lines:
         row = numbers(line.text, line.place, "exterior orientation", 11)
         if f"{row[1]:g}" not in cameras:
-            raise InputMalformedError(
-                f"has camera {row[1]:g}, which is not in the .ior file", where=line.place
-            )
+            raise line.malformed(f"has camera {row[1]:g}, which is not in the .ior file")
         names.append(str(int(row[0])))
         which.append(cameras.index(f"{row[1]:g}"))
         poses.append([*row[5:8], *(value * MM for value in row[2:5])])
@@ -176,9 +174,7 @@ def _marks(lines: list[Line], images: set[str], points: set[str], sigma: float) 
     for line in lines:
         cells = line.text.split()
         if len(cells) != 11:
-            raise InputMalformedError(
-                f"has {len(cells)} values where an image point has 11", where=line.place, remedy="is it cut?"
-            )
+            raise line.malformed(f"has {len(cells)} values where an image point has 11", "is it cut?")
         if cells[9] == "1" and cells[0] in images and cells[1] in points:
             x, y = number(cells[2], line.place, "x"), number(cells[3], line.place, "y")
             marks.append(parts.Mark(cells[0], cells[1], x, y, (sigma, sigma), line.place))

@@ -81,10 +81,8 @@ def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:
         if len(cells) == 1 and cells[0].startswith("OPENSFM_TRACKS_VERSION"):
             continue
         if len(cells) < 5:
-            raise InputMalformedError(
-                f"has {len(cells)} cells where a track has image, track, feature, x, y",
-                where=line.place,
-                remedy="is the file cut?",
+            raise line.malformed(
+                f"has {len(cells)} cells where a track has image, track, feature, x, y", "is the file cut?"
             )
         if cells[0] in image and cells[1] in point:
             x, y = (number(cell, line.place, "track") for cell in cells[3:5])

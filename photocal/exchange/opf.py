@@ -163,14 +163,13 @@ def _cameras(inputs: dict[str, Any], calibrated: dict[str, Any], path: Path) -> 
     known = {int(sensor["id"]): sensor for sensor in inputs["sensors"]}
     for sensor in calibrated["sensors"]:
         key = int(sensor["id"])
+        malformed = InputMalformedError.at(path)
         if key not in known:
-            raise InputMalformedError(f"sensor {key} is not among the input cameras", where=path)
+            raise malformed(f"sensor {key} is not among the input cameras")
         width, height = known[key]["image_size_px"]
         given = sensor["internals"]
         if given["type"] != "perspective":
-            raise InputMalformedError(
-                f"sensor {known[key]['name']} is {given['type']!r}, which has no equivalent", where=path
-            )
+            raise malformed(f"sensor {known[key]['name']} is {given['type']!r}, which has no equivalent")
         f = float(given["focal_length_px"])
         cx, cy = given["principal_point_px"]
         k1, k2, k3 = given["radial_distortion"]

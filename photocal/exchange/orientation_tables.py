@@ -84,7 +84,7 @@ def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
             name = value.strip()
         elif key.strip().startswith("$EXT_ORI"):
             if not name:
-                raise InputMalformedError("an $EXT_ORI stands before its $PHOTO_NUM", where=line.place)
+                raise line.malformed("an $EXT_ORI stands before its $PHOTO_NUM")
             places.append(_next(lines, path, 4)[1:])
             matrices.append([_next(lines, path, 3) for _ in range(3)])
             names.append(name)

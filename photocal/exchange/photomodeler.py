@@ -131,7 +131,7 @@ def _photo(cursor: _Cursor, expected: int) -> Photo:
     line = cursor.next()
     cells = line.text.split(maxsplit=1)
     if len(cells) != 2 or not cells[0].isdecimal() or int(cells[0]) != expected:
-        raise InputMalformedError(f"is not the head of photo {expected}", where=line.place)
+        raise line.malformed(f"is not the head of photo {expected}")
     pose = cursor.values("orientation", 7)[1:]
     cursor.values("its standard deviations", 7)
     covariance = cursor.next()
@@ -163,7 +163,7 @@ def _smart_shift(ids: list[int]) -> tuple[int, int]:
 def _mark(line: Line, photos: list[Photo], shift: int) -> parts.Mark:
     photo, point, x, y, sx, sy = numbers(line.text, line.place, "photo, point, x, y and sigmas", 6)
     if not 0 <= photo < len(photos):
-        raise InputMalformedError(f"observes photo {photo:g}, which is not in the file", where=line.place)
+        raise line.malformed(f"observes photo {photo:g}, which is not in the file")
     smart = sx == 0 and sy == 0
     sigma = (DEFAULT_SIGMA_PX, DEFAULT_SIGMA_PX) if smart else (sx, sy)
     name = str(int(point) + shift) if smart else str(int(point))

@@ -148,20 +148,19 @@ def _ply(archive: zipfile.ZipFile, name: str, wanted: tuple[str, ...], path: Pat
     content = _member(archive, name, path, _MAX_MEMBER)
     head, found, body = content.partition(b"end_header\n")
     lines = head.decode("ascii", errors="replace").split("\n")
+    malformed = InputMalformedError.at(path)
     if not found or lines[0] != "ply" or "format binary_little_endian 1.0" not in lines:
-        raise InputMalformedError(f"its {name!r} is no binary PLY table", where=path)
+        raise malformed(f"its {name!r} is no binary PLY table")
     words = [line.split() for line in lines]
     count = [row[2] for row in words if row[:2] == ["element", "vertex"] and len(row) == 3]
     fields = [(row[2], _TYPES.get(row[1], "")) for row in words if row[:1] == ["property"] and len(row) == 3]
     known = all(kind for _, kind in fields) and len(dict(fields)) == len(fields)
     if len(count) != 1 or not count[0].isdecimal() or not known or not set(wanted) <= set(dict(fields)):
-        raise InputMalformedError(f"its {name!r} has not the columns {', '.join(wanted)}", where=path)
+        raise malformed(f"its {name!r} has not the columns {', '.join(wanted)}")
     layout = np.dtype(fields)
     if int(count[0]) * layout.itemsize > len(body):
-        raise InputMalformedError(
-            f"its {name!r} claims more rows than it has", where=path, remedy="is it cut?"
-        )
+        raise malformed(f"its {name!r} claims more rows than it has", "is it cut?")
     rows = np.frombuffer(body, layout, int(count[0]))
     if not all(np.isfinite(rows[column]).all() for column in wanted):
-        raise InputMalformedError(f"its {name!r} has a number that is not finite", where=path)
+        raise malformed(f"its {name!r} has a number that is not finite")
     return rows

@@ -82,14 +82,13 @@ def from_pinhole(given: Pinhole, camera_id: str, place: object) -> Camera:
 
 def require_credible(focal_px: Sequence[float], others: Sequence[float], place: object) -> None:
     """Complain about numbers that no camera has, before they overflow."""
+    malformed = InputMalformedError.at(place)
     for value in focal_px:
         if not 1e-3 < value < LARGEST:
-            raise InputMalformedError(
-                f"the focal length {value:g} px is impossible", where=place, remedy="correct it"
-            )
+            raise malformed(f"the focal length {value:g} px is impossible", "correct it")
     for value in others:
         if not abs(value) < LARGEST:
-            raise InputMalformedError(f"the camera parameter {value:g} is impossible", where=place)
+            raise malformed(f"the camera parameter {value:g} is impossible")
 
 
 def to_pinhole(

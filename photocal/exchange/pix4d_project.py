@@ -60,7 +60,7 @@ def read_pix4d(path: Path, size_px: tuple[int, int]) -> Camera:
         cells = line.text.split()
         if cells[0] in _KEYS:
             if len(cells) != 2 or cells[0] in value:
-                raise InputMalformedError(f"{cells[0]} is not one number", where=line.place)
+                raise line.malformed(f"{cells[0]} is not one number")
             value[cells[0]] = number(cells[1], line.place, cells[0])
     missing = [key for key in _KEYS if key not in value]
     if missing:
@@ -182,19 +182,17 @@ def _shots(path: Path) -> list[_Shot]:
     shots = []
     for k, end in zip(starts, [*starts[1:], len(lines)], strict=True):
         if end - k != _ROWS:
-            raise InputMalformedError(
-                f"has {end - k} lines for an image where {_ROWS} were expected",
-                where=lines[k].place,
-                remedy="was it written completely?",
+            raise lines[k].malformed(
+                f"has {end - k} lines for an image where {_ROWS} were expected", "was it written completely?"
             )
         name, width, height = lines[k].text.rsplit(None, 2)
         w, h = image_size(float(width), float(height), lines[k].place)
         rows = [numbers(line.text, line.place, "camera") for line in lines[k + 1 : k + _ROWS]]
         if [len(row) for row in rows] != [3, 3, 3, 3, 2, 3, 3, 3, 3]:
-            raise InputMalformedError("is no image of this file", where=lines[k].place)
+            raise lines[k].malformed("is no image of this file")
         matrix, rotation = np.array(rows[:3]), np.array(rows[6:])
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
-            raise InputMalformedError("has a matrix that is no rotation", where=lines[k].place)
+            raise lines[k].malformed("has a matrix that is no rotation")
         lens = (w, h, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *rows[3], *rows[4])
         shots.append((name.strip().strip('"'), lens, np.array(rows[5]), rotation))
     return shots
@@ -315,10 +313,9 @@ def _pitch(
         # A sensor is named in mm; what is larger are pixels.
         if 0 < pitch[0] < 0.1 and abs(pitch[0] / pitch[1] - 1) < 0.01:
             return pitch
-    raise InputMalformedError(
+    raise line.malformed(
         f"no sensor width in mm is known that fits the images of camera {camera!r}",
-        where=line.place,
-        remedy="put the .cam files into the folder",
+        "put the .cam files into the folder",
     )
 
 
@@ -344,9 +341,7 @@ def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floa
         # X Y Z adjusted and given, two or three accuracies, three angles, six uncertainties, one probability.
         accuracies = len(values) - 16
         if accuracies not in (2, 3):
-            raise InputMalformedError(
-                f"has {len(cells)} cells where 20 or 21 were expected", where=line.place
-            )
+            raise line.malformed(f"has {len(cells)} cells where 20 or 21 were expected")
         sigma = values[6 : 6 + accuracies]
         given[k], stated[k] = values[3:6], sigma if accuracies == 3 else [sigma[0], sigma[0], sigma[1]]
         tail = values[6 + accuracies + 3 :]

@@ -41,6 +41,10 @@ class Line:
         """File and line, for messages."""
         return f"{self.path}, line {self.number}"
 
+    def malformed(self, what: str, remedy: str = "") -> InputMalformedError:
+        """Complaint about it."""
+        return InputMalformedError(what, where=self.place, remedy=remedy)
+
 
 def require_readable(path: Path) -> int:
     """Complain when a path is no file with content of a credible size.

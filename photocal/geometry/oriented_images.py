@@ -233,10 +233,10 @@ def given_places(frame: Frame, local: Floats) -> Floats:
 
 def _turned(frame: Frame, angles: Floats, places: Floats, *, back: bool) -> Floats:
     known = np.isfinite(angles).all(axis=1) & np.isfinite(places).all(axis=1)
-    result = np.full(angles.shape, np.nan)
-    if not known.any():
-        return result
-    turn = nearest_rotation(frame.derivative(places[known]))
-    turn = turn if back else np.swapaxes(turn, 1, 2)
-    result[known] = angles_from_matrix(matrix_from_angles(angles[known]) @ turn)
+    result = angles.copy()
+    turn = nearest_rotation(frame.derivative(places[known])) if known.any() else np.eye(3)
+    # A Cartesian frame keeps the very angles that were given.
+    if (turn != np.eye(3)).any():
+        turn = turn if back else np.swapaxes(turn, 1, 2)
+        result[known] = angles_from_matrix(matrix_from_angles(angles[known]) @ turn)
     return result

@@ -7,8 +7,9 @@ import numpy as np
 from photocal.adjustment.mounting import NO_MOUNTING, STRIPS, Attitudes, Mounting, Positions, body_to_camera
 from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import Block, ObjectPoints
-from photocal.block.network import block_frame, local_exposures, local_positions
+from photocal.block.network import block_frame, local_positions
 from photocal.geometry.frames import Frame
+from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle
 
 
@@ -32,7 +33,7 @@ def in_local_frame(block: Block) -> Block:
         block,
         frame="local",
         height="local",
-        images=replace(block.images, values=local_exposures(given, frame), motion=motion),
+        images=replace(block.images, values=local_poses(frame, given), motion=motion),
         points=_points(block.points, frame),
         positions=local_positions(block.positions, frame),
     )

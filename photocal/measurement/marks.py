@@ -193,6 +193,7 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
 def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
     """Marks from the middle of the image, over its longer side."""
     require_readable(path)
+    malformed = InputMalformedError.at(path)
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         entries, bare, marks = [], [], []
@@ -213,11 +214,9 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
                     y = y * max(width, height) + (height - 1) / 2
                     marks.append(Mark(image, name, x, y, _BY_HAND, path))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as failure:
-        raise InputMalformedError(
-            f"is no ground_control_points.json ({failure})", where=path, remedy="is it the right file?"
-        ) from failure
+        raise malformed(f"is no ground_control_points.json ({failure})", "is it the right file?") from failure
     if not entries:
-        raise InputMalformedError("has no point with coordinates", where=path, remedy="is it the right file?")
+        raise malformed("has no point with coordinates", "is it the right file?")
     return ControlMarks("EPSG:4326", object_points(entries), tuple(marks), tuple(bare))
 
 
@@ -301,9 +300,7 @@ def _is_number(cell: str) -> bool:
 def _mark(line: Line, delimiter: str, order: Sequence[int]) -> Mark:
     cells = [cell.strip().strip('"') for cell in line.text.split(delimiter)]
     if len(cells) <= max(order) or not cells[order[0]] or not cells[order[1]]:
-        raise InputMalformedError(
-            f"has {len(cells)} cells where image, point, x, y were expected", where=line.place
-        )
+        raise line.malformed(f"has {len(cells)} cells where image, point, x, y were expected")
     if delimiter != ",":
         cells = [cell.replace(",", ".") for cell in cells]
     x, y = (number(cells[k], line.place, "mark") - _HALF for k in order[2:])

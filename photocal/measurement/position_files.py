@@ -135,10 +135,9 @@ def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -
     from pyproj import CRS, Transformer
     from pyproj.exceptions import ProjError
 
+    malformed = InputMalformedError.at(path)
     if not crs:
-        raise InputMalformedError(
-            "does not name its system", where=path, remedy="EPSG:4326 on the first line"
-        )
+        raise malformed("does not name its system", "EPSG:4326 on the first line")
     values = np.array(list(listed.values()), dtype=float).reshape(-1, 6)
     try:
         system = CRS.from_user_input(crs)
@@ -146,5 +145,5 @@ def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -
         way = Transformer.from_crs(level.to_2d(), "EPSG:4326", always_xy=True)
         values[:, 0], values[:, 1] = way.transform(values[:, 0], values[:, 1], errcheck=True)
     except ProjError as refusal:
-        raise InputMalformedError(f"its system {crs} cannot be used ({refusal})", where=path) from refusal
+        raise malformed(f"its system {crs} cannot be used ({refusal})") from refusal
     return {name: tuple(row) for name, row in zip(listed, values.tolist(), strict=True)}

@@ -42,19 +42,18 @@ def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int
             continue
         file = describe(_image_path(inside, name, folder))
         size = block.cameras[block.images.camera[number]].size_px
+        malformed = InputMalformedError.at(file.path)
         if (file.columns, file.rows) != size:
-            raise InputMalformedError(
+            raise malformed(
                 f"is {file.columns} x {file.rows} px, its camera {size[0]} x {size[1]}",
-                where=file.path,
-                remedy="use the image as the camera wrote it, not turned and not resized",
+                "use the image as the camera wrote it, not turned and not resized",
             )
         first = next(iter(found.values()), file)
         if (file.bands, file.dtype) != (first.bands, first.dtype):
-            raise InputMalformedError(
+            raise malformed(
                 f"has {file.bands} band(s) of {file.dtype}, {first.path.name} has {first.bands} of "
                 f"{first.dtype}",
-                where=file.path,
-                remedy="make the images alike",
+                "make the images alike",
             )
         found[number] = file
     return found

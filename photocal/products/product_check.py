@@ -96,12 +96,11 @@ def check_products(
 
 def _require_square(raster: RasterFile, diameter: float) -> None:
     a, b, _, d, e, _ = raster.transform
+    wrong = ConfigurationError.at(raster.path)
     if b != 0 or d != 0 or abs(abs(a) - abs(e)) > 1e-6 * abs(a) or a <= 0 or e >= 0:
-        raise ConfigurationError("is not north up with square cells", where=raster.path, remedy="warp it")
+        raise wrong("is not north up with square cells", "warp it")
     if diameter < 2 * a:
-        raise ConfigurationError(
-            f"a target of {diameter:g} m is smaller than two cells of {a:g} m", where=raster.path
-        )
+        raise wrong(f"a target of {diameter:g} m is smaller than two cells of {a:g} m")
 
 
 def _heights(dtm: Path, points: GroundPoints, kind: str | None, said: str | None) -> Floats:

@@ -155,6 +155,7 @@ def certified_result(certificate: dict[str, Any], folder: Path) -> Figures:
 
 
 def _complete(content: dict[str, Any], file: Path) -> None:
+    malformed = InputMalformedError.at(file)
     try:
         dt.date.fromisoformat(content["date"])
         names = [(str(entry["path"]), str(entry["sha256"])) for entry in content["result"]["inputs"]]
@@ -163,17 +164,15 @@ def _complete(content: dict[str, Any], file: Path) -> None:
         names.append((str(content["result"]["block"].get("setup", "")), ""))
         list(content["warnings"]), list(content["notes"])
     except (KeyError, TypeError, ValueError) as lacking:
-        raise InputMalformedError(
-            f"lacks what a verification needs ({lacking})", where=file, remedy="make the certificate again"
+        raise malformed(
+            f"lacks what a verification needs ({lacking})", "make the certificate again"
         ) from None
     for name, _ in names:
         # A certificate comes from elsewhere: it may not reach outside the folder of its inputs.
         path = PurePosixPath(name)
         if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name:
-            raise InputMalformedError(
-                f"input {name!r} lies outside the folder of the inputs",
-                where=file,
-                remedy="make the certificate again",
+            raise malformed(
+                f"input {name!r} lies outside the folder of the inputs", "make the certificate again"
             )
 
 

@@ -278,14 +278,13 @@ def _private(passphrase: str) -> "Ed25519PrivateKey":
     path = settings_folder() / _PRIVATE
     if not path.is_file():
         raise InputNotFoundError("there is no key", where=path, remedy="run: photocal keys --new NAME")
+    wrong = ConfigurationError.at(path)
     try:
         key = load_pem_private_key(path.read_bytes(), passphrase.encode() or None)
     except (TypeError, ValueError) as refusal:
-        raise ConfigurationError(
-            f"the key cannot be opened ({refusal})", where=path, remedy="give its passphrase"
-        ) from None
+        raise wrong(f"the key cannot be opened ({refusal})", "give its passphrase") from None
     if not isinstance(key, Ed25519PrivateKey):
-        raise ConfigurationError("is no Ed25519 key", where=path, remedy="run: photocal keys --new NAME")
+        raise wrong("is no Ed25519 key", "run: photocal keys --new NAME")
     return key
 
 

@@ -65,15 +65,14 @@ def read_run(folder: Path) -> Run:
     if not path.is_file():
         return Run(result, result.files)
     _, content = read_json(path, SCHEMA, _AGAIN)
+    malformed = InputMalformedError.at(path)
     try:
         stored: Analysis = from_plain(Analysis, content)
     except ValueError as lacking:
-        raise InputMalformedError(str(lacking), where=path, remedy=_AGAIN) from None
+        raise malformed(str(lacking), _AGAIN) from None
     # That of an earlier run would say something else.
     if stored.result_sha256 != fingerprint(folder / RESULT).sha256:
-        raise InputMalformedError(
-            "belongs to another run: result.json has changed since", where=path, remedy=_AGAIN
-        )
+        raise malformed("belongs to another run: result.json has changed since", _AGAIN)
     return Run(result, (*result.files, fingerprint(path)), stored)
 
 

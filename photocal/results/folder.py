@@ -241,16 +241,15 @@ def read_result(folder: Path) -> Result:
 
 def read_json(path: Path, schema: str, remedy: str) -> tuple[str, dict[str, Any]]:
     """Read a file of JSON of a schema: its text and what that holds."""
+    missing = InputNotFoundError.at(path)
     if not path.is_file():
-        raise InputNotFoundError(
-            "does not exist", where=path, remedy="give the folder that `photocal adjust` wrote"
-        )
+        raise missing("does not exist", "give the folder that `photocal adjust` wrote")
     if path.stat().st_size > LARGEST_JSON:
         raise InputMalformedError("is no JSON of ours: it is too large", where=path, remedy=remedy)
     try:
         text = path.read_text(encoding="utf-8")
         if not text.strip():
-            raise InputNotFoundError("the file is empty", where=path, remedy=remedy)
+            raise missing("the file is empty", remedy)
         content = json.loads(text, parse_constant=_not_a_number)
     except UnicodeDecodeError as broken:
         raise InputMalformedError(

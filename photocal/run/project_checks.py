@@ -164,11 +164,11 @@ def _check_place(
     tried: list[tuple[str, Path | None, float, float, str, Floats]] = [
         ("E and N of the control points are exchanged", table, latitude, longitude, project.crs, middle[::-1])
     ]
+    wrong = ConfigurationError.at(table)
     if (np.abs(control.values[:, :2]) <= (180, 90)).all():
-        raise ConfigurationError(
+        raise wrong(
             "the control points are in degrees, crs is in metres",
-            where=table,
-            remedy=f"take them to {project.crs}, or let photocal new do it",
+            f"take them to {project.crs}, or let photocal new do it",
         )
     for unit, factor in _UNITS.items():
         cause = f"the control points are in {unit}"
@@ -189,11 +189,10 @@ def _check_place(
     for cause, where, north, east, crs, place in tried:
         if _away(north, east, crs, place) <= far:
             raise ConfigurationError(cause, where=where, remedy=f"then they fit {what}: correct it")
-    raise ConfigurationError(
+    raise wrong(
         f"the control points lie {stated / 1000:.0f} km from {what}, and no exchange of axes, signs, units "
         "or zones explains it",
-        where=table,
-        remedy="check crs, control and positions",
+        "check crs, control and positions",
     )
 
 

@@ -246,12 +246,11 @@ class MarkingService:
 
     def _picture(self, name: str) -> Picture:
         own = self._scene.pictures.get(name)
+        missing = InputNotFoundError.at(name)
         if own is None:
-            raise InputNotFoundError(
-                "is no image of this project", where=name, remedy="choose one of the list"
-            )
+            raise missing("is no image of this project", "choose one of the list")
         if own.reason:
-            raise InputNotFoundError(own.reason, where=name, remedy="choose another image")
+            raise missing(own.reason, "choose another image")
         return own
 
 
