@@ -40,13 +40,11 @@ def read_tables(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
         content = parse_toml(text)
     except OSError as refusal:
-        raise InputNotFoundError(_unreadable(refusal), where=path, remedy="check the path") from refusal
+        raise InputNotFoundError(_unreadable(refusal), "check the path", where=path) from refusal
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
-        raise ConfigurationError(
-            f"is not valid TOML ({failure})", where=path, remedy="correct it"
-        ) from failure
+        raise ConfigurationError(f"is not valid TOML ({failure})", "correct it", where=path) from failure
     if not text.strip():
-        raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
+        raise InputNotFoundError("is empty", "was it written completely?", where=path)
     return content
 
 
@@ -85,16 +83,14 @@ def _complaint(path: object, error: Any) -> ConfigurationError:
     parts = (str(part + 1) if isinstance(part, int) else part for part in error["loc"])
     key = ".".join(part for part in parts if not part.startswith("<"))
     if error["type"] == "extra_forbidden":
-        return ConfigurationError(
-            f"unknown key {key}", where=path, remedy="correct its spelling or remove it"
-        )
+        return ConfigurationError(f"unknown key {key}", "correct its spelling or remove it", where=path)
     if error["type"] == "missing":
-        return ConfigurationError(f"key {key} is missing", where=path, remedy="add it")
+        return ConfigurationError(f"key {key} is missing", "add it", where=path)
     if error["type"] == "value_error" and isinstance(error["input"], dict):
         said = error["msg"].removeprefix("Value error, ")
-        return ConfigurationError(f"{key}: {said}" if key else said, where=path, remedy="correct the file")
+        return ConfigurationError(f"{key}: {said}" if key else said, "correct the file", where=path)
     return ConfigurationError(
         f"{key} = {error['input']!r}: {error['msg'].removeprefix('Value error, ').lower()}",
+        "correct the value",
         where=path,
-        remedy="correct the value",
     )

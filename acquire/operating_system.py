@@ -40,7 +40,7 @@ if sys.platform == "win32":
 
     def pseudo_terminal() -> tuple[int, int, str]:
         """Refuse: there are none."""
-        raise DeviceError("Windows has no pseudo terminals", remedy="take tcp:// or udp://")
+        raise DeviceError("Windows has no pseudo terminals", "take tcp:// or udp://")
 
     def has_reader(_: int) -> bool:
         """Say that nobody reads a pseudo terminal."""
@@ -87,7 +87,7 @@ else:
         except OSError as refusal:
             raise DeviceError(
                 f"this system gives no pseudo terminal ({refusal.strerror})",
-                remedy="mount devpts on /dev/pts, as containers and systems do on their own",
+                "mount devpts on /dev/pts, as containers and systems do on their own",
             ) from refusal
         tty.setraw(theirs)
         return ours, theirs, os.ttyname(theirs)

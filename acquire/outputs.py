@@ -33,7 +33,7 @@ def output_file(path: Path) -> Iterator[Path]:
     raises OutputError: when the folder cannot be made or written, or `path` is a folder.
     """
     if path.is_dir():
-        raise OutputError("is a folder, a file was expected", where=path, remedy="name a file")
+        raise OutputError("is a folder, a file was expected", "name a file", where=path)
     with refusals(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
@@ -53,7 +53,7 @@ def picture_kind(path: Path) -> str:
     """Give the kind of a picture by its ending; raises ConfigurationError for one that is not made."""
     kind = path.suffix.lower()[1:]
     if kind not in _PICTURES:
-        raise ConfigurationError(f"{path} has no known ending", remedy="use .pdf, .svg or .png")
+        raise ConfigurationError(f"{path} has no known ending", "use .pdf, .svg or .png")
     return kind
 
 
@@ -82,7 +82,7 @@ def output_folder(path: Path) -> Iterator[Path]:
     raises OutputError: when the folder cannot be made or written, or `path` is a file.
     """
     if path.exists() and not path.is_dir():
-        raise OutputError("is a file, a folder was expected", where=path, remedy="name a folder")
+        raise OutputError("is a file, a folder was expected", "name a folder", where=path)
     with refusals(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
@@ -123,7 +123,7 @@ def refusals(path: Path, remedy: str = "choose a place that you may write to") -
         yield
     except OSError as refusal:
         reason = refusal.strerror or str(refusal)
-        raise OutputError(f"cannot be written ({reason})", where=path, remedy=remedy) from refusal
+        raise OutputError(f"cannot be written ({reason})", remedy, where=path) from refusal
 
 
 def _umask() -> int:

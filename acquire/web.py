@@ -73,8 +73,8 @@ class Address:
             listener.close()
             raise ConfigurationError(
                 f"cannot be listened on ({(refusal.strerror or str(refusal)).lower()})",
+                "choose another port, or 0 for any that is free",
                 where=str(self),
-                remedy="choose another port, or 0 for any that is free",
             ) from refusal
         return listener
 
@@ -83,7 +83,7 @@ class Address:
             found = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError) as refusal:
             raise ConfigurationError(
-                "is no address of this computer", where=str(self), remedy="use for example 127.0.0.1:8740"
+                "is no address of this computer", "use for example 127.0.0.1:8740", where=str(self)
             ) from refusal
         return [(entry[0], str(entry[4][0])) for entry in found]
 
@@ -98,7 +98,7 @@ def read_address(text: str) -> Address:
     bracketed = host.startswith("[") and host.endswith("]")
     if not colon or not bare or (":" in bare) != bracketed or not port.isdecimal() or int(port) > 65535:
         raise ConfigurationError(
-            "is no HOST:PORT", where=text, remedy="use for example 127.0.0.1:8740 or [::1]:8740"
+            "is no HOST:PORT", "use for example 127.0.0.1:8740 or [::1]:8740", where=text
         )
     return Address(bare, int(port))
 

@@ -11,15 +11,15 @@ class PhotocalError(Exception):
     """A failure that a person can act on: what happened, where, and what to do.
 
     what: what happened, in the user's words, without a final full stop.
-    where: file, line, image or point that is concerned.
     remedy: what to do about it.
+    where: file, line, image or point that is concerned.
     details: figures for those who want to know more, a line each.
     """
 
     exit_code = 1
 
     def __init__(
-        self, what: str, *, where: object = None, remedy: str = "", details: tuple[str, ...] = ()
+        self, what: str, remedy: str = "", *, where: object = None, details: tuple[str, ...] = ()
     ) -> None:
         super().__init__(what)
         self.what = what
@@ -30,7 +30,7 @@ class PhotocalError(Exception):
     @classmethod
     def at(cls, where: object) -> Callable[..., Self]:
         """Make failures of one file or place, so that each check there says what happened and its remedy."""
-        return lambda what, remedy="": cls(what, where=where, remedy=remedy)
+        return lambda what, remedy="": cls(what, remedy, where=where)
 
     def __str__(self) -> str:
         place = f"{self.where}: " if self.where else ""

@@ -59,7 +59,7 @@ def block_of_arrays(
     if points.ndim != 2 or points.shape[1] != 3 or pixels.ndim != 3 or pixels.shape[1:] != (len(points), 2):
         raise ConfigurationError(
             f"object_points has shape {points.shape}, image_points {pixels.shape}",
-            remedy="give shapes (n, 3) and (m, n, 2), with NaN where an image does not show a point",
+            "give shapes (n, 3) and (m, n, 2), with NaN where an image does not show a point",
         )
     count = len(pixels)
     start = {"c": 1.2 * max(size_px)}
@@ -101,19 +101,17 @@ def with_relations(
     if kind not in old.names:
         raise ConfigurationError(
             f"{kind!r} is no kind of observation that is known",
-            remedy=f"use {', '.join(old.names)}, or give a function of your own",
+            f"use {', '.join(old.names)}, or give a function of your own",
         )
     given, number = list(rows), {name: k for k, name in enumerate(block.points.names)}
     for name in (name for row in given for name in row[:-2]):
         if name not in number:
-            raise ConfigurationError(
-                f"point {name} is not in the block", where=kind, remedy="correct the name"
-            )
+            raise ConfigurationError(f"point {name} is not in the block", "correct the name", where=kind)
     count = len(RELATIONS.get(kind, ("from", "to")))
     if any(len(row) != count + 2 for row in given):
         raise ConfigurationError(
             f"an observation of the kind {kind} has another number of cells",
-            remedy=f"give {count} points, value and standard deviation",
+            f"give {count} points, value and standard deviation",
         )
     ends = np.array([[number[name] for name in row[:-2]] for row in given], dtype=np.int64).reshape(-1, count)
     figures = np.array([row[-2:] for row in given], dtype=float).reshape(-1, 2)

@@ -77,7 +77,7 @@ def compile_all() -> None:
     )
     running = [subprocess.Popen([sys.executable, "-c", f"import {part}"]) for part in parts]  # noqa: S603
     if sum(abs(part.wait()) for part in running):
-        raise ProgramMissingError("the kernels cannot be compiled", remedy="run: photocal doctor")
+        raise ProgramMissingError("the kernels cannot be compiled", "run: photocal doctor")
 
 
 def compile_ahead() -> None:

@@ -360,15 +360,13 @@ class Project:
         """The only camera."""
         if len(self.cameras) > 1:
             raise ConfigurationError(
-                f"has {len(self.cameras)} cameras, one was expected",
-                where=self.path,
-                remedy="keep one [[camera]]",
+                f"has {len(self.cameras)} cameras, one was expected", "keep one [[camera]]", where=self.path
             )
         return self._needed(self.cameras[0] if self.cameras else None, "[[camera]]")
 
     def _needed(self, part: Part | None, name: str) -> Part:
         if part is None:
-            raise ConfigurationError(f"{name} is missing", where=self.path, remedy="add it")
+            raise ConfigurationError(f"{name} is missing", "add it", where=self.path)
         return part
 
 
@@ -382,7 +380,7 @@ def read_project(path: Path) -> Project:
         folder, path = path, path / NAME
         if not path.exists():
             remedy = f"photocal new {folder} looks at its pictures and tables and writes one"
-            raise InputNotFoundError(f"holds no {NAME}", where=folder, remedy=remedy)
+            raise InputNotFoundError(f"holds no {NAME}", remedy, where=folder)
     contents = read_toml(path, Contents, {"folder": path.parent})
     cameras = [make_camera(keys, path) for keys in contents.camera]
     # Nobody said: the adjustment of the flight will tell.

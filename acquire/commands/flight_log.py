@@ -43,7 +43,7 @@ def import_(
     unnamed = files or []
     near_ns = _noon_ns(date)
     if not named and not unnamed:
-        raise ConfigurationError("no recording was named", remedy="give FILE or --link NAME=FILE")
+        raise ConfigurationError("no recording was named", "give FILE or --link NAME=FILE")
     total = sum(p.stat().st_size for p in [*unnamed, *(p for _, p in named)] if p.is_file())
     with progress("importing", total) as advance:
         results = import_recordings(named, unnamed, output, advance, near_ns)
@@ -71,7 +71,7 @@ def _noon_ns(date: str | None) -> int:
         day = dt.date.fromisoformat(date)
     except ValueError as refusal:
         raise ConfigurationError(
-            "is no date", where=f"--date {date}", remedy="give year, month and day: 2026-05-01"
+            "is no date", "give year, month and day: 2026-05-01", where=f"--date {date}"
         ) from refusal
     return int(dt.datetime(day.year, day.month, day.day, 12, tzinfo=dt.UTC).timestamp()) * 1_000_000_000
 
@@ -81,8 +81,8 @@ def _named(text: str) -> tuple[str, Path]:
     if not separator or not path or not re.fullmatch(r"[A-Za-z0-9_-]+", name):
         raise ConfigurationError(
             "a link is given as NAME=FILE, the name of letters, digits, _ and -",
+            "for example --link rover=rover.ubx",
             where=f"--link {text}",
-            remedy="for example --link rover=rover.ubx",
         )
     return name, Path(path)
 
@@ -216,7 +216,7 @@ def recover(
     target = output or log.with_suffix(".recovered.mcap")
     if target.resolve() == log.resolve():
         raise ConfigurationError(
-            "the repaired log would take the place of the damaged one", where=target, remedy="name another"
+            "the repaired log would take the place of the damaged one", "name another", where=target
         )
     result = repair(log, target)
     answer(

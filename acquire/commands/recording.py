@@ -50,7 +50,7 @@ def check(
     bad = [one.part for one in checks if one.state != "good"]
     if bad:
         raise DeviceError(
-            f"not ready: {', '.join(bad)}", where=configuration, remedy="see to these before the flight"
+            f"not ready: {', '.join(bad)}", "see to these before the flight", where=configuration
         )
 
 

@@ -32,11 +32,11 @@ def simulate(
     if context.invoked_subcommand is not None:
         if output is not None or as_json:
             raise ConfigurationError(
-                "an option stands before the command", remedy=f"put it after {context.invoked_subcommand}"
+                "an option stands before the command", f"put it after {context.invoked_subcommand}"
             )
         return
     if output is None:
-        raise ConfigurationError("nothing to write", remedy="give -o FILE.tlog, or a command, see --help")
+        raise ConfigurationError("nothing to write", "give -o FILE.tlog, or a command, see --help")
     from acquire.outputs import output_file
     from acquire.simulate.world.configuration import FLIGHTS, read_configuration
     from acquire.simulate.world.streams import telemetry_log, vehicle_wire
@@ -78,7 +78,7 @@ def flight(
 
     if output.is_dir() and any(output.iterdir()):
         # Files of another flight between the new ones would be taken for its own.
-        raise OutputError("is not empty", where=output, remedy="name a new folder")
+        raise OutputError("is not empty", "name a new folder", where=output)
     chosen = {
         "level": "block" if observations_only else level,
         "seed": seed,
@@ -139,13 +139,11 @@ def serve(
 
     start_s = time.time() + _LEAD_S
     if now and speed != 1:
-        raise ConfigurationError(
-            "clocks that run faster are not those of now", remedy="leave --speed out, or --now"
-        )
+        raise ConfigurationError("clocks that run faster are not those of now", "leave --speed out, or --now")
     flight = read_flight(flown, dt.datetime.fromtimestamp(start_s, dt.UTC) if now else None)
     if now and time.time() > start_s:
         raise ConfigurationError(
-            f"took longer than {_LEAD_S} s to be flown", where=flown, remedy="practise with a smaller plan"
+            f"took longer than {_LEAD_S} s to be flown", "practise with a smaller plan", where=flown
         )
     settings = record or (flown / "site" / "record.toml" if flown.is_dir() else Path("record.toml"))
     waits = () if at_once else awaited(flight, base_on_tcp=base_on_tcp)

@@ -97,8 +97,8 @@ def import_recordings(
                 if link in links:
                     raise ConfigurationError(
                         f"two recordings would be the link {link!r}",
+                        "name each with --link NAME=FILE",
                         where=path,
-                        remedy="name each with --link NAME=FILE",
                     )
                 links.add(link)
                 results.append(_import(writer, link, source, form, dialect, advance, near_ns))

@@ -73,7 +73,7 @@ class Source:
                     return
                 except (OSError, zlib.error) as damage:
                     raise InputMalformedError(
-                        f"the gzip packing is damaged ({damage})", where=self.path, remedy="take another copy"
+                        f"the gzip packing is damaged ({damage})", "take another copy", where=self.path
                     ) from damage
                 if not piece:
                     return
@@ -102,12 +102,12 @@ class Source:
 def open_recording(path: Path) -> Iterator[Source]:
     """Open a recording."""
     if path.is_dir():
-        raise InputNotFoundError("is a folder, a recording was expected", where=path, remedy="name the file")
+        raise InputNotFoundError("is a folder, a recording was expected", "name the file", where=path)
     with reading(path):
         raw = path.open("rb")
     with raw:
         if not raw.read(1):
-            raise InputNotFoundError("is empty", where=path, remedy="name a recording that has data")
+            raise InputNotFoundError("is empty", "name a recording that has data", where=path)
         raw.seek(0)
         yield Source(path, raw)
 
@@ -134,7 +134,7 @@ def identify(source: Source, dialect: Dialect) -> Format:
     if best is None:
         raise InputMalformedError(
             "holds no whole MAVLink record, no UBX, RTCM3 or NMEA frame, no DataFlash, ULog or MRK record",
+            "import a .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg or .mrk recording",
             where=source.path,
-            remedy="import a .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg or .mrk recording",
         )
     return best

@@ -82,7 +82,7 @@ class LogReader:
             except (struct.error, EndOfFile, LookupError, ValueError, OverflowError) as damage:
                 reason = printable(str(damage)) or "it ends early"
                 unreadable = InputMalformedError(
-                    f"a record cannot be read ({reason})", where=self.path, remedy="run acquire recover"
+                    f"a record cannot be read ({reason})", "run acquire recover", where=self.path
                 )
                 if damaged is None:
                     raise unreadable from damage
@@ -221,6 +221,6 @@ def read_json(payload: bytes, path: Path) -> dict[str, Any]:
         value = json.loads(payload)
     except (ValueError, RecursionError) as damage:
         raise InputMalformedError(
-            f"a message is no JSON ({type(damage).__name__})", where=path, remedy="run acquire recover"
+            f"a message is no JSON ({type(damage).__name__})", "run acquire recover", where=path
         ) from damage
     return value if isinstance(value, dict) else {}

@@ -42,7 +42,7 @@ def choose_link(path: Path, link: str | None) -> str:
     """
     names = links_of(path)
     if not names:
-        raise InputMalformedError("holds no raw frames", where=path, remedy="name a flight log")
+        raise InputMalformedError("holds no raw frames", "name a flight log", where=path)
     wrong = ConfigurationError.at(path)
     if link is None and len(names) > 1:
         raise wrong(f"has several links: {', '.join(names)}", "name one with --link")
@@ -112,9 +112,7 @@ def export_tlog(path: Path, link: str, output: Path) -> int:
         for time_ns, frame in raw_frames(path, link):
             if frame[0] not in _STARTS:
                 raise InputMalformedError(
-                    f"the link {link!r} carries no MAVLink",
-                    where=path,
-                    remedy="name the vehicle's with --link",
+                    f"the link {link!r} carries no MAVLink", "name the vehicle's with --link", where=path
                 )
             # Whole microseconds, big-endian: what ground stations write.
             stream.write((time_ns // 1000).to_bytes(8, "big") + frame)

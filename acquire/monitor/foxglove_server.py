@@ -118,7 +118,7 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
         import foxglove
     except ImportError as missing:
         raise ProgramMissingError(
-            "the package foxglove-sdk is not installed", remedy="pip install 'photocal[foxglove]'"
+            "the package foxglove-sdk is not installed", "pip install 'photocal[foxglove]'"
         ) from missing
     # A context of its own: nothing that is logged elsewhere in the process is served.
     context = foxglove.Context()
@@ -129,7 +129,7 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
         )
     except (RuntimeError, OSError) as refusal:
         raise ConfigurationError(
-            f"cannot be listened on ({refusal})", where=host, remedy="look at the loopback interface"
+            f"cannot be listened on ({refusal})", "look at the loopback interface", where=host
         ) from refusal
     served: dict[Channel, Any] = {}
 

@@ -142,17 +142,15 @@ def tail_of(source: Path) -> Tail:
     if not source.is_file():
         raise InputNotFoundError(
             "does not exist",
+            "name a flight log, the folder of a recording or its configuration",
             where=source,
-            remedy="name a flight log, the folder of a recording or its configuration",
         )
     with source.open("rb") as stream:
         begin = stream.read(len(MAGIC))
     # One that is only just being begun may still be shorter.
     if not MAGIC.startswith(begin):
         raise InputMalformedError(
-            "is no flight log (MCAP)",
-            where=source,
-            remedy="name an .mcap file, or import the recording first",
+            "is no flight log (MCAP)", "name an .mcap file, or import the recording first", where=source
         )
     return Tail(source)
 

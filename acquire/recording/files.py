@@ -139,8 +139,8 @@ class LogFiles:
         except OSError as failure:
             raise OutputError(
                 f"cannot be written ({failure.strerror or failure})",
+                "make room, or choose another folder",
                 where=path,
-                remedy="make room, or choose another folder",
             ) from failure
         self._begun_ns = clock_ns()
         self.paths.append(path)
@@ -296,6 +296,6 @@ class LogFiles:
     def _refusal(self, reason: str) -> OutputError:
         return OutputError(
             f"the recording cannot go on ({reason}): {self.open_bytes} bytes lost, what was written is safe",
+            "make room or name a spare folder, then acquire recover this file",
             where=self.paths[-1],
-            remedy="make room or name a spare folder, then acquire recover this file",
         )

@@ -128,8 +128,8 @@ def source_of_link(
     if link.password_env and link.password_env not in environment:
         raise ConfigurationError(
             f"the environment variable {link.password_env} with the password is not set",
+            "set it before recording",
             where=link.url,
-            remedy="set it before recording",
         )
     return NtripSource(address, link.user, environment.get(link.password_env, ""), position=position)
 
@@ -270,6 +270,6 @@ def _attachments(configuration: Configuration, base: Path) -> list[tuple[str, by
         except OSError as refusal:
             reason = (refusal.strerror or str(refusal)).lower()
             raise InputNotFoundError(
-                f"cannot be attached ({reason})", where=base / path, remedy="check the name in [site]"
+                f"cannot be attached ({reason})", "check the name in [site]", where=base / path
             ) from refusal
     return found

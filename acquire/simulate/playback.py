@@ -78,8 +78,8 @@ def _read_lines(folder: Path) -> dict[str, Wire]:
         if not times.is_file() or not streams:
             raise InputNotFoundError(
                 f"has no stream of the link {name}",
+                "name a folder that `acquire simulate flight` made with streams",
                 where=folder,
-                remedy="name a folder that `acquire simulate flight` made with streams",
             )
         lines[name] = _read_line(streams[0], times)
     return lines
@@ -93,7 +93,7 @@ def _read_line(stream: Path, times: Path) -> Wire:
     ends = np.cumsum([size + stamp for _, size in table])
     if not table or ends[-1] != len(data):
         raise InputMalformedError(
-            "does not fit the table of its frames", where=stream, remedy="simulate the flight again"
+            "does not fit the table of its frames", "simulate the flight again", where=stream
         )
     frames = tuple(data[end - size : end] for end, (_, size) in zip(ends.tolist(), table, strict=True))
     return Wire(np.array([moment for moment, _ in table]), frames)

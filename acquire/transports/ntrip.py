@@ -52,15 +52,15 @@ def ntrip_address(url: str) -> Address | None:
         # The address is shown and kept: it must not carry what is secret.
         raise ConfigurationError(
             "an address of a caster carries no user and password",
+            "give user = ... and password_env = the name of an environment variable",
             where=f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}",
-            remedy="give user = ... and password_env = the name of an environment variable",
         )
     mountpoint = parts.path.strip("/") if parts is not None else ""
     queries = {"": 2, "version=1": 1, "version=2": 2}
     clean = mountpoint.isprintable() and " " not in mountpoint
     if parts is None or host is None or not mountpoint or not clean or parts.query not in queries:
         raise ConfigurationError(
-            "is no address of a caster", where=url, remedy="give ntrip://HOST:PORT/MOUNTPOINT[?version=1]"
+            "is no address of a caster", "give ntrip://HOST:PORT/MOUNTPOINT[?version=1]", where=url
         )
     encrypted = parts.scheme == "ntrips"
     return Address(host, port or (443 if encrypted else 2101), mountpoint, encrypted, queries[parts.query])

@@ -77,7 +77,7 @@ class UdpSink:
         until = time.monotonic() + PATIENCE_S
         while self._look() > _IN_FLIGHT:
             if time.monotonic() > until:
-                raise DeviceError(f"the reader has taken nothing for {PATIENCE_S:.0f} s", remedy="look at it")
+                raise DeviceError(f"the reader has taken nothing for {PATIENCE_S:.0f} s", "look at it")
             time.sleep(0.001)
 
     def _look(self) -> int:
@@ -109,13 +109,13 @@ class _TcpSink:
                 self._port, _ = self._server.accept()
             except TimeoutError as failure:
                 raise DeviceError(
-                    f"no reader has connected within {PATIENCE_S:.0f} s", remedy="start the reader"
+                    f"no reader has connected within {PATIENCE_S:.0f} s", "start the reader"
                 ) from failure
         try:
             self._port.sendall(frame)
         except OSError as failure:
             raise DeviceError(
-                f"the reader has gone ({failure.strerror or failure})", remedy="start reader and replay again"
+                f"the reader has gone ({failure.strerror or failure})", "start reader and replay again"
             ) from failure
 
 
@@ -151,7 +151,7 @@ def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
     address = host_and_port(url) if url.startswith(("udp://", "tcp://")) else None
     if address is None:
         raise ConfigurationError(
-            "is no address to send to", where=url, remedy="give udp://HOST:PORT, tcp://HOST:PORT or pty"
+            "is no address to send to", "give udp://HOST:PORT, tcp://HOST:PORT or pty", where=url
         )
     try:
         if url.startswith("udp://"):
@@ -164,7 +164,7 @@ def open_sink(url: str) -> Iterator[tuple[Sink, str]]:
                 yield _TcpSink(server), "tcp://{}:{}".format(*server.getsockname()[:2])
     except OSError as failure:
         raise DeviceError(
-            f"cannot be opened ({failure.strerror or failure})", where=url, remedy="choose another address"
+            f"cannot be opened ({failure.strerror or failure})", "choose another address", where=url
         ) from failure
 
 
@@ -192,7 +192,7 @@ def _await_reader(descriptor: int) -> None:
     while not has_reader(descriptor):
         if time.monotonic() > end:
             raise DeviceError(
-                f"no reader has opened the terminal within {PATIENCE_S:.0f} s", remedy="start the reader"
+                f"no reader has opened the terminal within {PATIENCE_S:.0f} s", "start the reader"
             )
         time.sleep(0.01)
     time.sleep(_QUIET_S)

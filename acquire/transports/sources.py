@@ -304,6 +304,6 @@ def source_of(url: str, baud: int) -> Source:
         return UdpSource(*address) if scheme == "udp" else TcpSource(*address)
     raise ConfigurationError(
         "is no address of a link",
+        "give udp://HOST:PORT, tcp://HOST:PORT, serial:DEVICE or file:PATH",
         where=url,
-        remedy="give udp://HOST:PORT, tcp://HOST:PORT, serial:DEVICE or file:PATH",
     )

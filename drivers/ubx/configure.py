@@ -33,7 +33,7 @@ def read_version(payload: bytes) -> tuple[int, str]:
             f"the receiver (hardware {hardware or 'unknown'}, software {software or 'unknown'}, protocol "
             f"{protocol[1] if protocol else 'unknown'}) is of no generation that can be configured: "
             "8, 9 and 10 are",
-            remedy="configure it with u-center and leave [link.ublox] out",
+            "configure it with u-center and leave [link.ublox] out",
         )
     return generation, software
 

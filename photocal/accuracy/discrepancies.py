@@ -95,7 +95,7 @@ def read_discrepancies(path: Path) -> Discrepancies:
 
     corrections = metres("de dn dh")
     if not np.isfinite(corrections).any():
-        raise InputMalformedError("holds no discrepancy", where=path, remedy="give at least one check point")
+        raise InputMalformedError("holds no discrepancy", "give at least one check point", where=path)
     positions = metres("e n h") if {"e", "n"} <= title.keys() else None
     return Discrepancies(points, 0.0 - corrections, positions, _vegetated(table))
 
@@ -110,8 +110,8 @@ def _vegetated(table: Table) -> Flags | None:
         row = int(np.flatnonzero(which == kinds.index(wrong[0]))[0])
         raise InputMalformedError(
             f"ground {wrong[0]!r} is not known",
+            "write open (bare, rock, short grass, paved) or vegetated",
             where=table.place(row),
-            remedy="write open (bare, rock, short grass, paved) or vegetated",
         )
     return np.asarray([kind == "vegetated" for kind in kinds])[which]
 

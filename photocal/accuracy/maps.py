@@ -223,13 +223,11 @@ def reference_system(crs: str | None) -> ReferenceSystem:
     try:
         system = CRS.from_user_input(crs)
     except CRSError as refusal:
-        raise ConfigurationError(
-            f"{crs!r} is not a coordinate system", remedy="give it as EPSG:31982"
-        ) from refusal
+        raise ConfigurationError(f"{crs!r} is not a coordinate system", "give it as EPSG:31982") from refusal
     if not system.is_projected or {axis.unit_name for axis in system.axis_info[:2]} != {"metre"}:
         raise ConfigurationError(
             f"{crs} ({system.name}) is not a map projection in metres",
-            remedy="discrepancies in metres need one, such as a UTM zone",
+            "discrepancies in metres need one, such as a UTM zone",
         )
     number = system.to_epsg()
     definition = system.to_wkt("WKT1_GDAL")
@@ -257,9 +255,7 @@ def write_geopackage(
     ]
     if not rows:
         raise ConfigurationError(
-            "a map needs the positions of the points",
-            where=path,
-            remedy="add the columns E and N to the table",
+            "a map needs the positions of the points", "add the columns E and N to the table", where=path
         )
     drawn = [row for row in rows if math.isfinite(row[-1])]
     # The longest vector is a fair share of the map.

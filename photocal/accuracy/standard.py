@@ -154,7 +154,7 @@ def parse_scale(text: str) -> float:
     """Read a scale; raises ConfigurationError when it is not a scale."""
     match = _SCALE.match(text.replace(" ", ""))
     if match is None or float(match["denominator"]) <= 0.0:
-        raise ConfigurationError(f"{text!r} is not a scale", remedy="write it as 1:1000")
+        raise ConfigurationError(f"{text!r} is not a scale", "write it as 1:1000")
     return float(match["denominator"])
 
 
@@ -197,7 +197,7 @@ def load_standard(name: str) -> Standard:
     path = Path(name)
     if path.suffix != ".toml" or not path.is_file():
         raise InputNotFoundError(
-            f"unknown standard {name!r}", remedy=f"take {', '.join(SHIPPED)}, or the path of a TOML file"
+            f"unknown standard {name!r}", f"take {', '.join(SHIPPED)}, or the path of a TOML file"
         )
     try:
         return parse_standard(path.read_text(encoding="utf-8"), name)

@@ -74,7 +74,7 @@ def moments(values_m: Floats) -> Moments:
     n = len(values_m)
     if n == 0:
         raise InputMalformedError(
-            "no discrepancy to compute statistics from", remedy="give at least one check point"
+            "no discrepancy to compute statistics from", "give at least one check point"
         )
     return Moments(n, float(np.mean(values_m)), float(np.std(values_m, ddof=1)) if n > 1 else math.nan)
 
@@ -264,16 +264,14 @@ def std_interval_factors(n: int, confidence: float) -> tuple[float, float]:
 def _degrees_of_freedom(component: Moments) -> int:
     if component.n < 2:
         raise IllPosedError(
-            "a test needs at least two check points, there is one", remedy="measure more check points"
+            "a test needs at least two check points, there is one", "measure more check points"
         )
     return component.n - 1
 
 
 def _require_level(confidence: float) -> None:
     if not 0.0 < confidence < 1.0:
-        raise ConfigurationError(
-            f"confidence {confidence} is not between 0 and 1", remedy="give for example 0.90"
-        )
+        raise ConfigurationError(f"confidence {confidence} is not between 0 and 1", "give for example 0.90")
 
 
 def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
@@ -333,9 +331,7 @@ def similarity_trend(positions_m: Floats, discrepancies_m: Floats) -> Similarity
     reduced = positions_m - positions_m.mean(axis=0)
     inertia = float(np.sum(reduced**2))
     if inertia == 0.0:
-        raise IllPosedError(
-            "all check points have the same coordinates", remedy="look at the columns E and N"
-        )
+        raise IllPosedError("all check points have the same coordinates", "look at the columns E and N")
     shift = discrepancies_m.mean(axis=0)
     east, north = reduced.T
     scale = float(np.sum(reduced * discrepancies_m)) / inertia

@@ -26,7 +26,7 @@ def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> tuple[t
         if not found:
             raise ConfigurationError(
                 f"{kind} {name} is no unknown of this adjustment".replace("  ", " "),
-                remedy="name image:NAME, camera:ID, head:CAMERA, point:NAME or mounting",
+                "name image:NAME, camera:ID, head:CAMERA, point:NAME or mounting",
             )
         named += [unknown for unknown, _, _ in found]
         rows += [(reduced, points) for _, reduced, points in found]

@@ -55,7 +55,7 @@ def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) 
         some = ", ".join(names[j] for j in alone[:5])
         raise IllPosedError(
             f"the rays of {len(alone)} object point(s) do not intersect ({some})",
-            remedy="give these points rays from different places, or take them out",
+            "give these points rays from different places, or take them out",
         ).of_points(tuple(names[j] for j in alone))
     scale, scaled, null = _null_space(problem, normal, limits.null)
     if not null.shape[1]:
@@ -70,7 +70,7 @@ def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) 
     how = "singular" if limits == SINGULAR else "nearly singular"
     raise IllPosedError(
         f"the network is {how} (rank defect {null.shape[1]}): " + "; ".join(parts),
-        remedy="add control points, weighted positions or prior sigmas, or hold what cannot be determined",
+        "add control points, weighted positions or prior sigmas, or hold what cannot be determined",
         details=_null_vectors(named, null, scale),
     )
 
@@ -90,7 +90,7 @@ def require_determined(
         raise IllPosedError(
             f"{len(lost)} object point(s) are uncertain by more than half of their distance ({some}): "
             "their rays do not intersect",
-            remedy="give these points rays from different places, or take them out",
+            "give these points rays from different places, or take them out",
         ).of_points(tuple(problem.network.point_names[j] for j in lost))
     require_cameras(problem, state, camera_covariance)
 
@@ -104,7 +104,7 @@ def require_cameras(problem: Problem, state: State, camera_covariance: Floats) -
         if not share < LOST_CAMERA:
             raise IllPosedError(
                 f"c of camera {camera.id} is not determined: its standard deviation is {share:.0%} of it",
-                remedy="hold c, or add heights, positions, relief or convergent images",
+                "hold c, or add heights, positions, relief or convergent images",
             )
 
 

@@ -93,7 +93,7 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
         accepted = (accepted & ~wrong) | again
     raise NotConvergedError(
         f"data snooping still finds gross errors after {ROUNDS} rounds",
-        remedy="look at the images with the largest residuals; whole images may be wrong",
+        "look at the images with the largest residuals; whole images may be wrong",
     )
 
 

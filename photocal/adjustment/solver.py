@@ -293,7 +293,7 @@ def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limit
         moving = f": {', '.join(some)} would still move" if some else ""
     raise NotConvergedError(
         f"not converged after {len(steps)} iterations (last step {np.sqrt(decrement):.2g} sigma){moving}",
-        remedy="check the start values of images and points, their units and axes, for gross errors, and "
+        "check the start values of images and points, their units and axes, for gross errors, and "
         "whether other observations should hold what moves",
     )
 
@@ -308,7 +308,7 @@ def _explain_behind(problem: Problem, state: State) -> None:
     some = ", ".join(f"{points[rays.point[r]]} of {images[rays.image[r]]}" for r in behind[:3])
     raise NotConvergedError(
         f"{len(behind)} ray(s) come from a point behind the camera ({some}), and no step brings it before it",
-        remedy="correct the start values of these images or points, or leave them out to be computed",
+        "correct the start values of these images or points, or leave them out to be computed",
     )
 
 
@@ -365,7 +365,7 @@ def gradient(problem: Problem, state: State, equations: list[Equations]) -> tupl
     totals, reduced, points = np.zeros(threads), np.zeros((threads, layout.size)), np.zeros_like(state.points)
     pulls(design, values_of(problem, state), structure, totals, reduced, points)
     if not np.all(np.isfinite(totals)):
-        raise NotConvergedError("a point came to lie behind a camera", remedy="look at the start values")
+        raise NotConvergedError("a point came to lie behind a camera", "look at the start values")
     off = state.points - design.prior_points
     pull = np.einsum("nab,nb->na", design.prior_weight, off)
     points += pull * design.point_free
@@ -433,9 +433,7 @@ def chords(
             return Near(state, chi_squared - length, max(left, 0.0))
         before = length
         steps.append((step, moved))
-    raise NotConvergedError(
-        "the minimum is not near", remedy="adjust the changed network from its start values"
-    )
+    raise NotConvergedError("the minimum is not near", "adjust the changed network from its start values")
 
 
 def _times(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float:

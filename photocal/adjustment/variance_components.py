@@ -117,12 +117,12 @@ def estimate_components(
             if factors[name] ** 2 < VANISHED:
                 raise IllPosedError(
                     f"the variance of group {name} runs to zero",
+                    "hold its standard deviation: its residuals do not show it",
                     where=f"group {name}",
-                    remedy="hold its standard deviation: its residuals do not show it",
                 )
     raise NotConvergedError(
         f"the variance components have not settled after {ROUNDS} rounds",
-        remedy="hold the groups with the least redundancy, or look for gross errors first",
+        "hold the groups with the least redundancy, or look for gross errors first",
     )
 
 

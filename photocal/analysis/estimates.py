@@ -39,7 +39,7 @@ class Estimates:
         if unknown:
             raise ConfigurationError(
                 f"parameter {unknown[0]} is not among the estimated ones ({' '.join(self.names)})",
-                remedy="name parameters that were estimated",
+                "name parameters that were estimated",
             )
         return [place[name] for name in wanted]
 
@@ -59,17 +59,17 @@ def from_sigmas(
     if x.shape != (p,) or s.shape != (p,) or r.shape != (p, p):
         raise ConfigurationError(
             f"{p} names, {x.size} values, {s.size} sigmas and correlations {r.shape} do not fit together",
-            remedy="give one value, one sigma and one row of correlations for each parameter",
+            "give one value, one sigma and one row of correlations for each parameter",
         )
     wrong = [name for name, sigma in zip(names, s, strict=True) if not (np.isfinite(sigma) and sigma > 0.0)]
     if wrong:
         raise ConfigurationError(
-            f"sigma of {wrong[0]} is not a positive number", remedy="leave out what was held fixed"
+            f"sigma of {wrong[0]} is not a positive number", "leave out what was held fixed"
         )
     if not (np.allclose(np.diag(r), 1.0) and np.allclose(r, r.T) and np.all(np.abs(r) <= 1.0 + 1e-9)):
         raise ConfigurationError(
             "the correlation matrix is not symmetric with ones on its diagonal and entries within -1 and 1",
-            remedy="give the full matrix in the order of the names",
+            "give the full matrix in the order of the names",
         )
     return Estimates(tuple(names), x, r * np.outer(s, s))
 
@@ -109,7 +109,7 @@ def positive_definite(estimates: Estimates) -> Floats:
         raise IllPosedError(
             f"the correlation matrix of {' '.join(estimates.names)} is not positive definite "
             f"(least eigenvalue {least:.3g})",
-            remedy="give more decimals, or correct the entry that was misprinted",
+            "give more decimals, or correct the entry that was misprinted",
         )
     return estimates.covariance
 

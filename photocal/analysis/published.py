@@ -72,8 +72,8 @@ def analyse_published(
     if correlation.names != single.names:
         raise ConfigurationError(
             f"the matrix is of {' '.join(correlation.names)}, the table of {' '.join(single.names)}",
+            "name the same parameters in the same order in both",
             where=matrix,
-            remedy="name the same parameters in the same order in both",
         )
     values, sigmas = single.values.tolist(), single.sigmas.tolist()
     together = from_sigmas(single.names, values, sigmas, correlation.correlation)

@@ -201,7 +201,7 @@ def known_readout(make_and_model: str, size_px: tuple[int, int]) -> tuple[float,
     if known is None:
         raise ConfigurationError(
             f"nothing is known of the readout of {make_and_model!r} at this size",
-            remedy="give readout in parameters (s), or one of " + ", ".join(table["ms"]),
+            "give readout in parameters (s), or one of " + ", ".join(table["ms"]),
         )
     return known / 1e3, table["sigma_ms"] / 1e3
 

@@ -52,8 +52,8 @@ def from_readings(
     if (observations.unit, observations.axes) != ("mm", "photo"):
         raise ConfigurationError(
             "readings become image coordinates in mm, x right and y up",
+            'give unit = "mm" and axes = "photo" beside readings',
             where=folder / SETUP,
-            remedy='give unit = "mm" and axes = "photo" beside readings',
         )
     marks = read_table(folder / MARKS, ("camera", "fiducial", "x", "y"))
     camera = known_rows(marks, "camera", tuple(own.id for own in cameras), SETUP)
@@ -77,7 +77,7 @@ def from_readings(
             fit = interior_orientation(values[own], known[mark[own]], transformation, tuple(read[own]))
         except IllPosedError as refusal:
             raise IllPosedError(
-                refusal.what, where=f"{folder / READINGS}, image {name}", remedy=refusal.remedy
+                refusal.what, refusal.remedy, where=f"{folder / READINGS}, image {name}"
             ) from refusal
         plane[seen] = fit.applied(observations.values[seen])
         fits.append(FiducialFit(name, tuple(map(str, read[own])), fit.residuals, fit.redundancy, fit.sigma0))
@@ -107,8 +107,8 @@ def mean_of_readings(
         point, image = points[readings.point[worst]], images[readings.image[worst]]
         raise InputMalformedError(
             f"the readings of point {point} in image {image} lie more than {limit:g} {readings.unit} apart",
+            "read the point again, or give a wider rejection_limit in [observations]",
             where=path,
-            remedy="read the point again, or give a wider rejection_limit in [observations]",
         )
     group, values, variance = group[kept], values[kept], readings.sigma[order][kept] ** 2
     sums = np.zeros((len(first), 4))
@@ -135,11 +135,11 @@ def read_block(folder: Path) -> Block:
     """
     if not folder.is_dir():
         what = "is a file, a block folder was expected" if folder.exists() else "does not exist"
-        raise InputNotFoundError(what, where=folder, remedy="name the folder that has block.toml")
+        raise InputNotFoundError(what, "name the folder that has block.toml", where=folder)
     setup = read_toml(folder / SETUP, Setup)
     cameras = tuple(make_camera(keys, folder / SETUP) for keys in setup.camera)
     if len({camera.id for camera in cameras}) < len(cameras):
-        raise ConfigurationError("two cameras have the same id", where=folder / SETUP, remedy="rename one")
+        raise ConfigurationError("two cameras have the same id", "rename one", where=folder / SETUP)
     images = read_images(folder / "images.csv", cameras)
     points = read_points(folder / "points.csv")
     table = _observations_path(folder)
@@ -291,7 +291,7 @@ def _observations_path(folder: Path) -> Path:
     parquet, text = folder / "observations.parquet", folder / "observations.csv"
     if parquet.exists() and text.exists():
         raise InputMalformedError(
-            "has both observations.csv and observations.parquet", where=folder, remedy="keep one of them"
+            "has both observations.csv and observations.parquet", "keep one of them", where=folder
         )
     return parquet if parquet.exists() else text
 

@@ -113,8 +113,8 @@ def require_motion(block: Block, network: Network) -> None:
         if given.rolling and given.estimated[-1] and not taken.estimated[-1]:
             raise ConfigurationError(
                 f"the readout of camera {given.id} is estimated, but nothing tells how fast its images fly",
+                "give vX, vY, vZ or time_s in images.csv, or vX, vY, vZ in positions.csv",
                 where="images.csv",
-                remedy="give vX, vY, vZ or time_s in images.csv, or vX, vY, vZ in positions.csv",
             )
 
 

@@ -63,8 +63,8 @@ def with_start_values(
             some = ", ".join(block.images.names[i] for i in found.lost[:5])
             raise IllPosedError(
                 f"no start values for {len(found.lost)} image(s) ({some}): too few points connect them",
+                "give X, Y, Z, omega, phi, kappa roughly, or measure more common points",
                 where="images.csv",
-                remedy="give X, Y, Z, omega, phi, kappa roughly, or measure more common points",
             )
         exposures = replace(exposures, values=found.exposures)
         points = np.where(np.isnan(points), found.points, points)
@@ -112,8 +112,8 @@ def _intersected(
     if len(lost):
         raise IllPosedError(
             f"the rays of {len(lost)} point(s) without coordinates are parallel",
+            "give these points start coordinates, or rays from different places",
             where="points.csv",
-            remedy="give these points start coordinates, or rays from different places",
         )
     return np.where(missing[:, None], start, points)
 
@@ -315,8 +315,8 @@ def plane_per_unit(block: Block) -> Floats:
         else:
             raise ConfigurationError(
                 f"observations are in mm, but camera {camera.id} is in px",
+                "give the camera in mm with its pixel pitch",
                 where="block.toml",
-                remedy="give the camera in mm with its pixel pitch",
             )
     return np.array(scales)
 
@@ -329,8 +329,8 @@ def _relations(block: Block, position: Integers) -> Relations:
         name = block.points.names[lost[0]]
         raise InputMalformedError(
             f"point {name} has a distance, an angle or the like but no ray",
+            "measure it in the images or remove the observation",
             where=f"point {name}",
-            remedy="measure it in the images or remove the observation",
         )
     return block.relations.moved(position)
 
@@ -343,9 +343,7 @@ def _datum_points(block: Block, position: Integers) -> Integers | None:
     for name in block.datum_points:
         if known.get(name, -1) < 0:
             raise ConfigurationError(
-                f"datum point {name} is not observed",
-                where="block.toml",
-                remedy="correct the list of datum points",
+                f"datum point {name} is not observed", "correct the list of datum points", where="block.toml"
             )
     return np.array([known[name] for name in block.datum_points], dtype=np.int64)
 
@@ -357,8 +355,8 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
         role = "check" if block.points.of_role("check")[alone[0]] else "tie"
         raise InputMalformedError(
             f"{role} point {name} has one ray" + (f", as {len(alone) - 1} more" if len(alone) > 1 else ""),
+            "measure it in a second image or take it out",
             where=f"point {name}",
-            remedy="measure it in a second image or take it out",
         )
     images = len(block.images.names)
     weak = 2 * np.bincount(block.observations.image, minlength=images)
@@ -374,8 +372,8 @@ def _require_rays(block: Block, rays_of_point: Integers) -> None:
         name = block.images.names[image]
         raise IllPosedError(
             f"it has {weak[image]} observed value(s) for {free[image]} unknown(s)",
+            "measure more points in it, give its exterior orientation a sigma, or take it out",
             where=f"image {name}",
-            remedy="measure more points in it, give its exterior orientation a sigma, or take it out",
         )
 
 
@@ -386,6 +384,6 @@ def _require_datum(block: Block, rays_of_point: Integers) -> None:
     if block.datum == "control" and carried == 0:
         raise IllPosedError(
             "nothing fixes the datum: no control point and no exposure has a sigma",
+            "add control points or weighted positions",
             where="block.toml",
-            remedy="add control points or weighted positions",
         )

@@ -69,15 +69,15 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
         if name not in cameras:
             raise ConfigurationError(
                 f"[[head]] names camera {name}, which is not in the block",
+                f"name one of {', '.join(cameras)}",
                 where=str(where),
-                remedy=f"name one of {', '.join(cameras)}",
             )
     for one in keys:
         if len(given) < len(keys) or (one.of in given and given[one.of].of != one.of):
             raise ConfigurationError(
                 f"camera {one.camera} has two places on its frame, or refers to one that refers to another",
+                "give each camera one [[head]]; all of a frame have the same `of`",
                 where=str(where),
-                remedy="give each camera one [[head]]; all of a frame have the same `of`",
             )
     others = [key for key in keys if key.camera != key.of]
     nothing = np.zeros(len(OF_HEAD))
@@ -91,8 +91,8 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
         if rotation is None and np.isfinite(sigma[TURN]).any():
             raise ConfigurationError(
                 f"the head of camera {one.camera} has rotation_sigma_deg but no rotation_deg",
+                'give rotation_deg, or "free"',
                 where=str(where),
-                remedy='give rotation_deg, or "free"',
             )
         stiffness = one.stiffness_m, float(np.radians(one.stiffness_deg))
         heads.append(Head(one.camera, one.of, rotation, values, sigma, stiffness))

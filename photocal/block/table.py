@@ -80,9 +80,7 @@ class Table:
             first[index[::-1]] = np.arange(len(index))[::-1]
             row = int(np.flatnonzero(first[index] != np.arange(len(index)))[0])
             raise InputMalformedError(
-                f"{column} {names[index[row]]} is listed twice",
-                where=self.place(row),
-                remedy="keep one of the rows",
+                f"{column} {names[index[row]]} is listed twice", "keep one of the rows", where=self.place(row)
             )
         return names
 
@@ -122,10 +120,10 @@ class Table:
                 comma = re.fullmatch(_COMMA, cell) is not None
                 raise InputMalformedError(
                     f"{column} is {cell!r}, " + ("with a decimal comma" if comma else "not a number"),
-                    where=self.place(row),
-                    remedy="write a decimal point, or separate the cells by semicolons"
+                    "write a decimal point, or separate the cells by semicolons"
                     if comma
                     else "write numbers with a decimal point and without unit",
+                    where=self.place(row),
                 ) from None
         # Spellings that only one of the two readers takes, such as "+1.5".
         return np.array([float(cell or 0) for cell in cells.to_pylist()])
@@ -136,8 +134,8 @@ class Table:
             if cell and not re.fullmatch(_COMMA, cell):
                 raise InputMalformedError(
                     f"{column} is {cell!r} where other rows have decimal commas",
+                    "write all numbers in one way",
                     where=self.place(row),
-                    remedy="write all numbers in one way",
                 )
         return pc.replace_substring(pc.replace_substring(cells, ".", ""), ",", ".")
 
@@ -153,9 +151,7 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
     for name in table.columns.column_names:
         if name not in required + optional:
             raise InputMalformedError(
-                f"column {name} is not known",
-                where=path,
-                remedy=f"allowed are {', '.join(required + optional)}",
+                f"column {name} is not known", f"allowed are {', '.join(required + optional)}", where=path
             )
     return table
 
@@ -182,7 +178,7 @@ def read_columns(path: Path) -> Table:
     require_file(path)
     table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     if not len(table):
-        raise InputMalformedError("has no rows", where=path, remedy="was it written completely?")
+        raise InputMalformedError("has no rows", "was it written completely?", where=path)
     return table
 
 
@@ -192,11 +188,11 @@ def require_file(path: Path) -> int:
         is_folder, size = path.is_dir(), path.stat().st_size
     except (OSError, ValueError) as failure:
         # Also a name from another file that is longer than names can be.
-        raise InputNotFoundError("does not exist", where=path, remedy="check the path") from failure
+        raise InputNotFoundError("does not exist", "check the path", where=path) from failure
     if is_folder:
-        raise InputNotFoundError("is a folder, a file was expected", where=path, remedy="name the file")
+        raise InputNotFoundError("is a folder, a file was expected", "name the file", where=path)
     if size == 0:
-        raise InputNotFoundError("is empty", where=path, remedy="was it written completely?")
+        raise InputNotFoundError("is empty", "was it written completely?", where=path)
     return size
 
 
@@ -205,9 +201,7 @@ def _read_parquet(path: Path) -> Table:
         return Table(path, pyarrow.parquet.read_table(path), lines=False)
     except (pa.ArrowInvalid, OSError) as failure:
         raise InputMalformedError(
-            f"is no readable Parquet file ({str(failure).splitlines()[0]})",
-            where=path,
-            remedy="write it again",
+            f"is no readable Parquet file ({str(failure).splitlines()[0]})", "write it again", where=path
         ) from failure
 
 
@@ -255,13 +249,13 @@ def _cut(path: Path, message: str) -> InputMalformedError:
         comma = int(got) > int(expected)
         return InputMalformedError(
             f"has {got} cells where the header has {expected}",
-            where=f"{path}, row {row}",
-            remedy="are these decimal commas? Then separate the cells by semicolons"
+            "are these decimal commas? Then separate the cells by semicolons"
             if comma
             else "complete the row, or is the table cut?",
+            where=f"{path}, row {row}",
         )
     return InputMalformedError(
-        f"is no readable table ({message.splitlines()[0]})", where=path, remedy="write it as UTF-8 text"
+        f"is no readable table ({message.splitlines()[0]})", "write it as UTF-8 text", where=path
     )
 
 
@@ -284,8 +278,8 @@ def _refuse_cut_end(table: Table) -> None:
     if cells[-1][-1] in ".eE+-" or any(shorter):
         raise InputMalformedError(
             "seems cut inside its last cell (no line end, fewer digits than in all other rows)",
+            "end the last line with a line end if it is complete",
             where=table.place(len(table) - 1),
-            remedy="end the last line with a line end if it is complete",
         )
 
 
@@ -296,7 +290,7 @@ def known_rows(table: Table, column: str, known: tuple[str, ...], where: str) ->
     row = np.array([position.get(name, -1) for name in names], dtype=np.int64)[index]
     for k in np.flatnonzero(row < 0)[:1].tolist():
         what = f"{column} {names[index[k]]!r} is not in {where}"
-        raise InputMalformedError(what, where=table.place(k), remedy="correct the name")
+        raise InputMalformedError(what, "correct the name", where=table.place(k))
     return row
 
 
@@ -304,4 +298,4 @@ def refuse(table: Table, bad: ArrayLike, what: str, remedy: str) -> None:
     """Complain of the first bad row."""
     rows = np.flatnonzero(bad)
     if len(rows):
-        raise InputMalformedError(what, where=table.place(int(rows[0])), remedy=remedy)
+        raise InputMalformedError(what, remedy, where=table.place(int(rows[0])))

@@ -51,10 +51,10 @@ def adjust(
     from photocal.results.more_tables import Wanted, parse_joint
 
     if snoop not in ("", "w", "tau"):
-        raise ConfigurationError(f"--snoop {snoop} is not known", remedy="use w or tau")
+        raise ConfigurationError(f"--snoop {snoop} is not known", "use w or tau")
     test = cast("Literal['w', 'tau'] | None", snoop or None)
     if ellipses is not None and not 0 < ellipses < 1:
-        raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", remedy="give 0.95 for 95 %")
+        raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", "give 0.95 for 95 %")
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     compile_ahead()
     with iteration_lines("adjusting") as report:
@@ -211,6 +211,4 @@ def _day(date: str | None) -> "dt.date":
     try:
         return dt.date.fromisoformat(date)
     except ValueError:
-        raise ConfigurationError(
-            f"{date!r} is no date", where="--date", remedy="write it as YYYY-MM-DD"
-        ) from None
+        raise ConfigurationError(f"{date!r} is no date", "write it as YYYY-MM-DD", where="--date") from None

@@ -149,7 +149,7 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
         numbers = [int(part) for part in counts.split(",")]
     except ValueError as refusal:
         raise ConfigurationError(
-            f"--control-numbers {counts} is not understood", remedy="give numbers, such as 0,1,3,5"
+            f"--control-numbers {counts} is not understood", "give numbers, such as 0,1,3,5"
         ) from refusal
     with progress("adjusting", None) as advance:
         outcome, figures = control_numbers(read_any_block(source), numbers, done=lambda: advance(1))
@@ -282,14 +282,14 @@ def check(
     if sum(source is not None for source in (block, discrepancies, experiment, points)) != 1:
         raise ConfigurationError(
             "there must be one thing to check",
-            remedy="name a block or project, or --discrepancies, or --experiment, or --points",
+            "name a block or project, or --discrepancies, or --experiment, or --points",
         )
     if experiment is not None:
         judge_experiment(experiment, output, as_json=as_json)
         return
     if control_numbers is not None:
         if block is None:
-            raise ConfigurationError("--control-numbers needs a block", remedy="name a block or project")
+            raise ConfigurationError("--control-numbers needs a block", "name a block or project")
         source = with_project(block, Question())[0].output / "block" if block.suffix == ".toml" else block
         judge_numbers(source, control_numbers, output, as_json=as_json)
         return

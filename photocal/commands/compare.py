@@ -115,11 +115,11 @@ def _flights(paths: list[Path], *, exchange: bool) -> tuple[Calibrated, ...]:
         return read_calibrated(paths)
     if len(paths) > 1:
         raise ConfigurationError(
-            "a file of cameras stands alone", where=paths[0], remedy="name it, or runs and projects only"
+            "a file of cameras stands alone", "name it, or runs and projects only", where=paths[0]
         )
     if exchange:
         raise ConfigurationError(
-            "cameras alone have no flights to be used in", where="--exchange", remedy="name runs or projects"
+            "cameras alone have no flights to be used in", "name runs or projects", where="--exchange"
         )
     return ()
 

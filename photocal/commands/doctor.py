@@ -43,7 +43,7 @@ def doctor(
     answer(as_json, lambda: [vars(check) for check in checks], lambda: "\n".join(map(str, checks)))
     bad = [check for check in checks if check.state == "bad"]
     if bad:
-        raise ProgramMissingError(f"{bad[0].part}: {bad[0].text}", remedy=bad[0].remedy)
+        raise ProgramMissingError(f"{bad[0].part}: {bad[0].text}", bad[0].remedy)
 
 
 def examine(folder: Path, crs: str | None = None) -> Iterator[Check]:

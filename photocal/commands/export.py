@@ -38,7 +38,7 @@ def export(
 
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
     if angle_unit not in ("", "deg", "gon"):
-        raise ConfigurationError(f"angle unit {angle_unit!r} is not known", remedy="use deg or gon")
+        raise ConfigurationError(f"angle unit {angle_unit!r} is not known", "use deg or gon")
     touching = None
     if origin:
         touching = Origin(*numbers_of(origin, "--origin", "LATITUDE,LONGITUDE,HEIGHT: degrees, metres"))

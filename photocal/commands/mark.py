@@ -54,18 +54,18 @@ def _scene(
     from photocal.measurement.marking.scene import scene_of_folder, scene_of_project
 
     if (project is None) == (images is None):
-        raise ConfigurationError("what to mark is not clear", remedy="give PROJECT.toml or --images FOLDER")
+        raise ConfigurationError("what to mark is not clear", "give PROJECT.toml or --images FOLDER")
     with progress("reading images", None):
         if project is not None:
             from photocal.project import read_project
 
             if points is not None or output is not None:
                 raise ConfigurationError(
-                    "a project names its own points and marks", remedy="leave --points and --output out"
+                    "a project names its own points and marks", "leave --points and --output out"
                 )
             return scene_of_project(read_project(project), run)
         if output is None:
-            raise ConfigurationError("no file for the marks is given", remedy="give -o marks.csv")
+            raise ConfigurationError("no file for the marks is given", "give -o marks.csv")
         return scene_of_folder(images or Path(), points, run), output
 
 
@@ -120,7 +120,7 @@ def targets(
     from photocal.measurement.target_shapes import board_target, coded_target, plain_target, sheets_pdf
 
     if not 1 <= size_mm <= 1000:
-        raise ConfigurationError(f"a size of {size_mm:g} mm is impossible", remedy="give 1 to 1000 mm")
+        raise ConfigurationError(f"a size of {size_mm:g} mm is impossible", "give 1 to 1000 mm")
     if kind.lower() in DICTIONARIES:
         sheets = [coded_target(kind.lower(), number, size_mm) for number in _numbers(numbers)]
     elif kind in ("chessboard", "charuco"):
@@ -149,6 +149,6 @@ def _numbers(text: str) -> list[int]:
         found = []
     if not found or len(found) > 1000:
         raise ConfigurationError(
-            f"numbers {text!r} are not understood", remedy="write them as 1-20 or 3,7 (at most 1000)"
+            f"numbers {text!r} are not understood", "write them as 1-20 or 3,7 (at most 1000)"
         )
     return found

@@ -76,15 +76,13 @@ def measure(
     from photocal.measurement.maker_camera import GivenLens
 
     if (project is None) == (images is None):
-        raise ConfigurationError(
-            "what to measure is not clear", remedy="give PROJECT.toml or --images FOLDER"
-        )
+        raise ConfigurationError("what to measure is not clear", "give PROJECT.toml or --images FOLDER")
     if charuco and not board:
-        raise ConfigurationError("--charuco needs a board", remedy="give --board COLUMNSxROWS")
+        raise ConfigurationError("--charuco needs a board", "give --board COLUMNSxROWS")
     if marks and project is None:
         raise ConfigurationError(
             "--marks has no coordinates of its points",
-            remedy="give PROJECT.toml, whose control table has them, or --gcp with both",
+            "give PROJECT.toml, whose control table has them, or --gcp with both",
         )
     crew, lens = _crew(workers, cluster), GivenLens(c_px, focal_mm)
     if cluster:
@@ -92,9 +90,7 @@ def measure(
         project, images = (path and path.absolute() for path in (project, images))
     if images is None:
         if board or gcp is not None:
-            raise ConfigurationError(
-                "a project names its own control", remedy="give --images with --board or --gcp"
-            )
+            raise ConfigurationError("a project names its own control", "give --images with --board or --gcp")
         work = _project(project or Path(), marks or [], crew, cache)
     else:
         from photocal.measurement.image_file import list_images
@@ -143,7 +139,7 @@ def _control(gcp: Path, sigma: str, crs: str, height: str) -> GivenControl:
     form = "HORIZONTAL,VERTICAL: metres, such as 0.02,0.03"
     horizontal, vertical = numbers_of(sigma, "--gcp-sigma", form)
     if not (horizontal > 0 and vertical > 0):
-        raise ConfigurationError(f"--gcp-sigma {sigma} is not positive", remedy=f"give {form}")
+        raise ConfigurationError(f"--gcp-sigma {sigma} is not positive", f"give {form}")
     return GivenControl(gcp, (horizontal, vertical), crs, height)
 
 
@@ -154,7 +150,7 @@ def _crew(workers: int, cluster: str) -> Workers:
 
     if cluster and workers:
         raise ConfigurationError(
-            "--workers and --cluster are both given", remedy="choose processes here or a cluster"
+            "--workers and --cluster are both given", "choose processes here or a cluster"
         )
     return Cluster(cluster) if cluster else workers or os.cpu_count() or 1
 

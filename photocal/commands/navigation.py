@@ -171,20 +171,20 @@ def exposures(
     if lever_arm is not None:
         raise ConfigurationError(
             "--lever-arm led from the antenna to the camera, the other way round than everywhere else",
+            "give --camera-to-antenna with all three signs turned",
             where="--lever-arm",
-            remedy="give --camera-to-antenna with all three signs turned",
         )
     logs = tuple(flight or ())
     project = [path for path in logs if path.suffix == ".toml"]
     if project and len(logs) > 1:
-        raise ConfigurationError("a project file stands for itself", where=project[0], remedy="give it alone")
+        raise ConfigurationError("a project file stands for itself", "give it alone", where=project[0])
     if project:
         named = read_project(project[0])
         choices, camera = choices_of_project(named), named.camera.id
         crs = None if named.crs == "local" else named.crs
     else:
         if edge not in ("rising", "falling"):
-            raise ConfigurationError(f"{edge!r} is no edge", where="--edge", remedy="rising or falling")
+            raise ConfigurationError(f"{edge!r} is no edge", "rising or falling", where="--edge")
         rig = Rig(
             None if camera_to_antenna is None else _triple(camera_to_antenna, "--camera-to-antenna"),
             _triple(camera_to_antenna_sigma, "--camera-to-antenna-sigma"),

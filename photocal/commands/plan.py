@@ -92,9 +92,7 @@ def plan(
 
     size = _SIZE.match(image_px.strip())
     if size is None:
-        raise ConfigurationError(
-            f"{image_px!r} is not an image size", remedy="write columns x rows: 5472x3648"
-        )
+        raise ConfigurationError(f"{image_px!r} is not an image size", "write columns x rows: 5472x3648")
     frame = Frame(focal_mm * 1e-3, pixel_um * 1e-6, int(size["columns"]), int(size["rows"]))
     if (height is None) == (gsd_cm is None):
         raise ConfigurationError("give either --height or --gsd-cm")
@@ -163,7 +161,7 @@ def plan(
 def _pair(text: str) -> tuple[float, float]:
     plane, height = numbers_of(text, "sigma", "PLANE,HEIGHT: metres, write 0.02,0.03")
     if not (plane > 0.0 and height > 0.0):
-        raise ConfigurationError(f"a precision of {text} m is not positive", remedy="write 0.02,0.03")
+        raise ConfigurationError(f"a precision of {text} m is not positive", "write 0.02,0.03")
     return plane, height
 
 
@@ -173,7 +171,7 @@ def _home(text: str) -> Home:
     form = "LAT,LON,HEIGHT: degrees, metres above mean sea level"
     latitude, longitude, height = numbers_of(text, "--home", form)
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        raise ConfigurationError(f"{text!r} is no place on earth", remedy="latitude comes first")
+        raise ConfigurationError(f"{text!r} is no place on earth", "latitude comes first")
     return Home(latitude, longitude, height)
 
 

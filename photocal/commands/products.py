@@ -59,13 +59,11 @@ def ortho(
 
     methods = ortho_job.METHODS
     if resampling not in methods:
-        raise ConfigurationError(
-            f"--resampling {resampling} is not known", remedy=f"use {', '.join(methods)}"
-        )
+        raise ConfigurationError(f"--resampling {resampling} is not known", f"use {', '.join(methods)}")
     if heights is not None and heights not in HEIGHT_KINDS:
-        raise ConfigurationError(f"--heights {heights} is not known", remedy=f"use {', '.join(HEIGHT_KINDS)}")
+        raise ConfigurationError(f"--heights {heights} is not known", f"use {', '.join(HEIGHT_KINDS)}")
     if (compare is None) != (displacement is None):
-        raise ConfigurationError("--compare and --displacement go together", remedy="give both or none")
+        raise ConfigurationError("--compare and --displacement go together", "give both or none")
     dtm, notes = _terrain_file(dtm, dtm_cell, dtm_output, crs, heights)
     model, frame, shots = oriented(block, run)
     files = ortho_job.image_files(model, images, tuple(image or ()))
@@ -127,7 +125,7 @@ def _terrain_file(
         return dtm, []
     if cell is None or output is None or heights is None:
         raise ConfigurationError(
-            f"{dtm} is a table of points", remedy="give --dtm-cell, --dtm-output and --heights with it"
+            f"{dtm} is a table of points", "give --dtm-cell, --dtm-output and --heights with it"
         )
     points = read_terrain_points(dtm)
     terrain, triangles, flat = grid_of_points(points, cell, "" if crs is None else system_wkt(crs), heights)
@@ -142,7 +140,7 @@ def _rectangle(text: str) -> tuple[float, float, float, float]:
     form = "WEST,SOUTH,EAST,NORTH: a rectangle in metres"
     west, south, east, north = numbers_of(text, "--bounds", form)
     if not (west < east and south < north):
-        raise ConfigurationError(f"--bounds {text} is empty", remedy="write WEST,SOUTH,EAST,NORTH in metres")
+        raise ConfigurationError(f"--bounds {text} is empty", "write WEST,SOUTH,EAST,NORTH in metres")
     return west, south, east, north
 
 
@@ -192,13 +190,13 @@ def volume(
     lines: list[str] = []
     if sections is not None:
         if vertical not in ("X", "Y", "Z"):
-            raise ConfigurationError(f"--vertical {vertical} is no axis", remedy="use X, Y or Z")
+            raise ConfigurationError(f"--vertical {vertical} is no axis", "use X, Y or Z")
         points = tanks.read_ring_points(sections, cast("Literal['X', 'Y', 'Z']", vertical), sigma)
         if shape != "circle":
             if shape not in ("curve", "polygon") or plot or height or wall_thickness:
                 raise ConfigurationError(
                     f"--shape {shape} with --plot, --height or --wall-thickness makes no sense",
-                    remedy="use circle, or curve or polygon without them",
+                    "use circle, or curve or polygon without them",
                 )
             closed, text = measure_closed(points, cast("Literal['curve', 'polygon']", shape))
             answer(as_json, lambda: figures | closed, lambda: text)
@@ -230,12 +228,12 @@ def _require_pairs(
     if (radius is None) != (radius_sigma is None) or (height is None) != (height_sigma is None):
         raise ConfigurationError(
             "a length stands without its standard deviation, or the other way round",
-            remedy="give --radius with --radius-sigma and --height with --height-sigma",
+            "give --radius with --radius-sigma and --height with --height-sigma",
         )
     if sections is not None and radius is not None:
-        raise ConfigurationError("both a table of sections and --radius are given", remedy="give one of them")
+        raise ConfigurationError("both a table of sections and --radius are given", "give one of them")
     if sections is None and (radius is None or height is None):
         raise ConfigurationError(
             "there is nothing to compute from",
-            remedy="name a table of sections, or give --radius and --height with their sigmas",
+            "name a table of sections, or give --radius and --height with their sigmas",
         )

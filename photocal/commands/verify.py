@@ -162,8 +162,8 @@ def verify(
     if problems:
         raise InputMalformedError(
             f"not verified: {problems[0]}" + (f" and {len(problems) - 1} more" if len(problems) > 1 else ""),
+            "ask the issuer for the certificate as it was issued",
             where=certificate,
-            remedy="ask the issuer for the certificate as it was issued",
         )
 
 
@@ -177,12 +177,10 @@ def _repeat(
 
     if block is None and not (folder / CARRIED).is_dir():
         raise InputNotFoundError(
-            "carries no inputs", where=folder, remedy="name the folder with the inputs by --block"
+            "carries no inputs", "name the folder with the inputs by --block", where=folder
         )
     if block is not None and not block.is_dir():
-        raise InputNotFoundError(
-            "no such folder", where=block, remedy="name the folder with the inputs by --block"
-        )
+        raise InputNotFoundError("no such folder", "name the folder with the inputs by --block", where=block)
     result = certified_result(certified, folder)
     source = Source(block or folder / CARRIED, result.block.setup)
     changed = list(changed_inputs(result.inputs, source.folder).values())
@@ -230,6 +228,6 @@ def _printed(path: Path, as_json: bool) -> None:
     if refused:
         raise InputMalformedError(
             f"cannot be right: {finding_text(refused[0], say)}".removesuffix("."),
+            "correct the figures at their source",
             where=path,
-            remedy="correct the figures at their source",
         )

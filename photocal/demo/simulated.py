@@ -207,9 +207,9 @@ def _require(process: subprocess.Popen[str], limit: float, what: str) -> None:
     if process.poll() is not None or time.monotonic() > limit:
         process.kill()
         _, said = process.communicate()
-        raise DeviceError(f"{what} ({said.strip()})", remedy="run `acquire simulate serve` by hand")
+        raise DeviceError(f"{what} ({said.strip()})", "run `acquire simulate serve` by hand")
 
 
 def _succeeded(process: subprocess.Popen[str], said: str) -> None:
     if process.returncode != 0:
-        raise DeviceError(f"the recording failed ({said.strip()})", remedy="look at free ports and disk")
+        raise DeviceError(f"the recording failed ({said.strip()})", "look at free ports and disk")

@@ -97,7 +97,7 @@ class Shot:
 def key_of(value: float, place: object) -> int:
     """Check a number that names something."""
     if not -1 <= value < LARGEST_KEY or value % 1:
-        raise InputMalformedError(f"the number {value:g} names nothing", where=place, remedy="is it damaged?")
+        raise InputMalformedError(f"the number {value:g} names nothing", "is it damaged?", where=place)
     return int(value)
 
 
@@ -105,7 +105,7 @@ def unknown_model(name: object, place: object) -> InputMalformedError:
     """Complaint about a camera model that we have no equivalent of."""
     known = ", ".join(known for known, _ in MODELS.values())
     return InputMalformedError(
-        f"camera model {name} has no equivalent", where=place, remedy=f"convert it to one of {known}"
+        f"camera model {name} has no equivalent", f"convert it to one of {known}", where=place
     )
 
 
@@ -129,7 +129,7 @@ class _Reader:
         count = int(self.take("Q")[0])
         if count * smallest > len(self.content) - self.at:
             raise InputMalformedError(
-                f"claims {count} entries, more than the file can hold", where=self.path, remedy="is it cut?"
+                f"claims {count} entries, more than the file can hold", "is it cut?", where=self.path
             )
         return count
 
@@ -153,7 +153,7 @@ class _Reader:
     def _require(self, size: int) -> None:
         if self.at + size > len(self.content):
             raise InputMalformedError(
-                f"is cut at byte {len(self.content)}", where=self.path, remedy="was it written completely?"
+                f"is cut at byte {len(self.content)}", "was it written completely?", where=self.path
             )
 
 
@@ -248,7 +248,7 @@ def _text_shots(path: Path) -> Iterator[Shot]:
         marks = next(rows, None)
         if marks is None:
             raise InputMalformedError(
-                f"ends before the marks of image {cells[9]}", where=path, remedy="is the file cut?"
+                f"ends before the marks of image {cells[9]}", "is the file cut?", where=path
             )
         flat = np.array(numbers(marks.text, marks.place, "marks"))
         if len(flat) % 3:
@@ -327,7 +327,7 @@ def read_colmap(folder: Path) -> Reconstruction:
     translation = np.array([shot.translation for shot in shots]).reshape(-1, 3)
     xyz = np.array([place for _, place, _, _ in points], dtype=float).reshape(-1, 3)
     if not max(np.abs(translation).max(initial=0), np.abs(xyz).max(initial=0)) < LARGEST:
-        raise InputMalformedError("has coordinates beyond 1e9 m", where=folder, remedy="is it damaged?")
+        raise InputMalformedError("has coordinates beyond 1e9 m", "is it damaged?", where=folder)
     given = Reconstruction(
         tuple(cameras.values()),
         tuple(shot.name for shot in shots),

@@ -62,14 +62,14 @@ def read_dbat(path: Path) -> Block:
     root = read_xml(path)
     if root.tag != "document" or "dbat_script_version" not in root.attrib:
         raise InputMalformedError(
-            "is no DBAT set-up (dbat_script_version is missing)", where=path, remedy="name the set-up file"
+            "is no DBAT set-up (dbat_script_version is missing)", "name the set-up file", where=path
         )
     given = child(root, "input", path)
     if given.get("base_dir", "$HERE") != "$HERE":
         raise InputMalformedError(
             f"base_dir {given.get('base_dir')!r} leads out of the set-up's folder",
+            'put the tables beside the set-up and write base_dir="$HERE"',
             where=path,
-            remedy='put the tables beside the set-up and write base_dir="$HERE"',
         )
     reader = _Tables(path, given)
     cameras = [
@@ -78,7 +78,7 @@ def read_dbat(path: Path) -> Block:
     ]
     if len(cameras) > 1:
         raise InputMalformedError(
-            "has several cameras", where=path, remedy="split it: which image has which camera is not said"
+            "has several cameras", "split it: which image has which camera is not said", where=path
         )
     surveyed = [*reader.points("ctrl_pts", "control"), *reader.points("check_pts", "check")]
     image_of = {row.name("id"): row.cells.get("path", "") for row in reader.rows("images", _IMAGE_FIELDS)}
@@ -136,7 +136,7 @@ class _Tables:
 def _rule(element: Element, path: Path) -> tuple[set[str], bool]:
     action = (element.text or "").strip()
     if action not in ("keep", "remove") or not element.get("id"):
-        raise InputMalformedError(f"filter {action!r} is not known", where=path, remedy="use keep or remove")
+        raise InputMalformedError(f"filter {action!r} is not known", "use keep or remove", where=path)
     return {name.strip() for name in element.get("id", "").split(",")}, action == "keep"
 
 
@@ -322,7 +322,7 @@ def lens_model(camera: Camera) -> int:
     if camera.model == "brown-observed" and expressible and (not affine or camera.affinity != "additive"):
         return 4 if camera.affinity == "after" else 3
     raise InputMalformedError(
-        f"camera {camera.id} has no equivalent in DBAT", remedy="use brown-observed, affinity before or after"
+        f"camera {camera.id} has no equivalent in DBAT", "use brown-observed, affinity before or after"
     )
 
 
@@ -331,7 +331,7 @@ def _require_expressible(block: Block) -> None:
         raise InputMalformedError("only blocks with one camera, in mm, can be written for DBAT")
     camera = block.cameras[0]
     if camera.pitch[0] != camera.pitch[1]:
-        raise InputMalformedError("pixels are not square", remedy="give them square, and the affinity as B1")
+        raise InputMalformedError("pixels are not square", "give them square, and the affinity as B1")
     if (
         np.isfinite(camera.prior_sigma).any()
         or np.isfinite(block.images.sigma).any()
@@ -339,7 +339,7 @@ def _require_expressible(block: Block) -> None:
     ):
         raise InputMalformedError(
             "the block observes orientations or distances, for which a set-up has no place",
-            remedy="leave out their sigmas",
+            "leave out their sigmas",
         )
     for key, names in _SWITCHES.items():
         held = {bool(camera.estimated[PARAMETERS.index(name)]) for name in names[: _count(camera, key)]}

@@ -74,9 +74,7 @@ def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[Row
     for field in fields:
         if field not in allowed:
             raise InputMalformedError(
-                f"format {layout!r} has the unknown field {field!r}",
-                where=path,
-                remedy=f"use {', '.join(allowed)}",
+                f"format {layout!r} has the unknown field {field!r}", f"use {', '.join(allowed)}", where=path
             )
     for line in read_lines(path):
         cells = [cell.strip() for cell in line.text.split(",")]

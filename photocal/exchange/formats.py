@@ -156,7 +156,7 @@ def named(name: str) -> Format:
     """Find a format that can be written; raises ConfigurationError when it is not known."""
     found = next((form for form in FORMATS if form.name == name and form.writes), None)
     if found is None:
-        raise ConfigurationError(f"format {name!r} is not known", remedy=f"use {', '.join(exported())}")
+        raise ConfigurationError(f"format {name!r} is not known", f"use {', '.join(exported())}")
     return found
 
 
@@ -190,14 +190,14 @@ def read_any_block(source: Path) -> Block:
 def read_foreign_block(path: Path) -> Block:
     """Read a block of another program from one of its files."""
     if not path.exists():
-        raise InputNotFoundError("does not exist", where=path, remedy="check the path")
+        raise InputNotFoundError("does not exist", "check the path", where=path)
     form = next((form for form in FORMATS if form.takes(path)), None)
     if form is None:
         known = "; ".join(f"{one.title}: {', '.join(one.opens)}" for one in FORMATS if one.opens)
         raise InputMalformedError(
             "holds no block that is known",
+            f"name a block folder, or a file of another program ({known})",
             where=path,
-            remedy=f"name a block folder, or a file of another program ({known})",
         )
     block: Block = _loaded(form.blocks)(path)
     root = os.path.commonpath([Path(file.path).parent for file in block.inputs])

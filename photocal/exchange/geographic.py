@@ -38,7 +38,7 @@ def topocentric(origin: Origin) -> ToGeographic:
     ):
         raise ConfigurationError(
             f"origin {origin.latitude_deg}, {origin.longitude_deg}, {origin.height_m} is not on the Earth",
-            remedy="give latitude and longitude in degrees, ellipsoidal height in m",
+            "give latitude and longitude in degrees, ellipsoidal height in m",
         )
     middle = geocentric(origin.latitude_deg, origin.longitude_deg, origin.height_m)
     axes = enu_axes(origin.latitude_deg, origin.longitude_deg)
@@ -157,14 +157,14 @@ def located(given: Reconstruction, choices: Choices) -> tuple[Reconstruction, To
     if given.frame != "local":
         if choices.origin is not None:
             raise ConfigurationError(
-                f"the block lies in {given.frame}, which tells where it is", remedy="leave out --origin"
+                f"the block lies in {given.frame}, which tells where it is", "leave out --origin"
             )
 
         return to_cartesian(given), to_wgs84(given)
     if choices.origin is None:
         raise ConfigurationError(
             "where the local frame lies is not given",
-            remedy="name its origin: --origin LATITUDE,LONGITUDE,HEIGHT (deg, m above the ellipsoid)",
+            "name its origin: --origin LATITUDE,LONGITUDE,HEIGHT (deg, m above the ellipsoid)",
         )
     return given, topocentric(choices.origin)
 

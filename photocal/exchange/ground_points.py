@@ -152,7 +152,7 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
     if given.frame == "local":
         raise ConfigurationError(
             "the block is in a local frame, but ODM's lists name a coordinate reference system",
-            remedy='adjust in one, for example frame = "EPSG:31982"',
+            'adjust in one, for example frame = "EPSG:31982"',
         )
     # A compound name has the heights' system behind a plus.
     crs = given.frame.split("+")[0]
@@ -206,7 +206,7 @@ def _head(path: Path) -> tuple[str, list[Line]]:
     if not first or not any(first.upper().startswith(key) for key in ("EPSG:", "WGS84", "+PROJ", "+INIT")):
         raise InputMalformedError(
             f"begins with {first[:40]!r}, not with a coordinate system",
+            "write EPSG:n, WGS84 UTM zone, or a PROJ string in the first line",
             where=path,
-            remedy="write EPSG:n, WGS84 UTM zone, or a PROJ string in the first line",
         )
     return first, lines[1:]

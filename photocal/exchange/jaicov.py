@@ -107,15 +107,15 @@ def _a_priori(report: Path) -> float:
             return number(found.group(1).decode(), report, "S0 a priori")
     raise ConfigurationError(
         "nothing tells the a priori standard deviation of the image coordinates",
+        f"put the report {report.name} beside it",
         where=report.with_suffix(".phc"),
-        remedy=f"put the report {report.name} beside it",
     )
 
 
 def _cameras(lines: list[Line], path: Path) -> tuple[Camera, ...]:
     if not lines or len(lines) % 5:
         raise InputMalformedError(
-            f"has {len(lines)} lines where every camera has 5", where=path, remedy="is the file cut?"
+            f"has {len(lines)} lines where every camera has 5", "is the file cut?", where=path
         )
     cameras = tuple(_camera(lines[k : k + 5]) for k in range(0, len(lines), 5))
     parts.require_unique([camera.id for camera in cameras], "camera", path)
@@ -189,7 +189,7 @@ def read_unweighted(path: Path) -> Block:
 def write_jaicov(stem: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write .ior, .eor, .obc and .phc files."""
     if any(camera.unit != "mm" for camera in given.cameras):
-        raise InputMalformedError("JAICOV files have cameras in mm", remedy="give the pixel pitch")
+        raise InputMalformedError("JAICOV files have cameras in mm", "give the pixel pitch")
     made = tuple(converted(camera, "brown-ideal", "additive", _TERMS) for camera in given.cameras)
     cameras = whole_numbers([camera.id for camera in given.cameras])
     images, points = whole_numbers(given.image_names), whole_numbers(given.point_names)

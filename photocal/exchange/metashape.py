@@ -217,8 +217,8 @@ def read_camera_block(path: Path) -> Block:
     if chunk.crs:
         raise InputMalformedError(
             f"is in the coordinate system {chunk.crs[:60]!r}, its orientations are not",
+            "export the cameras of a chunk in local coordinates",
             where=path,
-            remedy="export the cameras of a chunk in local coordinates",
         )
     return vision_block(path.stem, chunk.reconstruction, [path])
 

@@ -85,7 +85,7 @@ def read_ground_points(path: Path) -> tuple[parts.PointEntry, ...]:
         name = text_of(element, "Name", path).strip('"')
         points.append(_ground(name, _vector(element, "Pt", path, 3), np.sqrt(variance).tolist(), path))
     if not points:
-        raise InputMalformedError("has no ground points", where=path, remedy="is it the right file?")
+        raise InputMalformedError("has no ground points", "is it the right file?", where=path)
     parts.require_unique([point.name for point in points], "ground point", path)
     return tuple(points)
 
@@ -107,7 +107,7 @@ def read_measures(path: Path) -> tuple[parts.Mark, ...]:
             point = text_of(element, "Name", path).strip('"')
             marks.append(parts.Mark(name, point, x, y, (float(np.sqrt(xx)), float(np.sqrt(yy))), path))
     if not marks:
-        raise InputMalformedError("has no image measurements", where=path, remedy="is it the right file?")
+        raise InputMalformedError("has no image measurements", "is it the right file?", where=path)
     return tuple(marks)
 
 
@@ -147,9 +147,7 @@ def _vector(element: Element, path_in: str, path: Path, count: int) -> list[floa
 def _require_convention(element: Element, path: Path) -> None:
     found = text_of(element, "KnownConv", path)
     if found != CONVENTION:
-        raise InputMalformedError(
-            f"has the convention {found}", where=path, remedy=f"convert it to {CONVENTION}"
-        )
+        raise InputMalformedError(f"has the convention {found}", f"convert it to {CONVENTION}", where=path)
 
 
 def _distortion(given: Element, place: list[float], path: Path) -> dict[str, float]:

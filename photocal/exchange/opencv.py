@@ -48,8 +48,8 @@ def read_opencv(path: Path) -> Camera:
     if len(coefficients) < 4 or coefficients[len(names) :].any():
         raise InputMalformedError(
             f"has coefficients beyond {', '.join(names)}, for which there is no equivalent",
+            "calibrate without tilt",
             where=path,
-            remedy="calibrate without tilt",
         )
     values = dict(zip(names, coefficients[: len(names)].tolist(), strict=False))
     focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
@@ -93,16 +93,14 @@ def _entries(path: Path) -> dict[str, str]:
         }
     text = read_text(path)
     if not text.startswith("%YAML"):
-        raise InputMalformedError(
-            "is no YAML file of OpenCV", where=path, remedy="it must begin with %YAML:1.0"
-        )
+        raise InputMalformedError("is no YAML file of OpenCV", "it must begin with %YAML:1.0", where=path)
     return dict(_ENTRY.findall(text))
 
 
 def _matrix(entries: dict[str, str], names: tuple[str, ...], path: Path) -> Floats:
     name = next((name for name in names if name in entries), None)
     if name is None:
-        raise InputMalformedError(f"has no {names[0]}", where=path, remedy="is it a calibration?")
+        raise InputMalformedError(f"has no {names[0]}", "is it a calibration?", where=path)
     size = dict(_SHAPE.findall(entries[name]))
     shape = [int(size.get(side, 0)) for side in ("rows", "cols")]
     data = _DATA.search(entries[name])
@@ -121,5 +119,5 @@ def read_cameras(folder: Path) -> Reconstruction:
     """All calibrations of a folder, by their file names."""
     paths = sorted(folder.glob("*.yml"))
     if not paths:
-        raise InputNotFoundError("has no *.yml", where=folder, remedy="name the folder that has it")
+        raise InputNotFoundError("has no *.yml", "name the folder that has it", where=folder)
     return cameras_alone([read_opencv(path) for path in paths])

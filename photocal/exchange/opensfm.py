@@ -40,7 +40,7 @@ def read_reconstruction(path: Path) -> Reconstruction:
     """Read the first reconstruction of reconstruction.json."""
     content = read_json(path)
     if not isinstance(content, list) or not content:
-        raise InputMalformedError("holds no reconstruction", where=path, remedy="is it an OpenSfM file?")
+        raise InputMalformedError("holds no reconstruction", "is it an OpenSfM file?", where=path)
 
     def made() -> Reconstruction:
         first = content[0]
@@ -168,8 +168,8 @@ def _camera(name: str, keys: dict[str, Any], path: Path) -> Camera:
     else:
         raise InputMalformedError(
             f"camera {name} is {kind!r}, which has no equivalent",
+            "use brown, perspective, fisheye or fisheye_opencv",
             where=path,
-            remedy="use brown, perspective, fisheye or fisheye_opencv",
         )
     values = {key: float(keys.get(key, 0.0)) for key in names}
     middle = cx * size + width / 2 - 0.5, cy * size + height / 2 - 0.5
@@ -186,6 +186,6 @@ def read_reconstruction_block(path: Path) -> Block:
     tracks = tracks_beside(path)
     if not tracks.is_file():
         raise InputMalformedError(
-            "has no measurements", where=path, remedy=f"put the tracks beside it as {tracks.name}"
+            "has no measurements", f"put the tracks beside it as {tracks.name}", where=path
         )
     return vision_block(path.stem, given, [path, tracks])

@@ -72,7 +72,7 @@ class _Resources:
     def load(self, kind: str) -> dict[str, Any]:
         if kind not in self.files:
             raise InputMalformedError(
-                f"names no {kind.replace('-', ' ')}", where=self.path, remedy="export a calibrated project"
+                f"names no {kind.replace('-', ' ')}", "export a calibrated project", where=self.path
             )
         content: dict[str, Any] = read_json(self.files[kind])
         if content["format"] != format_name(kind):
@@ -105,8 +105,8 @@ def _read(path: Path) -> Reconstruction:
     if rolling:
         raise InputMalformedError(
             f"image {rolling[0]} has a rolling shutter, for which there is no equivalent",
+            "calibrate with a global shutter",
             where=where,
-            remedy="calibrate with a global shutter",
         )
     names = tuple(files[int(shot["id"])] for shot in shots)
     require_unique(names, "image", path)
@@ -121,7 +121,7 @@ def _read(path: Path) -> Reconstruction:
         ]
     )
     if not max(np.abs(poses).max(initial=0), np.abs(np.nan_to_num(xyz)).max(initial=0)) < LARGEST:
-        raise InputMalformedError("has coordinates beyond 1e9 m", where=path, remedy="is it damaged?")
+        raise InputMalformedError("has coordinates beyond 1e9 m", "is it damaged?", where=path)
     return Reconstruction(
         tuple(cameras.values()),
         names,
@@ -141,7 +141,7 @@ def _read(path: Path) -> Reconstruction:
 def _resources(path: Path) -> _Resources:
     project = read_json(path)
     if project["format"] != format_name("project"):
-        raise InputMalformedError("is no OPF project", where=path, remedy="name the file project.opf")
+        raise InputMalformedError("is no OPF project", "name the file project.opf", where=path)
     _require_version(project, path)
     files: dict[str, Path] = {}
     for item in project["items"]:
@@ -155,7 +155,7 @@ def _resources(path: Path) -> _Resources:
 def _require_version(content: dict[str, Any], path: Path) -> None:
     if str(content["version"]).split(".")[0] != VERSION.split(".")[0]:
         raise InputMalformedError(
-            f"has version {content['version']}", where=path, remedy=f"export version {VERSION}"
+            f"has version {content['version']}", f"export version {VERSION}", where=path
         )
 
 

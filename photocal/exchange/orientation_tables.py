@@ -62,7 +62,7 @@ def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conve
     """A table of angles and one of rotation matrices."""
     if choices.angle_unit is None:
         raise ConfigurationError(
-            "the unit of the angles is not given", remedy="name it: --angle-unit deg or --angle-unit gon"
+            "the unit of the angles is not given", "name it: --angle-unit deg or --angle-unit gon"
         )
     write_angles(
         folder / f"orientations_{choices.angle_unit}.txt", given.image_names, given.poses, choices.angle_unit
@@ -89,7 +89,7 @@ def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
             matrices.append([_next(lines, path, 3) for _ in range(3)])
             names.append(name)
     if not names:
-        raise InputMalformedError("has no $EXT_ORI", where=path, remedy="is it an Inpho project?")
+        raise InputMalformedError("has no $EXT_ORI", "is it an Inpho project?", where=path)
     require_unique(names, "image", path)
     return tuple(names), poses_of_matrices(np.array(places), np.array(matrices), names, path)
 
@@ -100,7 +100,7 @@ def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> 
         if own.unit != "mm":
             raise InputMalformedError(
                 f"camera {own.id} is in px, but the format has the principal distance in mm",
-                remedy="give the camera in mm with its pixel pitch",
+                "give the camera in mm with its pixel pitch",
             )
     made = tuple(_without_distortion(camera) for camera in given.cameras)
     blocks = [_camera(camera) for camera in given.cameras]
@@ -144,5 +144,5 @@ def _camera(camera: Camera) -> str:
 def _next(lines: Iterator[Line], path: Path, count: int) -> list[float]:
     line = next(lines, None)
     if line is None:
-        raise InputMalformedError("ends inside an $EXT_ORI", where=path, remedy="was it written completely?")
+        raise InputMalformedError("ends inside an $EXT_ORI", "was it written completely?", where=path)
     return numbers(line.text, line.place, "$EXT_ORI", count)

@@ -125,22 +125,20 @@ def require_unique(names: Sequence[str], what: str, place: object) -> None:
     """Complain when a name comes twice; raises InputMalformedError."""
     if len(set(names)) < len(names):
         twice = next(name for k, name in enumerate(names) if name in names[:k])
-        raise InputMalformedError(
-            f"{what} {twice} is listed twice", where=place, remedy="keep one of the rows"
-        )
+        raise InputMalformedError(f"{what} {twice} is listed twice", "keep one of the rows", where=place)
 
 
 def require_file_name(name: str) -> None:
     """Complain when a name cannot be that of a file inside a folder."""
     if not name or name in (".", "..") or any(letter in '/\\\0:*?"<>|' for letter in name):
-        raise InputMalformedError(f"the name {name!r} cannot be that of a file", remedy="rename it")
+        raise InputMalformedError(f"the name {name!r} cannot be that of a file", "rename it")
 
 
 def require_no_blanks(names: Iterable[str], remedy: str = "rename it") -> None:
     """Complain when a name would be two cells of a table whose cells stand between blanks."""
     for name in names:
         if any(letter.isspace() for letter in name):
-            raise InputMalformedError(f"the name {name!r} has blanks", remedy=remedy)
+            raise InputMalformedError(f"the name {name!r} has blanks", remedy)
 
 
 def write_rows(path: Path, rows: Iterable[Row], between: str = " ") -> None:

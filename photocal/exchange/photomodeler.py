@@ -74,7 +74,7 @@ class _Cursor:
     def next(self) -> Line:
         if self.at >= len(self.lines):
             raise InputMalformedError(
-                "ends before its tables do", where=self.path, remedy="was it written completely?"
+                "ends before its tables do", "was it written completely?", where=self.path
             )
         self.at += 1
         return self.lines[self.at - 1]
@@ -123,7 +123,7 @@ def read_export(path: Path) -> Export:
     parts.require_unique([name for name, _ in objects[:first_smart]], "object point", path)
     marks = tuple(_mark(row, photos, shift) for row in cursor.section())
     if not marks:
-        raise InputMalformedError("has no marked points", where=path, remedy="export the marks too")
+        raise InputMalformedError("has no marked points", "export the marks too", where=path)
     return Export(title, size_px, interior, tuple(photos), control, points, marks, fingerprint(path))
 
 
@@ -193,8 +193,8 @@ def block_from_export(export: Export, control: dict[str, tuple[Floats, Floats]])
     if idle:
         raise InputMalformedError(
             f"object point {', '.join(idle[:5])} has no observation at all",
+            "export its marks, or take it out",
             where=place,
-            remedy="export its marks, or take it out",
         )
     points = [parts.PointEntry(name, "control", xyz, sigma) for name, (xyz, sigma) in control.items()]
     points += [
@@ -222,8 +222,8 @@ def read_photomodeler(path: Path) -> Block:
     if export.control:
         raise ConfigurationError(
             "has control points, whose standard deviations in a PhotoModeler export are a posteriori",
+            f"put a table id,name,X,Y,Z,sX,sY,sZ beside it as {control.name}",
             where=path,
-            remedy=f"put a table id,name,X,Y,Z,sX,sY,sZ beside it as {control.name}",
         )
     return block_from_export(export, {})
 
@@ -273,7 +273,7 @@ def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = No
     if len(sizes) != 1 or any(own.unit != "mm" for own in given.cameras):
         raise InputMalformedError(
             "a PhotoModeler export has images of one size, and cameras in mm",
-            remedy="give the pixel pitch, and export cameras of other sizes apart",
+            "give the pixel pitch, and export cameras of other sizes apart",
         )
     for name in given.image_names:
         require_file_name(name)
@@ -312,7 +312,7 @@ def _converted(own: Camera) -> Conversion:
     """A camera that corrects measurements, with its affinity in the width of the pixels."""
     if own.value("B2"):
         raise InputMalformedError(
-            f"camera {own.id} has a skew (B2), which PhotoModeler cannot hold", remedy="adjust without B2"
+            f"camera {own.id} has a skew (B2), which PhotoModeler cannot hold", "adjust without B2"
         )
     terms = _TERMS if own.value("B1") else _TERMS[:-1]
     return converted(own, "brown-observed", "before", terms)

@@ -48,7 +48,7 @@ def read_photoscan(path: Path) -> Block:
             return _block(archive, path)
     except _ARCHIVE_FAILURES as failure:
         raise InputMalformedError(
-            f"is no readable archive ({failure})", where=path, remedy="was it written completely?"
+            f"is no readable archive ({failure})", "was it written completely?", where=path
         ) from failure
 
 
@@ -92,9 +92,7 @@ def _marker(marker: parts.PointEntry, settings: dict[str, float], path: Path) ->
 
 def _setting(settings: dict[str, float], key: str, path: Path) -> float:
     if not settings.get(key, 0.0) > 0:
-        raise InputMalformedError(
-            f"has no positive setting {key}", where=path, remedy="set it and save again"
-        )
+        raise InputMalformedError(f"has no positive setting {key}", "set it and save again", where=path)
     return settings[key]
 
 
@@ -137,7 +135,7 @@ def _member(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes
         with archive.open(name) as member:
             content = member.read(most + 1)
     except KeyError as failure:
-        raise InputMalformedError(f"has no {name!r}", where=path, remedy="is it a project?") from failure
+        raise InputMalformedError(f"has no {name!r}", "is it a project?", where=path) from failure
     if len(content) > most:
         raise InputMalformedError(f"its {name!r} is larger than {most >> 20} MiB", where=path)
     return content

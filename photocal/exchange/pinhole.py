@@ -121,8 +121,7 @@ def require_one_focal_length(pinhole: Pinhole, camera_id: str, program: str) -> 
     """Complain when fx and fy differ and a format has one focal length."""
     if abs(pinhole.fx / pinhole.fy - 1) > 1e-12:
         raise InputMalformedError(
-            f"camera {camera_id} has an affinity (B1), which {program} cannot hold",
-            remedy="adjust without B1",
+            f"camera {camera_id} has an affinity (B1), which {program} cannot hold", "adjust without B1"
         )
 
 

@@ -53,7 +53,7 @@ def read_pix4d(path: Path, size_px: tuple[int, int]) -> Camera:
         raise InputMalformedError(f"has {len(heads)} cameras where one was expected", where=path)
     sensor = next((found for line in lines if (found := _SENSOR.match(line.text.strip()))), None)
     if sensor is None:
-        raise InputMalformedError("does not state its sensor width", where=path, remedy="is it a .cam file?")
+        raise InputMalformedError("does not state its sensor width", "is it a .cam file?", where=path)
     width, height = (number(cell, path, "sensor") for cell in sensor.groups())
     value = {}
     for line in lines:
@@ -64,12 +64,12 @@ def read_pix4d(path: Path, size_px: tuple[int, int]) -> Camera:
             value[cells[0]] = number(cells[1], line.place, cells[0])
     missing = [key for key in _KEYS if key not in value]
     if missing:
-        raise InputMalformedError(f"has no {missing[0]}", where=path, remedy="was it written completely?")
+        raise InputMalformedError(f"has no {missing[0]}", "was it written completely?", where=path)
     if not (width > 0 and height > 0) or abs(width / height / (size_px[0] / size_px[1]) - 1) > 1e-3:
         raise InputMalformedError(
             f"its sensor of {width:g} x {height:g} mm does not fit images of {size_px[0]} x {size_px[1]} px",
+            "give the size of the images of this camera",
             where=path,
-            remedy="give the size of the images of this camera",
         )
     pixel = width / size_px[0]
     f, cx, cy = value["F"] / pixel, value["Px"] / pixel - 0.5, value["Py"] / pixel - 0.5
@@ -112,8 +112,8 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
     if path is None or bingo is None:
         raise InputNotFoundError(
             f"has no ..._{BINGO if path else CAMERAS}",
+            "export it: Process, Processing options, 1. Initial processing, Advanced",
             where=folder,
-            remedy="export it: Process, Processing options, 1. Initial processing, Advanced",
         )
     offset_file = _file(folder, "offset.xyz")
     offset = np.zeros(3)
@@ -178,7 +178,7 @@ def _shots(path: Path) -> list[_Shot]:
     lines = read_lines(path, comment="")
     starts = [k for k in range(len(lines) - _ROWS + 1) if _begins(lines, k)]
     if not starts:
-        raise InputMalformedError("has no image", where=path, remedy="was it written completely?")
+        raise InputMalformedError("has no image", "was it written completely?", where=path)
     shots = []
     for k, end in zip(starts, [*starts[1:], len(lines)], strict=True):
         if end - k != _ROWS:

@@ -36,7 +36,7 @@ def read_foreign_project(path: Path) -> ForeignProject:
     if path.is_file():
         return _of_file(path)
     if not path.is_dir():
-        raise InputNotFoundError("does not exist", where=path, remedy="name the folder of a project")
+        raise InputNotFoundError("does not exist", "name the folder of a project", where=path)
     refusal: PhotocalError | None = None
     for pattern, read in (
         (f"*{CAMERAS}", lambda found: read_pix4d_project(found.parent)),
@@ -61,9 +61,9 @@ def read_foreign_project(path: Path) -> ForeignProject:
         raise refusal
     raise InputNotFoundError(
         "holds no project that is known",
-        where=path,
-        remedy="name a Pix4D params folder, an export of Metashape or PhotoScan, or a folder of ODM, "
+        "name a Pix4D params folder, an export of Metashape or PhotoScan, or a folder of ODM, "
         "OpenSfM, COLMAP or MicMac",
+        where=path,
     )
 
 
@@ -99,7 +99,7 @@ def _micmac(path: Path) -> ForeignProject:
         tables.setdefault(read_xml(one).tag, one)
     missing = [tag for tag in ("DicoAppuisFlottant", "SetOfMesureAppuisFlottants") if tag not in tables]
     if missing:
-        raise InputNotFoundError(f"has no {missing[0]}", where=path.parent.parent, remedy="put it there")
+        raise InputNotFoundError(f"has no {missing[0]}", "put it there", where=path.parent.parent)
     points, measures = (tables[tag] for tag in ("DicoAppuisFlottant", "SetOfMesureAppuisFlottants"))
     given = bare_project("MicMac", read_micmac(points, measures, path.parent), weighted=False)
     sigma = given.block.points.sigma

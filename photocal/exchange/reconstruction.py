@@ -157,7 +157,7 @@ def of_result(result: Result) -> Reconstruction:
             )
             raise ConfigurationError(
                 f"camera {own.id} varies its {what}: other programs' formats hold one lens for all",
-                remedy="adjust with a lens that does not vary, then export that run",
+                "adjust with a lens that does not vary, then export that run",
             )
     images, points, rays = result.images, result.points, result.residuals.accepted
     place = {name: j for j, name in enumerate(points.names)}
@@ -220,7 +220,7 @@ def orientations_alone(names: Sequence[str], poses: Floats) -> Reconstruction:
 def vision_block(name: str, given: Reconstruction, files: list[Path]) -> Block:
     """Make a block of a vision program's model, which has no standard deviations of image coordinates."""
     if not len(given.pixels):
-        raise InputMalformedError("has no measurements of points", where=files[0], remedy="export them too")
+        raise InputMalformedError("has no measurements of points", "export them too", where=files[0])
     return as_block(given, name, UNIT_SIGMA_PX, tuple(fingerprint(path) for path in files))
 
 
@@ -259,7 +259,7 @@ def to_wgs84(given: Reconstruction) -> Callable[[Floats], Floats]:
     except ProjError as failure:
         raise ConfigurationError(
             f"no way leads from {given.frame} to WGS 84 ({failure})",
-            remedy="install the grids of PROJ, or export a format that keeps the block's own coordinates",
+            "install the grids of PROJ, or export a format that keeps the block's own coordinates",
         ) from failure
     return turn
 

@@ -29,9 +29,7 @@ def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
         crs = lines[0][1].removeprefix(_SYSTEM).strip()
         lines = lines[1:]
     if not lines or not lines[0][1].lower().startswith("#label"):
-        raise InputMalformedError(
-            "has no header that begins with #Label", where=path, remedy="export it with one"
-        )
+        raise InputMalformedError("has no header that begins with #Label", "export it with one", where=path)
     header = [cell.strip().lower() for cell in next(csv.reader(io.StringIO(lines[0][1])))]
     places = [_column(header, names, path) for names in _COORDINATES]
     accuracies = _accuracy_columns(header)
@@ -48,8 +46,8 @@ def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
             comma = len(cells) > len(header)
             raise InputMalformedError(
                 f"has {len(cells)} cells where the header has {len(header)}",
+                "write decimal points, not commas" if comma else "is the file cut?",
                 where=place,
-                remedy="write decimal points, not commas" if comma else "is the file cut?",
             )
         if not any(cells[column] for column in places):
             continue
@@ -80,9 +78,7 @@ def _column(header: list[str], names: tuple[str, ...], path: Path) -> int:
     for k, cell in enumerate(header[1:], start=1):
         if any(re.fullmatch(rf"{name}(/\w+)?|\w+/{name}", cell) for name in names):
             return k
-    raise InputMalformedError(
-        f"has no column {names[0].upper()}", where=path, remedy="export the coordinates"
-    )
+    raise InputMalformedError(f"has no column {names[0].upper()}", "export the coordinates", where=path)
 
 
 def _accuracy_columns(header: list[str]) -> tuple[int, int, int]:

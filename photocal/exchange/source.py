@@ -43,7 +43,7 @@ class Line:
 
     def malformed(self, what: str, remedy: str = "") -> InputMalformedError:
         """Complaint about it."""
-        return InputMalformedError(what, where=self.place, remedy=remedy)
+        return InputMalformedError(what, remedy, where=self.place)
 
 
 def require_readable(path: Path) -> int:
@@ -56,8 +56,8 @@ def require_readable(path: Path) -> int:
     if size > MAX_BYTES:
         raise InputMalformedError(
             f"has {size / 2**30:.1f} GiB, more than the {MAX_BYTES / 2**30:.0f} GiB that are read",
+            "is it the right file?",
             where=path,
-            remedy="is it the right file?",
         )
     return size
 
@@ -77,11 +77,11 @@ def read_text(path: Path) -> str:
         line = content[: failure.start].count(b"\n") + 1
         raise InputMalformedError(
             f"is not {encoding.removesuffix('-sig').upper()} text (byte 0x{content[failure.start]:02x})",
+            "save it as UTF-8",
             where=f"{path}, line {line}",
-            remedy="save it as UTF-8",
         ) from failure
     if "\0" in text:
-        raise InputMalformedError("is not a text file", where=path, remedy="is it the right file?")
+        raise InputMalformedError("is not a text file", "is it the right file?", where=path)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -111,11 +111,11 @@ def number(cell: str, place: object, what: str) -> float:
         comma = _DECIMAL_COMMA.fullmatch(text) is not None
         raise InputMalformedError(
             f"{what} is {text[:40]!r}, " + ("written with a decimal comma" if comma else "not a number"),
+            "write numbers with a decimal point" if comma else "correct it",
             where=place,
-            remedy="write numbers with a decimal point" if comma else "correct it",
         ) from None
     if not math.isfinite(value):
-        raise InputMalformedError(f"{what} is {text[:40]!r}, not finite", where=place, remedy="correct it")
+        raise InputMalformedError(f"{what} is {text[:40]!r}, not finite", "correct it", where=place)
     return value
 
 
@@ -125,8 +125,8 @@ def numbers(text: str, place: object, what: str, count: int | None = None) -> li
     if count is not None and len(cells) != count:
         raise InputMalformedError(
             f"{what}: {len(cells)} values where {count} were expected",
+            "complete the line, or is the file cut?",
             where=place,
-            remedy="complete the line, or is the file cut?",
         )
     return [number(cell, place, what) for cell in cells]
 
@@ -143,7 +143,7 @@ def image_size(width: float, height: float, place: object) -> tuple[int, int]:
     """Check an image size that a file claims."""
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX) or width % 1 or height % 1:
         raise InputMalformedError(
-            f"image size {width:g} x {height:g} px is impossible", where=place, remedy="correct it"
+            f"image size {width:g} x {height:g} px is impossible", "correct it", where=place
         )
     return int(width), int(height)
 
@@ -174,8 +174,8 @@ def beside(folder: Path, name: str, place: object) -> Path:
             return candidate
     raise InputNotFoundError(
         f"names the file {name!r}, which is neither there nor beside the set-up",
+        "put it beside the set-up",
         where=place,
-        remedy="put it beside the set-up",
     )
 
 
@@ -192,7 +192,7 @@ def read_json(path: Path) -> Any:
         content = json.loads(text, parse_constant=_finite, parse_float=_finite)
     except (ValueError, RecursionError) as failure:
         raise InputMalformedError(
-            f"is no valid JSON ({failure})", where=path, remedy="was it written completely?"
+            f"is no valid JSON ({failure})", "was it written completely?", where=path
         ) from failure
     return content
 
@@ -223,8 +223,8 @@ def read_xml(path: Path) -> Element:
     if require_readable(path) > MAX_XML_BYTES:
         raise InputMalformedError(
             f"is larger than the {MAX_XML_BYTES >> 20} MiB that are read as XML",
+            "is it the right file?",
             where=path,
-            remedy="is it the right file?",
         )
     return parse_xml(path.read_bytes(), path)
 
@@ -236,12 +236,12 @@ def parse_xml(content: bytes, path: object) -> Element:
     except DefusedXmlException as refusal:
         raise InputMalformedError(
             "declares XML entities or external references, which are not read",
+            "remove the DOCTYPE",
             where=path,
-            remedy="remove the DOCTYPE",
         ) from refusal
     except (ParseError, ValueError, LookupError) as failure:
         raise InputMalformedError(
-            f"is no valid XML ({failure})", where=path, remedy="was it written completely?"
+            f"is no valid XML ({failure})", "was it written completely?", where=path
         ) from failure
 
 
@@ -250,7 +250,7 @@ def child(element: Element, path: str, place: object) -> Element:
     found = element.find(path)
     if found is None:
         raise InputMalformedError(
-            f"<{element.tag}> has no <{path}>", where=place, remedy="is it the right kind of file?"
+            f"<{element.tag}> has no <{path}>", "is it the right kind of file?", where=place
         )
     return found
 

@@ -63,7 +63,7 @@ def catalogue(language: str) -> Catalogue:
     """Read the texts of a language; raises ConfigurationError for a language that there is none of."""
     if language not in LANGUAGES:
         raise ConfigurationError(
-            f"no texts in language {language!r}", remedy=f"choose one of {', '.join(LANGUAGES)}"
+            f"no texts in language {language!r}", f"choose one of {', '.join(LANGUAGES)}"
         )
     messages = dict[str, str]()
     for name in CATALOGUES:
@@ -124,7 +124,7 @@ def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = 
     except KeyError as missing:
         raise InputMalformedError(
             f"finding {finding.code} lacks {missing}: it was stored by another version of photocal",
-            remedy="run `photocal analyse` again, or `photocal run` for a project",
+            "run `photocal analyse` again, or `photocal run` for a project",
         ) from None
     # Symbols and names keep their case at the head of a sentence; words do not.
     first = say.messages[_head(finding)].partition("}")[0]
@@ -172,8 +172,8 @@ def findings_of(content: object, where: object) -> tuple[Finding, ...]:
     except ValidationError as refusal:
         raise InputMalformedError(
             f"its findings were stored by another version of photocal ({refusal.errors()[0]['msg']})",
+            "make the stage again",
             where=where,
-            remedy="make the stage again",
         ) from None
 
 

@@ -45,7 +45,7 @@ def in_pixels(camera: Camera) -> Camera:
         if affinity != possible or camera.affinity_form != "fraser":
             raise InputMalformedError(
                 f"camera {camera.id} has pixels that are not square and an affinity that acts elsewhere",
-                remedy="use square pixels",
+                "use square pixels",
             )
         values[1] *= stretch
         if possible == "after":
@@ -112,7 +112,7 @@ def converted(
         raise InputMalformedError(
             f"camera {camera.id} has a {camera.model} lens, which Brown's polynomial would miss by up to "
             f"{conversion.largest_px:.3g} px",
-            remedy="export to colmap or opencv, which hold it",
+            "export to colmap or opencv, which hold it",
         )
     return conversion
 
@@ -175,5 +175,5 @@ def require_no_skew(camera: Camera, program: str) -> None:
     if matrix[0, 1] or matrix[1, 0]:
         raise InputMalformedError(
             f"camera {camera.id} has a skew (B2), which {program} cannot hold",
-            remedy="adjust without B2, or export to Metashape",
+            "adjust without B2, or export to Metashape",
         )

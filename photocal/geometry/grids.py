@@ -52,8 +52,8 @@ def fetch_grids(crs: str, area: Area | None = None) -> tuple[str, ...]:
         except OSError as refusal:
             raise OutputError(
                 f"{', '.join(missing)} cannot be fetched ({refusal})",
+                "connect to the network, or copy these files of the PROJ data there",
                 where=folder,
-                remedy="connect to the network, or copy these files of the PROJ data there",
             ) from None
     return tuple(missing)
 
@@ -73,5 +73,5 @@ def _ways(crs: str, area: Area | None) -> "TransformerGroup":
             )
         except CRSError as refusal:
             raise ConfigurationError(
-                f"there is no reference system {crs!r}", remedy="name one such as EPSG:31982+5773"
+                f"there is no reference system {crs!r}", "name one such as EPSG:31982+5773"
             ) from refusal

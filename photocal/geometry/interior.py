@@ -132,7 +132,7 @@ def _projective(readings: Floats, known: Floats) -> Floats:
     _, singular, vectors = np.linalg.svd(np.vstack(rows))
     if singular[7] < DEGENERATE * singular[0]:
         raise IllPosedError(
-            "three of the four marks lie in a line", remedy="read marks at the four corners, or more marks"
+            "three of the four marks lie in a line", "read marks at the four corners, or more marks"
         )
     matrix: Floats = vectors[-1].reshape(3, 3)
     matrix = matrix / matrix[2, 2]

@@ -173,15 +173,15 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
     if not orientation.known.any():
         raise ConfigurationError(
             "direct georeferencing needs position and attitude of the exposures",
+            "give positions.csv and attitudes.csv, or all six sigmas in images.csv",
             where=block.name,
-            remedy="give positions.csv and attitudes.csv, or all six sigmas in images.csv",
         )
     found = intersect_points(block, orientation, ground_points(block), joint)
     if not len(found.points):
         raise IllPosedError(
             "no ground point has two rays from exposures with position and attitude that meet",
+            "measure the ground points in more images; do positions and images belong together?",
             where=block.name,
-            remedy="measure the ground points in more images; do positions and images belong together?",
         )
     label = "direct: space intersection from GNSS and attitude alone"
     if not orientation.known.all():
@@ -215,15 +215,15 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
     if block.datum == "free":
         raise ConfigurationError(
             "a free network has no datum that check points could judge",
+            'set datum = "control"',
             where="block.toml",
-            remedy='set datum = "control"',
         )
     has_georeference = len(block.positions.image) or np.isfinite(block.images.sigma).any()
     if method == "integrated" and not has_georeference:
         raise ConfigurationError(
             "the integrated method needs observed positions or attitudes",
+            "give positions.csv, or sigmas in images.csv",
             where=block.name,
-            remedy="give positions.csv, or sigmas in images.csv",
         )
     block, weak = without_weak_images(block)
     assembly = assemble(block)
@@ -295,7 +295,7 @@ class Degradation:
         if not (self.position_m > 0.0 and self.attitude_rad > 0.0):
             raise ConfigurationError(
                 "the noise of simulated orientations must be positive",
-                remedy="give standard deviations such as 0.08 m and 0.02 deg",
+                "give standard deviations such as 0.08 m and 0.02 deg",
             )
 
     @property

@@ -51,8 +51,8 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Prog
         raise InputNotFoundError(
             f"{len(views)} of {len(paths)} images show a board of {board.columns} x {board.rows} squares "
             f"({across} x {down} inner corners), {FEWEST_VIEWS} are needed",
+            "count the squares, not the corners, and see that the whole board is visible",
             where=paths[0].parent,
-            remedy="count the squares, not the corners, and see that the whole board is visible",
         )
     block = _block(facts, views, board, name)
     block, figures = with_common_sigma(block)
@@ -87,8 +87,8 @@ def _block(facts: Sequence[ImageFacts], views: Sequence[BoardView], board: Board
             if pose is None:
                 raise IllPosedError(
                     "its orientation to the board cannot be found",
+                    "take it out",
                     where=f"image {facts[j].name}",
-                    remedy="take it out",
                 )
             poses[j] = np.concatenate([angles_from_matrix(pose.rotation), pose.centre])
     image = np.repeat(np.arange(len(views)), [len(v.centres) for v in views])

@@ -53,10 +53,10 @@ def parse_board(text: str, square_m: float, dictionary_name: str = "") -> Board:
         columns, rows = 0, 0
     if not (3 <= columns <= 200 and 3 <= rows <= 200):
         raise ConfigurationError(
-            f"board {text!r} is not understood", remedy="give its squares as COLUMNSxROWS, at least 3x3"
+            f"board {text!r} is not understood", "give its squares as COLUMNSxROWS, at least 3x3"
         )
     if not (np.isfinite(square_m) and square_m > 0):
-        raise ConfigurationError(f"a square of {square_m} m is impossible", remedy="give its side in metres")
+        raise ConfigurationError(f"a square of {square_m} m is impossible", "give its side in metres")
     if not dictionary_name:
         return Board(columns, rows, square_m)
     dictionary(dictionary_name)

@@ -70,8 +70,8 @@ def measure_field(
         raise InputNotFoundError(
             f"{len(used)} of {len(paths)} pictures show {len(codes)} targets of {dictionary_name} twice or "
             f"more; {FEWEST_PICTURES} pictures and {FEWEST_TARGETS} targets are needed",
+            "look at the dictionary and at the size of the targets in the pictures",
             where=paths[0].parent,
-            remedy="look at the dictionary and at the size of the targets in the pictures",
         )
     block, figures = with_common_sigma(_block(used, codes, distances, name))
     # Sigmas from the residuals are not tested with them.

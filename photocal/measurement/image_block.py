@@ -49,8 +49,8 @@ class GivenControl:
         if given.crs != "local" and self.height not in ("ellipsoidal", "orthometric"):
             raise ConfigurationError(
                 "does not say what its heights are",
+                "give --height ellipsoidal or --height orthometric",
                 where=self.path,
-                remedy="give --height ellipsoidal or --height orthometric",
             )
 
 

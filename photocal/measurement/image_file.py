@@ -42,7 +42,7 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     raises InputMalformedError: when folders in it have images of the same names.
     """
     if not folder.is_dir():
-        raise InputNotFoundError("is not a folder", where=folder, remedy="name the folder with the images")
+        raise InputNotFoundError("is not a folder", "name the folder with the images", where=folder)
     files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
     found = sorted(path for path in files if path.suffix.lower() in SUFFIXES)
     if not found:
@@ -51,11 +51,11 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     if not found and unread:
         raise InputNotFoundError(
             f"has only pictures that are not read ({', '.join(unread)})",
+            "save them as JPEG or TIFF in full size, neither turned nor corrected for distortion",
             where=folder,
-            remedy="save them as JPEG or TIFF in full size, neither turned nor corrected for distortion",
         )
     if not found:
-        raise InputNotFoundError("has no image", where=folder, remedy=f"it takes {', '.join(SUFFIXES)}")
+        raise InputNotFoundError("has no image", f"it takes {', '.join(SUFFIXES)}", where=folder)
     return tuple(found)
 
 
@@ -68,8 +68,8 @@ def _of_heads(folder: Path) -> list[Path]:
         if path.name in place:
             raise InputMalformedError(
                 f"has two pictures {path.name}, in {place[path.name].parent.name} and {path.parent.name}",
+                "rename the pictures so that each has its own name",
                 where=folder,
-                remedy="rename the pictures so that each has its own name",
             )
         place[path.name] = path
     return sorted(found, key=lambda path: path.name)
@@ -100,9 +100,9 @@ def opened(path: Path) -> Iterator[Image]:
     from PIL import Image
 
     if not path.is_file():
-        raise InputNotFoundError("does not exist", where=path, remedy="check the name of the image")
+        raise InputNotFoundError("does not exist", "check the name of the image", where=path)
     if path.stat().st_size == 0:
-        raise InputNotFoundError("is empty (0 bytes)", where=path, remedy="copy the image again")
+        raise InputNotFoundError("is empty (0 bytes)", "copy the image again", where=path)
     limit = Image.MAX_IMAGE_PIXELS
     try:
         # Our own limit below replaces the library's, which large aerial images exceed.
@@ -117,7 +117,7 @@ def opened(path: Path) -> Iterator[Image]:
         if type(failure).__name__ == "UnidentifiedImageError":
             raise _unknown(path) from failure
         raise InputMalformedError(
-            f"cannot be read ({failure})", where=path, remedy="copy the image again or take it out"
+            f"cannot be read ({failure})", "copy the image again or take it out", where=path
         ) from failure
     finally:
         Image.MAX_IMAGE_PIXELS = limit
@@ -190,16 +190,16 @@ def _unknown(path: Path) -> InputMalformedError:
     if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         return InputMalformedError(
             "is a TIFF of a kind that is not read",
+            "save it with 8 or 16 bits a band, grey or RGB",
             where=path,
-            remedy="save it with 8 or 16 bits a band, grey or RGB",
         )
     if head[4:8] == b"ftyp":
         return InputMalformedError(
             "is a HEIC or AVIF picture, which is not read, whatever its name",
+            "save it as JPEG in full size",
             where=path,
-            remedy="save it as JPEG in full size",
         )
-    return InputMalformedError("is not an image", where=path, remedy="copy the image again or take it out")
+    return InputMalformedError("is not an image", "copy the image again or take it out", where=path)
 
 
 def _sixteen_bits(values: NDArray[Any]) -> Grey:

@@ -109,9 +109,7 @@ def dictionary(name: str) -> Any:
     import cv2
 
     if name.lower() not in DICTIONARIES:
-        raise ConfigurationError(
-            f"marker dictionary {name!r} is not known", remedy=f"use {', '.join(DICTIONARIES)}"
-        )
+        raise ConfigurationError(f"marker dictionary {name!r} is not known", f"use {', '.join(DICTIONARIES)}")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name.upper()}"))
 
 

@@ -118,7 +118,7 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
         system = CRS.from_user_input(given.crs)
     except CRSError as refusal:
         raise ConfigurationError(
-            f"system {given.crs!r} of the control points is not known", remedy="write it as EPSG:32722"
+            f"system {given.crs!r} of the control points is not known", "write it as EPSG:32722"
         ) from refusal
     if not system.is_geographic:
         authority = system.to_authority()
@@ -127,7 +127,7 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     if not (abs(latitude) <= 84 and abs(longitude) <= 180):
         raise ConfigurationError(
             f"control at longitude {longitude:.6f}, latitude {latitude:.6f} is impossible",
-            remedy="are latitude and longitude exchanged?",
+            "are latitude and longitude exchanged?",
         )
     area = AreaOfInterest(longitude, latitude, longitude, latitude)
     zone = query_utm_crs_info("WGS 84", area)[0]
@@ -183,7 +183,7 @@ def _metashape(path: Path, sigma_m: Sigma) -> ControlMarks:
     marks = tuple(mark for mark in _marks(chunk, path) if mark.point in known)
     if not marks:
         raise InputMalformedError(
-            "has no placed markers with coordinates", where=path, remedy="export the markers as XML"
+            "has no placed markers with coordinates", "export the markers as XML", where=path
         )
     crs = (chunk.findtext("reference") or "").strip()
     local = not crs or crs.startswith("LOCAL_CS")
@@ -236,7 +236,7 @@ def read_any_marks(path: Path, sizes: Mapping[str, tuple[int, int]]) -> tuple[Ma
     else:
         marks = _text(path)
     if not marks:
-        raise InputMalformedError("has no marks", where=path, remedy="is it the right file?")
+        raise InputMalformedError("has no marks", "is it the right file?", where=path)
     marks = named_after(marks, sizes)
     require_unique([f"{mark.point} in image {mark.image}" for mark in marks], "point", path)
     return marks
@@ -282,8 +282,8 @@ def _order(head: Sequence[str], path: Path) -> tuple[int, ...] | None:
         if len(here) != 1:
             raise InputMalformedError(
                 f"its head {', '.join(head)!r} does not say which column is the {what}",
+                "head them image_name,gcp_name,image_u,image_v, or leave the head out",
                 where=path,
-                remedy="head them image_name,gcp_name,image_u,image_v, or leave the head out",
             )
         order.append(here[0])
     return tuple(order)

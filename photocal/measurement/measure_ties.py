@@ -78,8 +78,8 @@ def sight(
     if len(facts) < 2:
         raise InputNotFoundError(
             f"{len(facts)} of {len(paths)} images can be used",
+            "; ".join(f"{e['image']}: {e['reason']}" for e in left_out[:3]),
             where=paths[0].parent,
-            remedy="; ".join(f"{e['image']}: {e['reason']}" for e in left_out[:3]),
         )
     pairs, rule = match_images.select_pairs(looking(facts), len(facts))
     with progress("matching pairs of images", len(pairs)) as done:

@@ -218,7 +218,7 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, l
             reasons = "; ".join(f"{entry['image']} {entry['reason']}" for entry in left_out[:3])
             raise IllPosedError(
                 f"the images cannot be oriented by tie points: {reasons}",
-                remedy="take images that overlap by 60 % and more, from different places",
+                "take images that overlap by 60 % and more, from different places",
             )
         start, tracks, kept = without_images(start, few), of_images(tracks, ~few), kept[~few]
 

@@ -79,7 +79,7 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     if not models or models[0].oriented.sum() < 2:
         raise IllPosedError(
             "the images cannot be oriented by tie points: no two of them show the same places from two sides",
-            remedy="take images that overlap by 60 % and more, from different places",
+            "take images that overlap by 60 % and more, from different places",
         )
     known = block.points.of_role("control")[:, None] & (block.datum == "control")
     control = np.vstack(

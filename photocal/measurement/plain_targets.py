@@ -244,6 +244,6 @@ def _require_points(project: Project, control: ObjectPoints) -> None:
                 raise ConfigurationError(
                     f"targets ({target.kind}) name point {name}, "
                     f"which {'[control] without points' if table is None else table.name} lacks",
+                    "correct the name or add the point",
                     where=project.path,
-                    remedy="correct the name or add the point",
                 )

@@ -63,7 +63,7 @@ def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:
     except ProjError as refusal:
         raise ConfigurationError(
             f"positions of the images cannot be taken to {crs} ({refusal})",
-            remedy="name a system that covers the place",
+            "name a system that covers the place",
         ) from refusal
     places[known] = np.column_stack([east, north, altitude])
     return places
@@ -91,8 +91,8 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
         first = next(iter(places), "nothing")
         raise InputMalformedError(
             f"has none of the {len(names)} pictures (it has {first}, the first is {min(names, default='')})",
+            "name the pictures as their files",
             where=path,
-            remedy="name the pictures as their files",
         )
     return lambda facts: _placed(facts, _of(facts.name, places))
 
@@ -119,7 +119,7 @@ def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
     events = [dict(zip(COLUMNS, row, strict=True)) for line in read_text(path).splitlines()
               if (row := parse_event(line)) is not None]  # fmt: skip
     if not events:
-        raise InputMalformedError("has no events", where=path, remedy="is it a Timestamp.MRK file?")
+        raise InputMalformedError("has no events", "is it a Timestamp.MRK file?", where=path)
     numbers = {int(event["number"]): event for event in events}
     # Cameras count with numbers of four digits.
     counts = {name: map(int, re.findall(r"(?<!\d)\d{4}(?!\d)", Path(name).stem)) for name in names}

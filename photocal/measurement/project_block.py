@@ -173,7 +173,7 @@ def _with_cameras(
 ) -> tuple[Sighted, Integers]:
     """Camera of each image: as the table says, else the one of its size; others are left out."""
     if not cameras:
-        raise ConfigurationError("the project has no [[camera]]", remedy="add one: see docs/block-folder.md")
+        raise ConfigurationError("the project has no [[camera]]", "add one: see docs/block-folder.md")
     camera, reasons = [], []
     for image in sighted.facts:
         alike = [k for k, one in enumerate(cameras) if one.size_px == image.size_px]
@@ -289,8 +289,8 @@ def _marks_by_hand(project: Project, files: Sequence[Path]) -> tuple[Mark, ...]:
 def _nowhere(name: str) -> InputNotFoundError:
     return InputNotFoundError(
         "neither the images nor marks of control points say where the block is",
+        "give exposures, images with positions, or marks of at least three control points",
         where=name,
-        remedy="give exposures, images with positions, or marks of at least three control points",
     )
 
 

@@ -82,7 +82,7 @@ def plain_target(kind: str, size_mm: float) -> Sheet:
     if kind not in drawn:
         raise ConfigurationError(
             f"target {kind!r} is not known",
-            remedy=f"use {', '.join((*PLAIN, 'chessboard', 'charuco'))}, or {', '.join(DICTIONARIES)}",
+            f"use {', '.join((*PLAIN, 'chessboard', 'charuco'))}, or {', '.join(DICTIONARIES)}",
         )
     return Sheet(f"{kind} {size_mm:g} mm", drawn[kind], (size_mm, size_mm), MARGIN * size_mm)
 
@@ -98,7 +98,7 @@ def coded_target(dictionary_name: str, number: int, size_mm: float) -> Sheet:
     count, side = len(codes.bytesList), int(codes.markerSize) + 2
     if not 0 <= number < count:
         raise ConfigurationError(
-            f"{dictionary_name} has no number {number}", remedy=f"its numbers are 0 to {count - 1}"
+            f"{dictionary_name} has no number {number}", f"its numbers are 0 to {count - 1}"
         )
     cells = np.asarray(cv2.aruco.generateImageMarker(codes, number, side)) == 0
     cell = size_mm / side
@@ -122,9 +122,7 @@ def board_target(board: Board) -> Sheet:
     drawn = charuco_board(board).generateImage((board.columns * step, board.rows * step), None, 0, 1)
     cells = np.asarray(drawn) < 128
     if marker / step != board.marker:
-        raise ConfigurationError(
-            f"markers of {board.marker} squares cannot be drawn", remedy="use 0.75 or 0.5"
-        )
+        raise ConfigurationError(f"markers of {board.marker} squares cannot be drawn", "use 0.75 or 0.5")
     return Sheet(f"{title}, {board.dictionary}", _cells(cells, square / step), size, square / 2)
 
 
@@ -163,16 +161,16 @@ def sheets_pdf(sheets: Sequence[Sheet], paper: str) -> bytes:
     import typst
 
     if paper.lower() not in PAPERS_MM:
-        raise ConfigurationError(f"paper {paper!r} is not known", remedy=f"use {', '.join(PAPERS_MM)}")
+        raise ConfigurationError(f"paper {paper!r} is not known", f"use {', '.join(PAPERS_MM)}")
     source = "\n#pagebreak()\n".join(_page(sheet, paper.lower()) for sheet in sheets)
     head = '#set text(font: "Libertinus Serif", size: 9pt)\n#set page(margin: 0mm)\n'
     compiler = typst.Compiler(font_paths=typst.Fonts(include_system_fonts=False))
     try:
         made = compiler.compile((head + source).encode(), format="pdf", timestamp=_DATE)
     except typst.TypstError as refusal:
-        raise OutputError(f"the PDF could not be set ({refusal})", remedy="report this") from None
+        raise OutputError(f"the PDF could not be set ({refusal})", "report this") from None
     if not isinstance(made, bytes):
-        raise OutputError("the PDF could not be set (no single file)", remedy="report this")
+        raise OutputError("the PDF could not be set (no single file)", "report this")
     return made
 
 
@@ -206,7 +204,7 @@ def _require_room(sheet: Sheet, paper: str) -> None:
     if paper not in fitting:
         remedy = f"use --paper {fitting[0]}" if fitting else "make it smaller, or have it printed from parts"
         raise ConfigurationError(
-            f"the target needs {needed[0]:g} x {needed[1]:g} mm, more than {paper} has", remedy=remedy
+            f"the target needs {needed[0]:g} x {needed[1]:g} mm, more than {paper} has", remedy
         )
 
 

@@ -109,7 +109,7 @@ class _Ties:
         if (~few).sum() < 2:
             raise IllPosedError(
                 f"the tie points of no two images fit together ({gone[0]['image']}: {gone[0]['reason']})",
-                remedy="take images that overlap by 60 % and more, from different places",
+                "take images that overlap by 60 % and more, from different places",
             )
         ties = self.some(~few[self.tracks.image])
         return replace(

@@ -100,7 +100,7 @@ class NetworkSolution:
 def adjust_baselines(baselines: list[Baseline], control: list[Mark]) -> NetworkSolution:
     """Adjust a network of baselines and leave out those that an outlier test rejects, one at a time."""
     if not control:
-        raise IllPosedError("no known mark: the network can lie anywhere", remedy="give one known position")
+        raise IllPosedError("no known mark: the network can lie anywhere", "give one known position")
     used, blunders = list(baselines), []
     while True:
         solution, suspect = _adjust(used, control)
@@ -216,6 +216,6 @@ def _start(baselines: list[Baseline], held: dict[str, Mark], names: list[str]) -
     if lost:
         raise IllPosedError(
             f"no chain of baselines leads from a known mark to {', '.join(lost)}",
-            remedy="measure more baselines; one left out as a blunder may have been the only one",
+            "measure more baselines; one left out as a blunder may have been the only one",
         )
     return known

@@ -96,8 +96,7 @@ def fit_clock(
     """Fit offset and rate between two clocks from simultaneous readings."""
     if len(device_ns) < _LEAST_READINGS:
         raise IllPosedError(
-            f"{len(device_ns)} clock readings, at least {_LEAST_READINGS} are needed",
-            remedy="record SYSTEM_TIME",
+            f"{len(device_ns)} clock readings, at least {_LEAST_READINGS} are needed", "record SYSTEM_TIME"
         )
     edges = [0, *(np.flatnonzero(np.diff(device_ns) < 0) + 1).tolist(), len(device_ns)]
     pieces = [(a, b) for a, b in itertools.pairwise(edges) if b - a >= _LEAST_READINGS]
@@ -111,7 +110,7 @@ def fit_clock(
             halves = [(start, start + cut), (start + cut, stop)]
             pieces = [h for h in halves if h[1] - h[0] >= _LEAST_READINGS] + pieces
     if not found:
-        raise IllPosedError("the clock restarts too often to be followed", remedy="check the recording")
+        raise IllPosedError("the clock restarts too often to be followed", "check the recording")
     return ClockModel(tuple(_fit(device_ns[a:b], reference_ns[a:b], resolution_s) for a, b in found))
 
 
@@ -126,7 +125,7 @@ def _slope(x: Floats, y: Floats) -> float:
     rise = y[half:] - y[: len(y) - half]
     good = run > 0
     if not good.any():
-        raise IllPosedError("the clock stands still", remedy="check the recording of SYSTEM_TIME")
+        raise IllPosedError("the clock stands still", "check the recording of SYSTEM_TIME")
     return float(np.median(rise[good] / run[good]))
 
 

@@ -96,8 +96,8 @@ class Rtklib:
         if not output.exists():
             raise IllPosedError(
                 f"the engine found no position ({mode}, {direction})",
+                "check that ephemerides and observations are of the same time",
                 where=files[0],
-                remedy="check that ephemerides and observations are of the same time",
             )
         return read_solution(output)
 
@@ -160,8 +160,7 @@ def _run(program: str, arguments: list[str]) -> None:
     path = shutil.which(program)
     if path is None:
         raise ProgramMissingError(
-            f"the program {program} is not installed",
-            remedy="install RTKLIB (Debian: apt-get install rtklib)",
+            f"the program {program} is not installed", "install RTKLIB (Debian: apt-get install rtklib)"
         )
     done = subprocess.run([path, *arguments], capture_output=True, check=False)  # noqa: S603
     if done.returncode != 0:

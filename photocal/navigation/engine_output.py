@@ -77,8 +77,8 @@ def read_solution(path: Path) -> EngineSolution:
     if not rows:
         raise IllPosedError(
             "the engine found no position",
+            "check that ephemerides and observations are of the same time",
             where=path.stem,
-            remedy="check that ephemerides and observations are of the same time",
         )
     velocity = np.full((len(rows), 3), np.nan)
     try:
@@ -92,8 +92,8 @@ def read_solution(path: Path) -> EngineSolution:
     except (ValueError, OverflowError) as cause:
         raise InputMalformedError(
             f"is no position file with times as week and seconds ({cause})",
+            "take one with GPS weeks and seconds (out-timeform = tow)",
             where=path,
-            remedy="take one with GPS weeks and seconds (out-timeform = tow)",
         ) from cause
     quality = table[:, 3].astype(np.int64)
     sn, se, su, sne, seu, sun = table[:, 5:11].T

@@ -92,8 +92,8 @@ def time_marks(fields: NDArray[Any], edge: str, link: str, stream_ns: Integers |
     if own.any():
         raise InputMalformedError(
             f"{int(own.sum())} time marks are in the receiver's own time base",
+            "set the time base of CFG-TIMEx or TIM-TM2 to GNSS or UTC",
             where=f"link {link}",
-            remedy="set the time base of CFG-TIMEx or TIM-TM2 to GNSS or UTC",
         )
     gps = new.time_ns.copy()
     utc = new.valid & (new.base == ubx.BASE_UTC)
@@ -144,8 +144,8 @@ def logged_exposures(log: FlightLog) -> list[Events]:
             except (LookupError, TypeError, ValueError, OverflowError, RecursionError) as damage:
                 raise InputMalformedError(
                     f"holds an exposure that cannot be read ({type(damage).__name__})",
+                    "run acquire recover",
                     where=log,
-                    remedy="run acquire recover",
                 ) from damage
     return [_logged(source, rows, untimed.get(source, 0)) for source, rows in found.items()]
 
@@ -248,12 +248,12 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
         if found is None:
             raise InputMalformedError(
                 "is no event (number, time, week, offsets N E V, Lat, Lon, Ellh, sigmas, Q)",
+                "give the file as the vehicle wrote it",
                 where=f"{path}, line {number}",
-                remedy="give the file as the vehicle wrote it",
             )
         rows.append(found)
     if not rows:
-        raise InputMalformedError("has no events", where=path, remedy="check the flight's folder")
+        raise InputMalformedError("has no events", "check the flight's folder", where=path)
     t = np.array(rows)
     count = t[:, 0].astype(np.int64)
     time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])

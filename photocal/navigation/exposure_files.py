@@ -205,8 +205,8 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
     except ProjError as refusal:
         raise ConfigurationError(
             f"positions cannot be taken to {crs} ({refusal})",
+            "name a system that covers the place, with its geoid grid installed",
             where=crs,
-            remedy="name a system that covers the place, with its geoid grid installed",
         ) from refusal
     convergence = np.arctan2(east_n - east, north_n - north)
     s, c, zero, one = np.sin(convergence), np.cos(convergence), np.zeros_like(lat), np.ones_like(lat)
@@ -282,8 +282,8 @@ def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | 
         if crs is not None and run.exposures.height_kind != ELLIPSOIDAL:
             raise ConfigurationError(
                 f"heights are {run.exposures.height_kind}: they cannot be taken to {crs}",
+                "leave out --crs",
                 where="--crs",
-                remedy="leave out --crs",
             )
         figures["images_csv"] = write_block_images(folder / "images.csv", run.exposures, camera, rig, crs)
         write_geo_txt(folder / "geo.txt", run.exposures, rig)

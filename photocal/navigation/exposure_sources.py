@@ -74,7 +74,7 @@ def placed_by(
     if vehicle is None or len(vehicle.path) < 2:
         raise ConfigurationError(
             "nothing tells positions: neither raw frames of a rover and a base nor an autopilot's positions",
-            remedy="give RINEX files, or a log with GLOBAL_POSITION_INT",
+            "give RINEX files, or a log with GLOBAL_POSITION_INT",
         )
     return plainly(vehicle.path, events.time), SEA_LEVEL
 
@@ -112,7 +112,7 @@ def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
     if not np.isfinite(place).all(axis=1).any():
         raise ConfigurationError(
             "no image states a position, and there are no events to match them to",
-            remedy="give a flight log or an event list with --mrk",
+            "give a flight log or an event list with --mrk",
         )
     n = len(images)
     time = UtcTime(np.array([round(t * 1e9) for t in time_s[order].tolist()], np.int64)).to_gps()

@@ -103,7 +103,7 @@ def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
     if lacking.any():
         raise ConfigurationError(
             f"{int(lacking.sum())} exposures have no attitude to turn the lever arm with",
-            remedy="record ATTITUDE, or give no lever arm",
+            "record ATTITUDE, or give no lever arm",
         )
     back = np.swapaxes(np.where(body.known[:, None, None], body.rotation, np.eye(3)), 1, 2)
     p = exposures.placed

@@ -79,8 +79,8 @@ def clock_time_s(image: ImageMetadata) -> float:
     if image.time_s is None:
         raise ConfigurationError(
             "tells no time",
+            "take it out of the folder or write DateTimeOriginal into its EXIF",
             where=image.name,
-            remedy="take it out of the folder or write DateTimeOriginal into its EXIF",
         )
     return image.time_s
 
@@ -105,21 +105,19 @@ def _table(path: Path) -> list[ImageMetadata]:
             columns = reader.fieldnames or []
             rows = list(reader)
     except (OSError, UnicodeDecodeError, csv.Error) as refusal:
-        raise InputNotFoundError("cannot be read as a table", where=path, remedy="check it") from refusal
+        raise InputNotFoundError("cannot be read as a table", "check it", where=path) from refusal
     if not {"image", "taken"} <= set(columns):
-        raise InputMalformedError(
-            "lacks the column image or taken", where=path, remedy="give image,taken[,camera]"
-        )
+        raise InputMalformedError("lacks the column image or taken", "give image,taken[,camera]", where=path)
     if not rows:
-        raise InputNotFoundError("has no images", where=path, remedy="give one row for each image")
+        raise InputNotFoundError("has no images", "give one row for each image", where=path)
     found = []
     for number, row in enumerate(rows, 2):
         time = _parsed((row["taken"] or "").strip())
         if not row["image"] or time is None or not math.isfinite(time[0]):
             raise InputMalformedError(
                 f"{row['taken']!r} is no time",
+                "write it as 2025-06-15T12:30:05.250",
                 where=f"{path}, line {number}",
-                remedy="write it as 2025-06-15T12:30:05.250",
             )
         camera = (row.get("camera") or "").strip() or "camera"
         found.append(ImageMetadata(row["image"].strip(), camera, *time, False))

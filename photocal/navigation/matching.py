@@ -63,7 +63,7 @@ def match(
     if min(len(x), len(y)) < _LEAST_PAIRS:
         raise IllPosedError(
             f"{len(x)} images and {len(y)} events: at least {_LEAST_PAIRS} of each are needed to align them",
-            remedy="give events and images of the same flight",
+            "give events and images of the same flight",
         )
     offset = _best_offset(x, y, resolution_s, largest_offset_s, largest_drift)
     a, b, scatter, sigmas = _refine(x, y, offset, resolution_s, largest_drift)
@@ -125,8 +125,7 @@ def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift:
     candidates = np.sort(difference[np.abs(difference) <= largest + reach])
     if not len(candidates):
         raise IllPosedError(
-            f"no event lies within {largest:g} s of an image",
-            remedy="check the date and time of camera and log",
+            f"no event lies within {largest:g} s of an image", "check the date and time of camera and log"
         )
     # How many differences lie within the reach of each: the votes for it.
     votes = np.searchsorted(candidates, candidates + reach, side="right") - np.searchsorted(
@@ -143,7 +142,7 @@ def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift:
         raise IllPosedError(
             f"the match is ambiguous: an offset of {best:+.3f} s pairs {score} of {len(x)} images, "
             f"another one {rival} (middle of the flight at {middle:.0f} s)",
-            remedy="narrow the offset of the clocks, or use a camera that stamps fractions of a second",
+            "narrow the offset of the clocks, or use a camera that stamps fractions of a second",
         )
     return best
 

@@ -153,7 +153,7 @@ def with_antennas(
         for side, (_, given) in sides.items():
             if given:
                 raise ConfigurationError(
-                    f"the {side}'s antenna {given} needs a file of antenna models", remedy="give ANTEX, too"
+                    f"the {side}'s antenna {given} needs a file of antenna models", "give ANTEX, too"
                 )
         return options
     models, changed = read_antennas(antex), dict[str, Any](antex=antex)
@@ -163,8 +163,8 @@ def with_antennas(
         if not (given or observed.antenna):
             raise ConfigurationError(
                 f"nothing tells the antenna of the {side}",
+                'name its type and radome as the ANTEX file does, or "none" for one without a model',
                 where=observed.path,
-                remedy='name its type and radome as the ANTEX file does, or "none" for one without a model',
             )
         changed[f"{side}_antenna"] = antenna_named(models, given or observed.antenna, antex)
         # The engine reads the header's height only together with the header's type.
@@ -185,8 +185,8 @@ def process(
     if not any(count_ephemerides(path) for path in inputs.navigation):
         raise IllPosedError(
             "no ephemerides: no position can be computed",
+            "record RXM-SFRBX or give a RINEX navigation file with --nav",
             where=", ".join(path.name for path in inputs.navigation) or inputs.rover.path.name,
-            remedy="record RXM-SFRBX or give a RINEX navigation file with --nav",
         )
     off_m = _base_off_code(inputs, options, engine, folder)
     files = [inputs.rover.path, inputs.base.path, *inputs.navigation]
@@ -230,13 +230,13 @@ def refuse_apart(rover: ObservationFile, base: ObservationFile) -> None:
     if common == 0:
         raise IllPosedError(
             f"base and rover do not overlap in time: {spans} (GPS time)",
-            remedy="take the base's recording of the flight",
+            "take the base's recording of the flight",
         )
     if common < _LEAST_EPOCHS:
         raise IllPosedError(
             f"only {common} epochs of the rover have a base, at least {_LEAST_EPOCHS} are needed: {spans} "
             "(GPS time)",
-            remedy="take the base's recording of the whole flight",
+            "take the base's recording of the whole flight",
         )
 
 
@@ -245,7 +245,7 @@ def parse_position(text: str) -> Floats:
     form = "LAT,LON,H: degrees and the ellipsoidal height in metres"
     lat, lon, height = numbers_of(text, "--base-position", form)
     if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 20_000):
-        raise ConfigurationError(f"{text!r} is no position", where="--base-position", remedy=f"give {form}")
+        raise ConfigurationError(f"{text!r} is no position", f"give {form}", where="--base-position")
     return np.asarray(geocentric(lat, lon, height))
 
 
@@ -260,8 +260,8 @@ def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Rtklib, f
         raise IllPosedError(
             f"the base's position ({inputs.base_source}) is {off:.1f} m from its own code solution, more "
             f"than {_BASE_LIMIT_M:g} m",
+            "check coordinates, reference system and kind of height of the base",
             where=inputs.base.path.name,
-            remedy="check coordinates, reference system and kind of height of the base",
         )
     return np.asarray(apart)
 
@@ -272,8 +272,8 @@ def _differential(solution: EngineSolution, inputs: Inputs) -> EngineSolution:
     if not (chosen.quality <= 2).any():
         raise IllPosedError(
             "the engine found no position with the base",
+            "check that both observed the same satellites and signals",
             where=inputs.rover.path.name,
-            remedy="check that both observed the same satellites and signals",
         )
     return in_order(chosen)
 

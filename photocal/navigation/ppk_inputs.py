@@ -91,7 +91,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     for name in sources.navigation:
         if name != NAV_OF_BASE:
             if not count_ephemerides(Path(name)):
-                raise IllPosedError("has no ephemerides", where=name, remedy="give a RINEX navigation file")
+                raise IllPosedError("has no ephemerides", "give a RINEX navigation file", where=name)
             navigation.append(Path(name))
     given = sources.base_position
     sigma = None
@@ -110,7 +110,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
 def _needed(log: FlightLog, role: str) -> FlightLog:
     if not log:
         raise ConfigurationError(
-            f"the {role} is not named", remedy=f"give a flight log, or RINEX with --{role} and --nav"
+            f"the {role} is not named", f"give a flight log, or RINEX with --{role} and --nav"
         )
     return log
 
@@ -119,8 +119,8 @@ def _refuse_without_ephemerides(recording: ReceiverRecording, sources: Sources) 
     if not recording.ephemeris_frames and not sources.navigation:
         raise IllPosedError(
             "the rover recorded no ephemerides (RXM-SFRBX)",
+            "give --nav FILE, or --nav base to use those that the base recorded",
             where=f"{sources.log}, link {recording.link}",
-            remedy="give --nav FILE, or --nav base to use those that the base recorded",
         )
 
 
@@ -139,8 +139,8 @@ def converted(
     if not made[0].exists():
         raise IllPosedError(
             "the observations could not be converted to RINEX",
+            "check that the receiver sent RXM-RAWX or RTCM MSM of known signals",
             where=f"link {recording.link}",
-            remedy="check that the receiver sent RXM-RAWX or RTCM MSM of known signals",
         )
     return made
 
@@ -152,6 +152,6 @@ def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tup
     if found is None:
         raise ConfigurationError(
             "the base's position is not known: neither RTCM 1005/1006 nor a survey-in tells it",
-            remedy="give --base-position LAT,LON,H (ellipsoidal height)",
+            "give --base-position LAT,LON,H (ellipsoidal height)",
         )
     return found

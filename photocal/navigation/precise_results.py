@@ -147,11 +147,11 @@ def read_precise_result(path: Path) -> PreciseResult:
         if lines and lines[0].startswith("%=SNX"):
             return _of_sinex(lines, path)
     except (ValueError, IndexError, KeyError) as refusal:
-        raise InputMalformedError("is damaged", where=path, remedy="fetch it again") from refusal
+        raise InputMalformedError("is damaged", "fetch it again", where=path) from refusal
     raise InputMalformedError(
         "is no result that is known here",
+        "give the summary (.sum) of CSRS-PPP, the program of IBGE-PPP, a SINEX file, or LAT,LON,H",
         where=path,
-        remedy="give the summary (.sum) of CSRS-PPP, the program of IBGE-PPP, a SINEX file, or LAT,LON,H",
     )
 
 
@@ -184,8 +184,8 @@ def _of_sinex(lines: list[str], path: Path) -> PreciseResult:
     if len(sites) != 1:
         raise ConfigurationError(
             f"has {len(sites)} sites ({', '.join(sorted(sites)) or 'none'})",
+            "give a file of a single site, or its LAT,LON,H",
             where=path,
-            remedy="give a file of a single site, or its LAT,LON,H",
         )
     (rows,) = sites.values()
     axes = [rows[f"STA{axis}"] for axis in "XYZ"]
@@ -207,7 +207,7 @@ def read_antennas(path: Path) -> tuple[str, ...]:
     with reading(path, "name an ANTEX file, such as igs20.atx of the IGS"):
         lines = path.read_text(encoding="latin-1").splitlines()
     if not any(line[60:].startswith("ANTEX VERSION") for line in lines[:5]):
-        raise InputMalformedError("is no ANTEX file", where=path, remedy="name one, such as igs20.atx")
+        raise InputMalformedError("is no ANTEX file", "name one, such as igs20.atx", where=path)
     found = []
     starts = [k for k, line in enumerate(lines) if line[60:].startswith("START OF ANTENNA")]
     for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
@@ -215,7 +215,7 @@ def read_antennas(path: Path) -> tuple[str, ...]:
             name = _name(lines[start:end])
         except (ValueError, IndexError) as refusal:
             raise InputMalformedError(
-                "is damaged", where=f"{path}, antenna of line {start + 1}", remedy="fetch the file again"
+                "is damaged", "fetch the file again", where=f"{path}, antenna of line {start + 1}"
             ) from refusal
         if name is not None:
             found.append(name)
@@ -250,6 +250,6 @@ def antenna_named(antennas: Sequence[str], name: str, path: Path) -> str:
     alike = difflib.get_close_matches(wanted, antennas, 3, 0.4)
     raise ConfigurationError(
         f"antenna {name!r} is not in {path.name}",
+        f"give type and radome as the file has them: {', '.join(alike) or 'none is alike'}",
         where=path,
-        remedy=f"give type and radome as the file has them: {', '.join(alike) or 'none is alike'}",
     )

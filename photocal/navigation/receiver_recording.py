@@ -129,8 +129,8 @@ class ReceiverRecording:
             if spread > 1e-3:
                 raise IllPosedError(
                     f"the station's position in RTCM 1005/1006 changes by {spread:.3f} m",
+                    "give --base-position",
                     where=f"link {self.link}",
-                    remedy="give --base-position",
                 )
             return all_m[0], "RTCM 1005/1006"
         return None if self.surveyed_m is None else (self.surveyed_m, "survey-in")
@@ -165,8 +165,8 @@ def pick(receivers: dict[str, ReceiverRecording], link: str, role: str, log: Fli
     names = ", ".join(sorted(receivers)) or "none"
     raise ConfigurationError(
         f"has no GNSS link {link!r} for the {role}; links with raw frames: {names}",
+        f"name one with --{role}-link or give RINEX files",
         where=log,
-        remedy=f"name one with --{role}-link or give RINEX files",
     )
 
 

@@ -44,7 +44,7 @@ class Rig:
         if self.lever_m is not None and self.angle_sigma is None:
             raise ConfigurationError(
                 "a lever arm needs the standard deviations of the attitude that turns it",
-                remedy="give --attitude-sigma ROLL,PITCH,YAW in degrees",
+                "give --attitude-sigma ROLL,PITCH,YAW in degrees",
             )
 
 
@@ -90,7 +90,7 @@ def camera_axes(directions: tuple[str, ...]) -> Floats:
     if matrix.shape != (3, 3) or not np.isclose(np.linalg.det(matrix), 1.0):
         raise ConfigurationError(
             f"{', '.join(directions)} are not the directions of a right-handed camera",
-            remedy="give those of x (right), y (up in the image), z (backwards): right,forward,up looks down",
+            "give those of x (right), y (up in the image), z (backwards): right,forward,up looks down",
         )
     return matrix
 

@@ -77,7 +77,7 @@ class GpsTime(Instants):
         if np.any(bad):
             raise InputMalformedError(
                 "GPS week 0 or a time of week outside the week",
-                remedy="leave out what the receiver said before it knew the time",
+                "leave out what the receiver said before it knew the time",
             )
         return cls(gnsstime.week_to_ns(weeks, tow))
 
@@ -120,7 +120,7 @@ def _refuse_expired(time: UtcTime) -> None:
     if len(time) and int(time.ns.max()) >= last:
         raise InputMalformedError(
             f"the table of leap seconds ends on {EXPIRES}, a time in the data is later",
-            remedy="update the package tzdata, which has the table",
+            "update the package tzdata, which has the table",
         )
 
 

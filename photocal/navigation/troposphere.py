@@ -49,8 +49,8 @@ def parse_weather(text: str, option: str) -> AirAtBase:
     except ValueError as refusal:
         raise ConfigurationError(
             f"{text!r} is no weather",
+            "give TEMPERATURE,HUMIDITY[,PRESSURE]: degrees Celsius, percent, hPa at the place",
             where=option,
-            remedy="give TEMPERATURE,HUMIDITY[,PRESSURE]: degrees Celsius, percent, hPa at the place",
         ) from refusal
 
 

@@ -44,7 +44,7 @@ def outline(points: RingPoints, name: str, shape: Shape) -> dict[str, Any]:
     count, least = len(values), 3 if shape == "polygon" else 4
     if count < least:
         raise IllPosedError(
-            f"{count} points are no outline", where=f"section {name}", remedy=f"measure {least} or more"
+            f"{count} points are no outline", f"measure {least} or more", where=f"section {name}"
         )
     # About the middle, so that large coordinates keep their digits.
     plane = values[:, :2] - values[:, :2].mean(axis=0)
@@ -73,7 +73,7 @@ def measure_closed(points: RingPoints, shape: Shape) -> tuple[dict[str, Any], st
     height, area = of["height_m"], of["area_m2"]
     if len(found) < 2 or (np.diff(height) <= 0).any():
         raise IllPosedError(
-            "a volume needs sections of different mean heights", remedy="is the vertical axis right?"
+            "a volume needs sections of different mean heights", "is the vertical axis right?"
         )
 
     def volume(at: Floats, areas: Floats) -> float:

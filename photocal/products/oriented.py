@@ -113,8 +113,8 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImag
         if (camera.deviation_sigma > 0).any():
             raise ConfigurationError(
                 f"camera {camera.id} has parameters that vary from image to image",
+                "adjust with a lens that does not vary; products take one lens for all images",
                 where=folder,
-                remedy="adjust with a lens that does not vary; products take one lens for all images",
             )
     images = OrientedImages(block.images.names, block.cameras, block.images.camera, block.images.values)
     if run is not None:
@@ -130,5 +130,5 @@ def _adjusted(images: OrientedImages, run: Path) -> OrientedImages:
     strange = [camera.id for camera in images.cameras if camera.id not in result.cameras]
     if lost or strange:
         what = f"image {lost[0]}" if lost else f"camera {strange[0]}"
-        raise InputMalformedError(f"lacks {what}", where=run, remedy="name the run of this very block")
+        raise InputMalformedError(f"lacks {what}", "name the run of this very block", where=run)
     return found

@@ -32,9 +32,9 @@ def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int
     """Find the image files of a block; raises InputNotFoundError, InputMalformedError, ConfigurationError."""
     unknown = sorted(set(wanted) - set(block.images.names))
     if unknown:
-        raise ConfigurationError(f"image {unknown[0]} is not in the block", remedy="correct its name")
+        raise ConfigurationError(f"image {unknown[0]} is not in the block", "correct its name")
     if not folder.is_dir():
-        raise InputNotFoundError("is no folder", where=folder, remedy="name the folder of the images")
+        raise InputNotFoundError("is no folder", "name the folder of the images", where=folder)
     inside = {file.name: file for file in sorted(folder.iterdir()) if file.is_file()}
     found: dict[int, RasterFile] = {}
     for number, name in enumerate(block.images.names):
@@ -65,7 +65,7 @@ def _image_path(inside: dict[str, Path], name: str, folder: Path) -> Path:
     alike = [file for file in inside.values() if file.stem == name]
     if len(alike) != 1:
         what = f"has no file of image {name}" if not alike else f"has several files of image {name}"
-        raise InputNotFoundError(what, where=folder, remedy="one file a name, with or without its ending")
+        raise InputNotFoundError(what, "one file a name, with or without its ending", where=folder)
     return alike[0]
 
 
@@ -80,8 +80,8 @@ def heights_of(raster: RasterFile, block: Block, said: str | None) -> str:
     if block.height and block.height != kind:
         raise ConfigurationError(
             f"the block has {block.height} heights, the terrain model {kind} ones",
+            "convert one of them with its geoid",
             where=raster.path,
-            remedy="convert one of them with its geoid",
         )
     return kind
 
@@ -98,7 +98,7 @@ def system_of(raster: RasterFile, block: Block, said: str | None) -> str:
     for who, wkt in known[1:]:
         if not same_system(known[0][1], wkt):
             raise ConfigurationError(
-                f"{known[0][0]} and {who} name different reference systems", remedy="reproject one of them"
+                f"{known[0][0]} and {who} name different reference systems", "reproject one of them"
             )
     return known[0][1] if known else ""
 
@@ -142,7 +142,7 @@ def plan_grid(
     raises ConfigurationError, InputMalformedError.
     """
     if cell is not None and not (math.isfinite(cell) and cell > 0):
-        raise ConfigurationError(f"the cell is {cell:g} m", remedy="give a positive length in metres")
+        raise ConfigurationError(f"the cell is {cell:g} m", "give a positive length in metres")
     given = frame.to_given(shots.station)
     around = (*given[:, :2].min(axis=0) - 1, *given[:, :2].max(axis=0) + 1) if bounds is None else bounds
     near = overview(terrain, raster, raster.bounds if bounds is None else around)
@@ -150,7 +150,7 @@ def plan_grid(
     if (given[:, 2] <= low).any():
         raise ConfigurationError(
             f"image {shots.names[int(np.argmin(given[:, 2]))]} lies below the terrain",
-            remedy="are the heights of one kind, and Z up?",
+            "are the heights of one kind, and Z up?",
         )
     pitch = np.array([max(camera.pitch) / camera.value("c") for camera in shots.cameras])[shots.camera]
     pixel = float(np.median(pitch * (given[:, 2] - mean)))
@@ -168,7 +168,7 @@ def plan_grid(
         west, south, east, north = bounds
     if not (west < east and south < north):
         raise ConfigurationError(
-            "the rectangle of the orthophoto is empty", remedy="give WEST,SOUTH,EAST,NORTH on the terrain"
+            "the rectangle of the orthophoto is empty", "give WEST,SOUTH,EAST,NORTH on the terrain"
         )
     left, top = math.floor(west / cell + 1e-9) * cell, math.ceil(north / cell - 1e-9) * cell
     columns, rows = math.ceil((east - left) / cell - 1e-9), math.ceil((top - south) / cell - 1e-9)
@@ -274,7 +274,7 @@ def displacement(
 ) -> Displacement:
     """Follow ground points through the right image geometry and back through the wrong one."""
     if right.names != wrong.names:
-        raise ConfigurationError("the two orientations have different images", remedy="use one block")
+        raise ConfigurationError("the two orientations have different images", "use one block")
     given = np.column_stack([x, y, terrain.at(x, y)])
     given = given[np.isfinite(given[:, 2])]
     local = frame.to_local(given)
@@ -287,7 +287,7 @@ def displacement(
         shift[mine] = found[:, :2] - given[mine, :2]
     seen = np.isfinite(shift).all(axis=1)
     if not seen.any():
-        raise ConfigurationError("no image shows the terrain", remedy="do block and terrain share a system?")
+        raise ConfigurationError("no image shows the terrain", "do block and terrain share a system?")
     return Displacement(given[seen], shift[seen])
 
 

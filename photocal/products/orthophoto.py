@@ -144,7 +144,7 @@ class Recipe:
         if self.nodata not in (limits.min, limits.max):
             raise ConfigurationError(
                 f"--nodata {self.nodata:g} does not suit pixels of {self.dtype}",
-                remedy=f"use {limits.min} or {limits.max}",
+                f"use {limits.min} or {limits.max}",
             )
 
 

@@ -67,13 +67,13 @@ def check_products(
     raises ConfigurationError: for missing or contradicting settings.
     """
     if ortho is None and dtm is None:
-        raise ConfigurationError("no product is given", remedy="name an orthomosaic or a terrain model")
+        raise ConfigurationError("no product is given", "name an orthomosaic or a terrain model")
     product, likeness = np.full((len(points.names), 3), np.nan), np.full(len(points.names), np.nan)
     remarks: list[str] = []
     if ortho is not None:
         if not (target_diameter_m and target_diameter_m > 0 and search_m and search_m > 0):
             raise ConfigurationError(
-                "targets are sought without their size", remedy="give target diameter and search distance, m"
+                "targets are sought without their size", "give target diameter and search distance, m"
             )
         raster = describe(ortho)
         _require_square(raster, target_diameter_m)

@@ -84,7 +84,7 @@ def opened(path: Path) -> Iterator[Any]:
     """Open a raster for reading; complaints become ours."""
     if not path.is_file():
         what = "is a folder, a raster was expected" if path.is_dir() else "does not exist"
-        raise InputNotFoundError(what, where=path, remedy="check the path")
+        raise InputNotFoundError(what, "check the path", where=path)
     try:
         with warnings.catch_warnings():
             # A photo has no georeference, and needs none.
@@ -94,7 +94,7 @@ def opened(path: Path) -> Iterator[Any]:
     except rasterio.errors.RasterioError as failure:
         reason = str(failure).splitlines()[0] if str(failure) else "no readable raster"
         raise InputMalformedError(
-            f"cannot be read as a raster ({reason})", where=path, remedy="is the file whole?"
+            f"cannot be read as a raster ({reason})", "is the file whole?", where=path
         ) from failure
 
 
@@ -154,7 +154,7 @@ def read_image(path: Path) -> NDArray[Any]:
     with opened(path) as source:
         if str(source.dtypes[0]) not in ("uint8", "uint16", "float32"):
             raise InputMalformedError(
-                f"has values of type {source.dtypes[0]}", where=path, remedy="convert it to 8 or 16 bits"
+                f"has values of type {source.dtypes[0]}", "convert it to 8 or 16 bits", where=path
             )
         pixels = np.empty((source.height, source.width, source.count), dtype=source.dtypes[0])
         # By strips: the bands of a whole image beside the image would double its memory.
@@ -173,7 +173,7 @@ def system_wkt(name: str) -> str:
         return str(CRS.from_user_input(name).to_wkt())
     except rasterio.errors.CRSError as failure:
         raise ConfigurationError(
-            f"{name!r} is no known reference system", remedy="give an EPSG code such as EPSG:31982"
+            f"{name!r} is no known reference system", "give an EPSG code such as EPSG:31982"
         ) from failure
 
 
@@ -242,8 +242,8 @@ def geotiff(
         except rasterio.errors.RasterioError as failure:
             raise OutputError(
                 f"cannot be written ({str(failure).splitlines()[0]})",
+                "is there room on the disk?",
                 where=path,
-                remedy="is there room on the disk?",
             ) from failure
 
 

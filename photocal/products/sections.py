@@ -57,11 +57,11 @@ def cylinder_volume(radius: float, radius_sigma: float, height: float, height_si
     """
     for name, value in (("radius", radius), ("height", height)):
         if not (np.isfinite(value) and value > 0):
-            raise ConfigurationError(f"the {name} is {value:g} m", remedy="give a positive length in metres")
+            raise ConfigurationError(f"the {name} is {value:g} m", "give a positive length in metres")
     for name, value in (("radius", radius_sigma), ("height", height_sigma)):
         if not (np.isfinite(value) and value >= 0):
             raise ConfigurationError(
-                f"the standard deviation of the {name} is {value:g} m", remedy="give metres, not negative"
+                f"the standard deviation of the {name} is {value:g} m", "give metres, not negative"
             )
     by_radius = (2 * np.pi * radius * height * radius_sigma) ** 2
     by_height = (np.pi * radius**2 * height_sigma) ** 2
@@ -143,17 +143,15 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
     table = read_table(path, ("section", "point", "X", "Y", "Z"), SIGMAS + CORRELATIONS)
     own = [name for name in SIGMAS if table.has(name)]
     if own and sigma_m is not None:
-        raise ConfigurationError(
-            f"{path} has {', '.join(own)} and --sigma is given", remedy="give one of them"
-        )
+        raise ConfigurationError(f"{path} has {', '.join(own)} and --sigma is given", "give one of them")
     if own and len(own) < 3:
-        raise InputMalformedError(f"has {', '.join(own)} only", where=path, remedy="give sX, sY and sZ")
+        raise InputMalformedError(f"has {', '.join(own)} only", "give sX, sY and sZ", where=path)
     if not own and sigma_m is None:
         raise ConfigurationError(
-            f"{path} has no standard deviations", remedy="add sX, sY, sZ, or give --sigma in metres"
+            f"{path} has no standard deviations", "add sX, sY, sZ, or give --sigma in metres"
         )
     if sigma_m is not None and not (np.isfinite(sigma_m) and sigma_m > 0):
-        raise ConfigurationError(f"--sigma is {sigma_m:g}", remedy="give a positive length in metres")
+        raise ConfigurationError(f"--sigma is {sigma_m:g}", "give a positive length in metres")
     values = table.matrix("XYZ")
     sigma = table.matrix(SIGMAS) if own else np.full(values.shape, sigma_m, dtype=float)
     refuse(table, np.asarray((sigma <= 0).any(axis=1)), "a standard deviation is not positive", "correct it")
@@ -193,12 +191,12 @@ def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:
     radius = np.array([ring.circle.radius for ring in rings]) - wall_thickness
     if not 0 <= wall_thickness < radius.min() + wall_thickness:
         raise ConfigurationError(
-            f"the wall is {wall_thickness:g} m thick", remedy="give metres, less than the radius"
+            f"the wall is {wall_thickness:g} m thick", "give metres, less than the radius"
         )
     height = np.array([ring.height for ring in rings])
     covariance = np.array([ring.covariance for ring in rings])
     if (np.diff(height) <= 0).any():
-        raise IllPosedError("two sections have the same mean height", remedy="is the vertical axis right?")
+        raise IllPosedError("two sections have the same mean height", "is the vertical axis right?")
     cylinder = _cylinder(points)
     tilt, tilt_sigma = _tilt(cylinder) if cylinder else (np.nan, np.nan)
     return Tank(

@@ -58,15 +58,13 @@ def fit(
         value, by_parameter, by_point = condition(state, points + residuals)
         count, unknowns = by_parameter.shape
         if count < unknowns:
-            raise IllPosedError(
-                f"{count} points do not determine a {what}", remedy=f"give at least {unknowns}"
-            )
+            raise IllPosedError(f"{count} points do not determine a {what}", f"give at least {unknowns}")
         misclosure = value - np.einsum("ni,ni->n", by_point, residuals)
         variance = np.einsum("ni,nij,nj->n", by_point, covariance, by_point)
         if not (variance > 0).all():
             raise InputMalformedError(
                 f"point {int(np.argmin(variance)) + 1} of the {what} has no variance across it",
-                remedy="give every point a positive standard deviation",
+                "give every point a positive standard deviation",
             )
         cofactor = _inverse(by_parameter.T @ (by_parameter / variance[:, None]), what)
         step = -cofactor @ (by_parameter.T @ (misclosure / variance))
@@ -82,7 +80,7 @@ def fit(
             return Adjusted(state, cofactor, residuals, influence, chi_squared, count - unknowns, iteration)
     raise NotConvergedError(
         f"the fit of the {what} did not end within {ITERATIONS} iterations",
-        remedy="are the points on such a surface, and their sigmas in metres?",
+        "are the points on such a surface, and their sigmas in metres?",
     )
 
 
@@ -93,7 +91,7 @@ def _inverse(normal: Floats, what: str) -> Floats:
         if np.linalg.eigvalsh(scaled)[0] > 1e-12:
             return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
     raise IllPosedError(
-        f"the points leave a parameter of the {what} undetermined", remedy="spread the points over it"
+        f"the points leave a parameter of the {what} undetermined", "spread the points over it"
     )
 
 
@@ -170,9 +168,7 @@ def fit_cylinder(points: Floats, covariance: Floats) -> Cylinder:
 
 def _centroid(points: Floats, least: int, what: str) -> Floats:
     if len(points) < least:
-        raise IllPosedError(
-            f"{len(points)} points do not determine a {what}", remedy=f"give at least {least}"
-        )
+        raise IllPosedError(f"{len(points)} points do not determine a {what}", f"give at least {least}")
     return np.asarray(points.mean(axis=0))
 
 
@@ -181,7 +177,7 @@ def _algebraic_circle(points: Floats) -> Floats:
     design = np.column_stack([2 * points, np.ones(len(points))])
     (x, y, c), _, rank, _ = np.linalg.lstsq(design, (points**2).sum(axis=1), rcond=1e-10)
     if rank < 3:
-        raise IllPosedError("the points of the circle lie on a line", remedy="spread them over the circle")
+        raise IllPosedError("the points of the circle lie on a line", "spread them over the circle")
     return np.array([x, y, np.sqrt(c + x * x + y * y)])
 
 
@@ -238,5 +234,5 @@ def _cylinder_start(points: Floats) -> Floats:
         if miss < least:
             best, least = np.concatenate([circle[:2] @ basis, axis, circle[2:]]), miss
     if best is None:
-        raise IllPosedError("the points fix no cylinder", remedy="spread them over its surface")
+        raise IllPosedError("the points fix no cylinder", "spread them over its surface")
     return best

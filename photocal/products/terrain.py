@@ -180,23 +180,23 @@ def grid_of_points(
     from scipy.spatial import Delaunay, QhullError
 
     if not (np.isfinite(cell) and cell > 0):
-        raise ConfigurationError(f"the cell is {cell:g} m", remedy="give a positive length in metres")
+        raise ConfigurationError(f"the cell is {cell:g} m", "give a positive length in metres")
     xyz, line = _unique(*_denser(points, 2 * cell))
     if len(xyz) < 3:
-        raise IllPosedError(f"{len(xyz)} points make no terrain", remedy="give at least three")
+        raise IllPosedError(f"{len(xyz)} points make no terrain", "give at least three")
     low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
     west, south = np.floor(low / cell) * cell
     columns, rows = (np.maximum(np.ceil((high - [west, south]) / cell - 1e-9), 1)).astype(np.int64)
     if columns * rows > _MOST_CELLS:
         raise ConfigurationError(
-            f"a cell of {cell:g} m makes {columns} x {rows} cells", remedy="choose larger cells"
+            f"a cell of {cell:g} m makes {columns} x {rows} cells", "choose larger cells"
         )
     origin = np.array([west, south])
     try:
         network = Delaunay(xyz[:, :2] - origin)
     except QhullError as failure:
         raise IllPosedError(
-            "the points make no triangles (they lie on a line)", remedy="spread them over the terrain"
+            "the points make no triangles (they lie on a line)", "spread them over the terrain"
         ) from failure
     interpolate = LinearNDInterpolator(network, xyz[:, 2])
     heights = np.full((int(rows), int(columns)), np.nan)

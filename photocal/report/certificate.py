@@ -255,7 +255,5 @@ def _refuse_impossible(known: tuple[DerivedFigures, ...], say: Catalogue) -> Non
         refused = [finding_text(finding, say) for finding in of.findings if finding.severity == "refused"]
         if refused:
             raise InputMalformedError(
-                " ".join(refused),
-                where=f"camera {of.camera_id}",
-                remedy="correct the block or the particulars",
+                " ".join(refused), "correct the block or the particulars", where=f"camera {of.camera_id}"
             )

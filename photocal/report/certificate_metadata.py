@@ -180,14 +180,14 @@ def read_particulars(
     """Read the particulars of a certificate; what nobody typed may stand in the pictures, by section."""
     keys: dict[str, Any] = read_tables(path) if path is not None else {}
     if given := sorted(keys.keys() & {"flown", "flown_spread", "planned"}):
-        raise ConfigurationError(f"{given[0]} is measured, not given", where=path, remedy="remove it")
+        raise ConfigurationError(f"{given[0]} is measured, not given", "remove it", where=path)
     keys |= _of_flown(flown) if flown else {}
     for section, stated in (pictures or {}).items():
         typed = keys.get(section, {})
         if isinstance(typed, dict):
             keys[section] = {**{name: f"{value} (EXIF)" for name, value in stated.items()}, **typed}
     if "date" in keys:
-        raise ConfigurationError("unknown key 'date'", where=path, remedy="give the day by --date")
+        raise ConfigurationError("unknown key 'date'", "give the day by --date", where=path)
     named = {"client": client, "operator": operator}
     document = keys.get("document", {})
     if isinstance(document, dict):

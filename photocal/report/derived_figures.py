@@ -154,13 +154,13 @@ def check_printed(path: Path) -> PrintedCheck:
 def _record_of_print(keys: PrintedKeys, path: Path) -> CalibrationRecord:
     printed, camera, flight, system = keys.calibration, keys.camera, keys.campaign, keys.gnss_ins
     if not printed.parameters.get("c", (0.0, 0.0))[0] > 0.0:
-        raise ConfigurationError("calibration.parameters: c must be positive", where=path, remedy="give c")
+        raise ConfigurationError("calibration.parameters: c must be positive", "give c", where=path)
     names, rows = printed.correlation_names, printed.correlation
     if [len(row) for row in rows] != list(range(1, len(names) + 1)):
         raise ConfigurationError(
             f"calibration.correlation is no lower triangle of {len(names)} rows",
+            "give one number more in each row",
             where=path,
-            remedy="give one number more in each row",
         )
     matrix = np.eye(len(names))
     for i, row in enumerate(rows):

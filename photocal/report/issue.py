@@ -139,7 +139,7 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
     """
     file = path / NAME if path.is_dir() else path
     if file.is_symlink() or not file.is_file():
-        raise InputNotFoundError("no such file", where=file, remedy="name certificate.json or its folder")
+        raise InputNotFoundError("no such file", "name certificate.json or its folder", where=file)
     _, content = read_json(file, SCHEMA, "name the certificate.json of a certificate")
     _complete(content, file)
     return content, file.parent
@@ -240,7 +240,7 @@ def _refuse_a_guess(run: Path, result: Result) -> None:
     if guessed:
         raise ConfigurationError(
             f"the principal distance of camera {guessed[0]} is a guess that was held",
-            where=run,
-            remedy="give its calibrated value and remove guessed = true, or name c under estimate; where it"
+            "give its calibrated value and remove guessed = true, or name c under estimate; where it"
             " stands there already, this flight does not determine it: fly two heights, with crossed strips",
+            where=run,
         )

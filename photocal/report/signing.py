@@ -71,7 +71,7 @@ def new_key(name: str, passphrase: str = "") -> Key:
 
     path = private_folder(settings_folder()) / _PRIVATE
     if path.exists():
-        raise OutputError("there is a key already", where=path, remedy="keep it, or move it away yourself")
+        raise OutputError("there is a key already", "keep it, or move it away yourself", where=path)
     private = Ed25519PrivateKey.generate()
     sealed = (
         serialization.BestAvailableEncryption(passphrase.encode())
@@ -105,11 +105,11 @@ def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> K
     key, private = own_key(), _private(passphrase)
     if key is None or private.public_key().public_bytes_raw() != key.public:
         raise ConfigurationError(
-            "the two files of the key do not belong together", where=settings_folder(), remedy="restore both"
+            "the two files of the key do not belong together", "restore both", where=settings_folder()
         )
     files = manifest(folder)
     if link := next((name for name, digest in files.items() if digest == _LINK), None):
-        raise InputMalformedError("is a link", where=folder / link, remedy="put the file itself there")
+        raise InputMalformedError("is a link", "put the file itself there", where=folder / link)
     entry = _note(number, files["certificate.json"], now)
     content = {
         "schema": SCHEMA,
@@ -188,7 +188,7 @@ def known_keys(path: Path | None = None) -> dict[str, str]:
     source = path or settings_folder() / _TRUSTED
     if not source.is_file():
         if path is not None:
-            raise InputNotFoundError("no such file", where=path, remedy="name a list of keys")
+            raise InputNotFoundError("no such file", "name a list of keys", where=path)
         own = own_key()
         return {own.fingerprint: own.name} if own else {}
     known = {} if path is not None else {key.fingerprint: key.name for key in (own_key(),) if key}
@@ -197,9 +197,7 @@ def known_keys(path: Path | None = None) -> dict[str, str]:
             words = line.split()
             if len(words) < 11 or any(len(word) != 4 for word in words[:10]):
                 raise InputMalformedError(
-                    "is no key",
-                    where=f"{source}, line {number}",
-                    remedy="write ten groups of four, and the name",
+                    "is no key", "write ten groups of four, and the name", where=f"{source}, line {number}"
                 )
             known[" ".join(words[:10]).upper()] = " ".join(words[10:])
     return known
@@ -211,8 +209,8 @@ def trust(name: str, fingerprint: str) -> None:
     if name in known.values() and known.get(fingerprint) != name:
         raise ConfigurationError(
             f"{name} is known by another key",
+            "ask the issuer, then remove the old line yourself",
             where=settings_folder() / _TRUSTED,
-            remedy="ask the issuer, then remove the old line yourself",
         )
     lines = [f"{digits} {owner}" for digits, owner in {**known, fingerprint: name}.items()]
     private_folder(settings_folder())
@@ -225,7 +223,7 @@ def _note(number: str, digest: str, now: dt.datetime) -> dict[str, Any]:
     path = private_folder(settings_folder()) / _JOURNAL
     with path.open("a+b") as stream:
         if not lock(stream):
-            raise OutputError("another program writes into it", where=path, remedy="try again")
+            raise OutputError("another program writes into it", "try again", where=path)
         stream.seek(0)
         lines = stream.read().splitlines()
         entry = {
@@ -243,7 +241,7 @@ def journal(path: Path | None = None) -> list[dict[str, Any]]:
     """Read the journal of issued certificates; an entry that was changed, removed or put in is refused."""
     source = path or settings_folder() / _JOURNAL
     if not source.is_file():
-        raise InputNotFoundError("no such file", where=source, remedy="sign a certificate, or name a journal")
+        raise InputNotFoundError("no such file", "sign a certificate, or name a journal", where=source)
     entries, before = [], _NOTHING_BEFORE
     for number, line in enumerate(source.read_bytes().splitlines(), start=1):
         try:
@@ -254,8 +252,8 @@ def journal(path: Path | None = None) -> list[dict[str, Any]]:
         if broken:
             raise InputMalformedError(
                 "does not follow from the entry before it",
+                "compare it with a copy of the journal",
                 where=f"{source}, line {number}",
-                remedy="compare it with a copy of the journal",
             )
         before = hashlib.sha256(line).hexdigest()
         entries.append(entry)
@@ -277,7 +275,7 @@ def _private(passphrase: str) -> "Ed25519PrivateKey":
 
     path = settings_folder() / _PRIVATE
     if not path.is_file():
-        raise InputNotFoundError("there is no key", where=path, remedy="run: photocal keys --new NAME")
+        raise InputNotFoundError("there is no key", "run: photocal keys --new NAME", where=path)
     wrong = ConfigurationError.at(path)
     try:
         key = load_pem_private_key(path.read_bytes(), passphrase.encode() or None)
@@ -292,9 +290,9 @@ def _json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as broken:
-        raise InputMalformedError(f"cannot be read ({broken})", where=path, remedy="restore it") from None
+        raise InputMalformedError(f"cannot be read ({broken})", "restore it", where=path) from None
     if not isinstance(content, dict):
-        raise InputMalformedError("is no JSON object", where=path, remedy="restore it")
+        raise InputMalformedError("is no JSON object", "restore it", where=path)
     return content
 
 

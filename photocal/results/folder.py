@@ -213,7 +213,7 @@ def read_result(folder: Path) -> Result:
     """
     if not folder.is_dir():
         what = "is a file, a folder was expected" if folder.exists() else "no such folder"
-        raise InputNotFoundError(what, where=folder, remedy="give the folder that `photocal adjust` wrote")
+        raise InputNotFoundError(what, "give the folder that `photocal adjust` wrote", where=folder)
     text, _ = read_json(folder / RESULT, SCHEMA, "adjust with this version of photocal")
     content = checked(text, _File, folder / RESULT, AGAIN)
     cameras = {name: _camera(name, stored, folder / RESULT) for name, stored in content.cameras.items()}
@@ -245,25 +245,23 @@ def read_json(path: Path, schema: str, remedy: str) -> tuple[str, dict[str, Any]
     if not path.is_file():
         raise missing("does not exist", "give the folder that `photocal adjust` wrote")
     if path.stat().st_size > LARGEST_JSON:
-        raise InputMalformedError("is no JSON of ours: it is too large", where=path, remedy=remedy)
+        raise InputMalformedError("is no JSON of ours: it is too large", remedy, where=path)
     try:
         text = path.read_text(encoding="utf-8")
         if not text.strip():
             raise missing("the file is empty", remedy)
         content = json.loads(text, parse_constant=_not_a_number)
     except UnicodeDecodeError as broken:
-        raise InputMalformedError(
-            "is not UTF-8 text", where=f"{path}, byte {broken.start}", remedy=remedy
-        ) from None
+        raise InputMalformedError("is not UTF-8 text", remedy, where=f"{path}, byte {broken.start}") from None
     except json.JSONDecodeError as broken:
         raise InputMalformedError(
-            f"is not complete JSON ({broken.msg})", where=f"{path}, line {broken.lineno}", remedy=remedy
+            f"is not complete JSON ({broken.msg})", remedy, where=f"{path}, line {broken.lineno}"
         ) from None
     except (ValueError, RecursionError) as broken:
-        raise InputMalformedError(str(broken), where=path, remedy=remedy) from None
+        raise InputMalformedError(str(broken), remedy, where=path) from None
     found = content.get("schema") if isinstance(content, dict) else None
     if found != schema:
-        raise InputMalformedError(f"schema is {found!r}, {schema!r} was expected", where=path, remedy=remedy)
+        raise InputMalformedError(f"schema is {found!r}, {schema!r} was expected", remedy, where=path)
     return text, content
 
 
@@ -295,7 +293,7 @@ def checked(text: str, kind: type[Kind], path: Path, remedy: str, within: str = 
     except ValidationError as refusal:
         first = refusal.errors()[0]
         place = ".".join([*([within] if within else []), *(str(step) for step in first["loc"])])
-        raise InputMalformedError(f"{place}: {first['msg']}", where=path, remedy=remedy) from None
+        raise InputMalformedError(f"{place}: {first['msg']}", remedy, where=path) from None
     return value
 
 
@@ -430,8 +428,8 @@ def read_covariances(path: Path, kind: str, names: tuple[str, ...], unknowns: Se
     except (pa.ArrowException, OSError, ValueError, KeyError) as failure:
         raise InputMalformedError(
             f"is no table of covariances ({str(failure).splitlines()[0]})",
+            "make the folder again",
             where=path,
-            remedy="make the folder again",
         ) from failure
     whole = np.zeros((len(ids), k, k))
     whole[:, *np.tril_indices(k)] = lower
@@ -459,5 +457,5 @@ def _lower(table: Any, unknowns: Sequence[str]) -> tuple[Integers, Floats]:
 def _same_count(path: Path, found: int, expected: int, what: str) -> None:
     if found != expected:
         raise InputMalformedError(
-            f"has {found} {what}, {RESULT} says {expected}", where=path, remedy=f"the table was cut; {AGAIN}"
+            f"has {found} {what}, {RESULT} says {expected}", f"the table was cut; {AGAIN}", where=path
         )

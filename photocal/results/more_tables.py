@@ -46,8 +46,8 @@ def parse_joint(text: str) -> tuple[tuple[str, str], ...]:
         if kind not in ("image", "point", "camera", "head", "mounting") or bool(name) == (kind == "mounting"):
             raise ConfigurationError(
                 f"{part!r} names no unknowns",
+                "use image:NAME, point:NAME, camera:ID, head:CAMERA or mounting, with commas between",
                 where="--joint",
-                remedy="use image:NAME, point:NAME, camera:ID, head:CAMERA or mounting, with commas between",
             )
         chosen.append((kind, name))
     return tuple(chosen)

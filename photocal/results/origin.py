@@ -60,8 +60,8 @@ def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> 
         if changed:
             raise InputMalformedError(
                 "is not the file that the run was made from",
+                "adjust the block again, or name the folder of this run",
                 where=folder / next(iter(changed)),
-                remedy="adjust the block again, or name the folder of this run",
             )
         return Source(folder, setup)
     for folder in _candidates(run.resolve(), result, here):
@@ -69,8 +69,8 @@ def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> 
             return Source(folder, setup)
     raise InputNotFoundError(
         "no block folder with the files of this run was found beside it or below the current folder",
+        "name it with --block, or adjust the block again if it has changed",
         where=run,
-        remedy="name it with --block, or adjust the block again if it has changed",
     )
 
 

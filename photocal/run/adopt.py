@@ -306,8 +306,8 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     if fit is None:
         raise IllPosedError(
             f"{int(met.sum())} control points of the list are marked in two images and more",
+            "three that are not in a line bring the block onto them",
             where=lists[0],
-            remedy="three that are not in a line bring the block onto them",
         )
     rotation = fit.applied_to_rotations(matrix_from_angles(block.images.values[:, :3]))
     poses = np.hstack([angles_from_matrix(rotation), fit.applied(block.images.values[:, 3:])])

@@ -83,7 +83,7 @@ def given_block_stage(source: Path) -> Stage:
     def make(folder: Path, _: Progress) -> None:
         if not (source / "block.toml").is_file():
             raise InputNotFoundError(
-                "has no block.toml", where=source, remedy="name a block folder in [measurements]"
+                "has no block.toml", "name a block folder in [measurements]", where=source
             )
         shutil.copytree(source, folder, dirs_exist_ok=True)
 

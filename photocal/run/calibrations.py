@@ -82,7 +82,7 @@ def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
         found.append(replace(one, name=f"{one.name} ({path})") if taken else one)
     if len(found) < 2:
         raise InputNotFoundError(
-            "one calibration has nothing to be compared with", remedy="name two or more runs or projects"
+            "one calibration has nothing to be compared with", "name two or more runs or projects"
         )
     return tuple(found)
 
@@ -97,7 +97,7 @@ def _calibrated(path: Path) -> Calibrated:
     run = path / _STAGE if (path / _STAGE / RESULT).is_file() else path
     if not (run / RESULT).is_file():
         raise InputNotFoundError(
-            f"has no {RESULT}", where=path, remedy="run `photocal run` or `photocal adjust` first"
+            f"has no {RESULT}", "run `photocal run` or `photocal adjust` first", where=path
         )
     result = read_result(run)
     source = result.block.source
@@ -170,9 +170,7 @@ def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: 
             except PhotocalError as refusal:
                 raise type(refusal)(f"{taker.name}: {refusal.what}", remedy=refusal.remedy) from refusal
             if not check.names:
-                raise ConfigurationError(
-                    f"{taker.name} has no check points", remedy="give points the role check"
-                )
+                raise ConfigurationError(f"{taker.name} has no check points", "give points the role check")
             variance = np.diagonal(check.covariance, axis1=1, axis2=2)
             uses.append(
                 Use(

@@ -74,7 +74,7 @@ def run_project(
     for option, name in (("--until", until), ("--again", again)):
         if name is not None and name not in names:
             raise ConfigurationError(
-                f"{name!r} is no stage of this project", where=option, remedy=f"take {', '.join(names)}"
+                f"{name!r} is no stage of this project", f"take {', '.join(names)}", where=option
             )
     check_project(project)
     with alone(project.output):
@@ -134,7 +134,7 @@ def run_projects(
     for k, output in enumerate(outputs):
         if output in outputs[:k]:
             raise ConfigurationError(
-                "two projects have the same output", where=paths[k], remedy="give each its own folder"
+                "two projects have the same output", "give each its own folder", where=paths[k]
             )
     tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
     if cluster is None and (workers == 1 or len(tasks) == 1):

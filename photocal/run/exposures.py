@@ -70,8 +70,8 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     if not len(with_images(run.antenna)):
         raise IllPosedError(
             "no image has an exposure with a position",
+            "check clock_offset_s, the images and the log with `photocal exposures`",
             where=project.path,
-            remedy="check clock_offset_s, the images and the log with `photocal exposures`",
         )
     write_exposures(folder / "exposures.csv", run.exposures)
     write_block_images(folder / "images.csv", run.exposures, project.camera.id, None, project.crs)

@@ -77,7 +77,7 @@ class Survey:
 def survey(folder: Path) -> Survey:
     """Look at everything in a folder; raises InputNotFoundError when it is no folder."""
     if not folder.is_dir():
-        raise InputNotFoundError("is no folder", where=folder, remedy="name the folder of the flight")
+        raise InputNotFoundError("is no folder", "name the folder of the flight", where=folder)
     seen = Survey(folder)
     files = sorted(_files(folder, _DEPTH))
     seen.pictures = _pictures(files, seen.unread)

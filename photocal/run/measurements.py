@@ -37,8 +37,8 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
     if unknown:
         raise InputMalformedError(
             f"image {unknown[0]} has no exposure" + (f", as {len(unknown) - 1} more" if unknown[1:] else ""),
+            "take its observations out, or complete the exposures",
             where=path,
-            remedy="take its observations out, or complete the exposures",
         )
     points = control.with_ties(ties, np.full((len(ties), 3), np.nan))
     sigma = None if given is None else given.sigma_px

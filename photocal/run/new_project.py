@@ -59,8 +59,8 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
     if not seen.pictures and not seen.logs:
         raise InputNotFoundError(
             "has neither pictures nor a flight log",
+            "; ".join(seen.unread[:3]) or "name the folder of a flight",
             where=folder,
-            remedy="; ".join(seen.unread[:3]) or "name the folder of a flight",
         )
     pictures = max(seen.pictures, key=lambda where: len(seen.pictures[where]), default=None)
     facts = seen.pictures[pictures] if pictures is not None else ()
@@ -85,7 +85,7 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
             files["marks.csv"] = rows_text(columns, rows)
     for name in files:
         if (folder / name).exists() and not (name != NAME and (folder / name) == getattr(control, "file", 0)):
-            raise OutputError("is there already", where=folder / name, remedy="move it away, or use it")
+            raise OutputError("is there already", "move it away, or use it", where=folder / name)
     for name, content in files.items():
         (folder / name).write_text(content, encoding="utf-8", newline="\n")
     return NewProject(folder / NAME, tuple(text.found), tuple(text.missing), tuple(text.asked))

@@ -112,7 +112,7 @@ def _check_system(project: Project, place: Place | None) -> None:
             wrong = f" ({level.name}) is in {unit}, not in metres"
         else:
             return
-    raise ConfigurationError(f"crs = {project.crs!r}{wrong}", where=project.path, remedy=_proposal(place))
+    raise ConfigurationError(f"crs = {project.crs!r}{wrong}", _proposal(place), where=project.path)
 
 
 def _proposal(place: Place | None) -> str:
@@ -131,8 +131,8 @@ def _check_heights(project: Project, control: ObjectPoints) -> None:
         return
     raise ConfigurationError(
         f"the heights of all {len(heights)} control points are {heights[0]:g}, which no survey gives",
+        "give their heights, or leave sZ empty: then they count in plane only",
         where=project.control.points,
-        remedy="give their heights, or leave sZ empty: then they count in plane only",
     )
 
 
@@ -145,8 +145,8 @@ def _check_line(project: Project, control: ObjectPoints) -> None:
     if len(used) < FEWEST or extent[1] < LINE * extent[0]:
         raise ConfigurationError(
             f"the {len(used)} control points lie in one line: the block can turn about it",
+            "survey a point beside the line, or give pictures with positions",
             where=project.control.points,
-            remedy="survey a point beside the line, or give pictures with positions",
         )
 
 
@@ -188,7 +188,7 @@ def _check_place(
         tried.append((cause, file, latitude, longitude, crs, middle))
     for cause, where, north, east, crs, place in tried:
         if _away(north, east, crs, place) <= far:
-            raise ConfigurationError(cause, where=where, remedy=f"then they fit {what}: correct it")
+            raise ConfigurationError(cause, f"then they fit {what}: correct it", where=where)
     raise wrong(
         f"the control points lie {stated / 1000:.0f} km from {what}, and no exchange of axes, signs, units "
         "or zones explains it",
@@ -234,8 +234,8 @@ def check_near(project: Project, control: ObjectPoints, places: Floats) -> None:
         raise ConfigurationError(
             f"the control points lie beside the pictures: the nearest is {gap.min():.0f} m from the nearest "
             f"position, {height:.0f} m below it",
+            "are they of this flight, and in the datum of crs?",
             where=project.control.points,
-            remedy="are they of this flight, and in the datum of crs?",
         )
 
 

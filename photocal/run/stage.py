@@ -195,7 +195,7 @@ def alone(work: Path) -> Iterator[None]:
     with lock:
         if not take(lock):
             raise OutputError(
-                "another run is working in this folder", where=work, remedy="wait for its end, or stop it"
+                "another run is working in this folder", "wait for its end, or stop it", where=work
             )
         yield
 
@@ -373,7 +373,7 @@ def _made(
 def _key(stage: Stage, digests: Digests) -> str:
     for name, path in stage.inputs.items():
         if not path.exists():
-            raise InputNotFoundError(f"{name} does not exist", where=path, remedy="check the project file")
+            raise InputNotFoundError(f"{name} does not exist", "check the project file", where=path)
     content = {
         "stage": stage.name,
         "program": program(stage.make),

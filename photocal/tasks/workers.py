@@ -106,7 +106,7 @@ def _on_processes(
 def _died() -> ProgramMissingError:
     return ProgramMissingError(
         "a worker process died, probably for want of memory",
-        remedy="use fewer workers (--workers 1); finished images are not computed again",
+        "use fewer workers (--workers 1); finished images are not computed again",
     )
 
 
@@ -168,8 +168,8 @@ class Cluster:
                 if blind:
                     raise ConfigurationError(
                         f"worker {blind[0]} does not see it",
+                        "name a folder (--cache, the images) that all machines of the cluster share",
                         where=folder,
-                        remedy="name a folder (--cache, the images) that all machines of the cluster share",
                     )
 
     @contextmanager
@@ -178,15 +178,15 @@ class Cluster:
             distributed: Any = importlib.import_module("distributed")
         except ImportError as refusal:
             raise ProgramMissingError(
-                "dask.distributed is not installed", remedy="install photocal[cluster]"
+                "dask.distributed is not installed", "install photocal[cluster]"
             ) from refusal
         try:
             client = distributed.Client(self.address, timeout=f"{_TIMEOUT_S}s", set_as_default=False)
         except (OSError, ValueError) as refusal:
             raise DeviceError(
                 "no scheduler answers there",
+                "start `dask scheduler` and name its address",
                 where=self.address,
-                remedy="start `dask scheduler` and name its address",
             ) from refusal
         with client:
             try:
@@ -194,8 +194,8 @@ class Cluster:
             except TimeoutError as refusal:
                 raise DeviceError(
                     "the scheduler has no workers",
+                    f"start some with `dask worker {self.address}`",
                     where=self.address,
-                    remedy=f"start some with `dask worker {self.address}`",
                 ) from refusal
             try:
                 yield client
@@ -207,8 +207,8 @@ class Cluster:
                 # KilledWorker, FutureCancelledError, CommClosedError: the machines, not the task.
                 raise DeviceError(
                     f"the cluster was lost ({type(failure).__name__})",
+                    "look at its workers' memory and start again; what was finished is kept",
                     where=self.address,
-                    remedy="look at its workers' memory and start again; what was finished is kept",
                 ) from failure
 
 

@@ -51,8 +51,8 @@ def simulate(
     if seconds < 2 * longest:
         raise ConfigurationError(
             f"the session of {seconds:g} s is too short for measurements every {longest:g} s",
+            "fly longer or measure more often",
             where="GNSS simulation",
-            remedy="fly longer or measure more often",
         )
     # Each part has its own chance: a fault at the rover changes nothing at the base.
     for_sky, for_air, for_rover, for_base = rng.spawn(4)

@@ -27,7 +27,7 @@ def write_block(world: World, observed: Observations, folder: Path) -> None:
     """Write the block folder of a flight; a fault that only shows in streams is refused."""
     if world.has(Fault.CYCLE_SLIPS):
         raise ConfigurationError(
-            "cycle slips do not show at the level block", remedy='take level = "observations" or "pictures"'
+            "cycle slips do not show at the level block", 'take level = "observations" or "pictures"'
         )
     folder.mkdir(parents=True)
     kept = np.flatnonzero(kept_images(world))

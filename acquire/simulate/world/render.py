@@ -182,8 +182,8 @@ def make_plate(centre_m: Floats, turn: float, code: int, dictionary: str, side_m
     if code >= len(codes.bytesList):
         raise ConfigurationError(
             f"{dictionary} has no more than {len(codes.bytesList) - 1} codes for plates",
+            "lay fewer, or take a larger dictionary",
             where="[targets]",
-            remedy="lay fewer, or take a larger dictionary",
         )
     cells = int(codes.markerSize) + 2
     marker = codes.generateImageMarker(code, cells)
@@ -199,7 +199,7 @@ def dictionary_of(name: str) -> Any:
     number = getattr(cv2.aruco, f"DICT_{name.upper()}", None)
     if number is None:
         raise ConfigurationError(
-            f"there is no dictionary {name!r}", where="[targets]", remedy="for example apriltag_36h11"
+            f"there is no dictionary {name!r}", "for example apriltag_36h11", where="[targets]"
         )
     return cv2.aruco.getPredefinedDictionary(number)
 

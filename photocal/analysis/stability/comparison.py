@@ -148,20 +148,19 @@ def _after_fit(changes: Floats, design: Floats) -> Floats:
 def _check(calibrations: tuple[Camera, ...]) -> None:
     if len(calibrations) < 2:
         raise ConfigurationError(
-            f"{len(calibrations)} calibration cannot be compared",
-            remedy="give two or more [[camera]] entries",
+            f"{len(calibrations)} calibration cannot be compared", "give two or more [[camera]] entries"
         )
     names = [calibration.id for calibration in calibrations]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
-        raise ConfigurationError(f"camera {twice[0]} occurs twice", remedy="give each calibration its own id")
+        raise ConfigurationError(f"camera {twice[0]} occurs twice", "give each calibration its own id")
     size = calibrations[0].size_px
     for one in calibrations[1:]:
         if one.size_px != size:
             raise ConfigurationError(
                 f"camera {one.id} has {one.size_px[0]} x {one.size_px[1]} px, "
                 f"camera {names[0]} has {size[0]} x {size[1]} px",
-                remedy="compare calibrations of one image format",
+                "compare calibrations of one image format",
             )
 
 

@@ -50,8 +50,8 @@ def view(camera: Camera, pixels: Floats) -> View:
         column, row = pixels[np.flatnonzero(~np.all(np.isfinite(ideal), axis=1))[0]]
         raise IllPosedError(
             f"the distortion folds within the image, pixel ({column:g}, {row:g}) has no ray",
+            "check sign and unit of the coefficients, and the direction of the model",
             where=f"camera {camera.id}",
-            remedy="check sign and unit of the coefficients, and the direction of the model",
         )
     return View(ideal, camera.value("c") / camera.pitch[0])
 
@@ -184,7 +184,7 @@ def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tu
             return pose, design
     raise NotConvergedError(
         f"the two bundles cannot be brought together by method {method.name}",
-        remedy="check that both cameras have the same format, unit and sign of the distortion",
+        "check that both cameras have the same format, unit and sign of the distortion",
     )
 
 

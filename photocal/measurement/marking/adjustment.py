@@ -118,7 +118,7 @@ def block_of_marks(
     if not (ray & of_control).any():
         raise IllPosedError(
             "no image has marks enough to be adjusted" + (f": {left_out[0]}" if left_out else ""),
-            remedy="mark control points in more images",
+            "mark control points in more images",
         )
     return _only(whole, usable, held, ray), left_out
 

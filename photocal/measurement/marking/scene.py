@@ -58,7 +58,7 @@ def scene_of_project(project: Project, run: Path | None) -> tuple[Scene, Path]:
     control = project.control
     if control.marks is None:
         raise ConfigurationError(
-            "marks in [control] is missing", where=project.path, remedy='add marks = "marks.csv"'
+            "marks in [control] is missing", 'add marks = "marks.csv"', where=project.path
         )
     pictures = read_pictures(project.picture_folder)
     orientation = of_project(project, tuple(pictures)) if run is None else of_run(run)

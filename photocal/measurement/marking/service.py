@@ -177,12 +177,10 @@ class MarkingService:
         path = self._picture(click.image).path
         width, height = self._scene.pictures[click.image].size_px
         if not (-0.5 <= click.x <= width - 0.5 and -0.5 <= click.y <= height - 0.5):
-            raise ConfigurationError(
-                "the place is outside of the image", where=click.image, remedy="mark inside"
-            )
+            raise ConfigurationError("the place is outside of the image", "mark inside", where=click.image)
         if self._scene.listed and click.point not in self._scene.points.names:
             raise ConfigurationError(
-                f"point {click.point} is not in the table of points", remedy="choose a point of the list"
+                f"point {click.point} is not in the table of points", "choose a point of the list"
             )
         place = (click.x, click.y)
         snapped = None
@@ -237,7 +235,7 @@ class MarkingService:
         scene, marks = self._scene, self._store.marks
         if scene.orientation is None:
             raise ConfigurationError(
-                "nothing is known of the camera", remedy="open a project with [[camera]], or give --run"
+                "nothing is known of the camera", "open a project with [[camera]], or give --run"
             )
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
             found = pool.submit(adjust_marks, scene.orientation, scene.points, marks).result()
@@ -260,7 +258,7 @@ def _checked(kind: type[Question], body: bytes) -> Question:
     except ValidationError as failure:
         first = failure.errors()[0]
         what = ": ".join((".".join(map(str, first["loc"])), first["msg"])).lstrip(": ")
-        raise ConfigurationError(what, where="request", remedy="use the page") from failure
+        raise ConfigurationError(what, "use the page", where="request") from failure
 
 
 def _rounded(click: _Click, place: tuple[float, float], sigma: tuple[float, float]) -> Mark:
@@ -319,12 +317,12 @@ def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
 async def _body(request: Request) -> bytes:
     # A form of another site cannot have this type.
     if request.headers.get("content-type") != "application/json":
-        raise ConfigurationError("the request is no JSON", remedy="use the page")
+        raise ConfigurationError("the request is no JSON", "use the page")
     body = b""
     async for part in request.stream():
         body += part
         if len(body) > _LONGEST_REQUEST:
-            raise ConfigurationError("the request is too long", remedy="use the page")
+            raise ConfigurationError("the request is too long", "use the page")
     return body
 
 

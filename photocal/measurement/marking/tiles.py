@@ -99,7 +99,7 @@ class Tiles:
 
     def _key(self, picture: Path) -> str:
         if not picture.is_file():
-            raise InputNotFoundError("does not exist", where=picture, remedy="was it moved?")
+            raise InputNotFoundError("does not exist", "was it moved?", where=picture)
         facts = picture.stat()
         state = (facts.st_mtime_ns, facts.st_size)
         known = self._keys.get(picture)
@@ -110,12 +110,12 @@ class Tiles:
 
     def _make(self, picture: Path, key: str, address: TileAddress) -> bytes:
         if not 0 <= address.level <= _MOST_LEVELS:
-            raise InputNotFoundError("has no such tile", where=picture, remedy="look at another place")
+            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
         with self._decoding:
             level = self._level(picture, key, address.level)
         left, top = address.column * TILE_PX, address.row * TILE_PX
         if address.column < 0 or address.row < 0 or left >= level.width or top >= level.height:
-            raise InputNotFoundError("has no such tile", where=picture, remedy="look at another place")
+            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
         part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
         written = BytesIO()
         part.save(written, "JPEG", quality=_QUALITY)
@@ -145,7 +145,7 @@ def _decoded(picture: Path, level: int) -> "Image":
 
     with opened(picture) as image:
         if level > coarsest_level(image.size):
-            raise InputNotFoundError("has no such tile", where=picture, remedy="look at another place")
+            raise InputNotFoundError("has no such tile", "look at another place", where=picture)
         if image.mode not in _MANY_BITS:
             done = _scaled(image, level)
             stored = as_stored(image)
