@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from acquire.console import AsJson, answer, argument, numbers_of, option, progress
 from drivers.errors import ConfigurationError
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from photocal.products.product_check import ProductCheck
     from photocal.project import Project
 
+# Figures as a JSON value, and the same for people.
+Judged: TypeAlias = tuple[dict[str, Any], str]
+
 
 def judge_product(
     found: Discrepancies | ProductCheck,
@@ -27,9 +30,7 @@ def judge_product(
     figures: Path | None,
     geopackage: Path | None,
     crs: str | None,
-    *,
-    as_json: bool,
-) -> None:
+) -> Judged:
     """Judge a table of discrepancies, or what an orthomosaic and a terrain model say at the check points."""
     from photocal.accuracy.assessment import assess
     from photocal.accuracy.discrepancies import Discrepancies
@@ -52,7 +53,7 @@ def judge_product(
         from photocal.geopackage import changed_utc
 
         write_geopackage(geopackage, (("check", found),), reference_system(crs), changed_utc(path))
-    answer(as_json, lambda: to_json(result) | more, lambda: "\n".join([to_text(result), *remarks]))
+    return to_json(result) | more, "\n".join([to_text(result), *remarks])
 
 
 def judge_block(
@@ -64,9 +65,8 @@ def judge_block(
     crs: str | None,
     *,
     on_the_job: bool,
-    as_json: bool,
-) -> None:
-    """Georeference a block three ways, judge it and answer."""
+) -> Judged:
+    """Georeference a block three ways and judge it."""
     from photocal.accuracy.maps import reference_system
     from photocal.exchange.formats import read_any_block
     from photocal.findings.finding import Finding
@@ -103,8 +103,7 @@ def judge_block(
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
         write_check(result, content, output, system, changed_utc(source))
-    written = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: content, lambda: text + written)
+    return content, _with_place(text, output)
 
 
 def with_project(path: Path, question: Question) -> tuple[Project, Question]:
@@ -122,8 +121,8 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
     return project, replace(question_of(project), **asked)
 
 
-def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
-    """Run an experiment with interior orientations and control patterns, and answer."""
+def judge_experiment(path: Path, output: Path | None) -> Judged:
+    """Run an experiment with interior orientations and control patterns."""
     from photocal.exchange.formats import read_any_block
     from photocal.georeferencing.experiment import read_experiment, run_experiment
     from photocal.georeferencing.experiment_output import to_json, to_text, write_experiment
@@ -133,12 +132,11 @@ def judge_experiment(path: Path, output: Path | None, *, as_json: bool) -> None:
         outcome = run_experiment(asked, lambda: advance(1))
     if output is not None:
         write_experiment(outcome, output)
-    written = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: to_json(outcome), lambda: to_text(outcome) + written)
+    return to_json(outcome), _with_place(to_text(outcome), output)
 
 
-def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bool) -> None:
-    """Repeat the adjustment with several numbers of control points, and answer."""
+def judge_numbers(source: Path, counts: str, output: Path | None) -> Judged:
+    """Repeat the adjustment with several numbers of control points."""
     from acquire.outputs import output_folder, write_json
     from photocal.accuracy.maps import save_figures
     from photocal.exchange.formats import read_any_block
@@ -157,8 +155,11 @@ def judge_numbers(source: Path, counts: str, output: Path | None, *, as_json: bo
         with output_folder(output) as folder:
             write_json(folder / "control_numbers.json", figures)
             save_figures(folder, {"control_numbers.pdf": control_plot(outcome)})
-    written = "" if output is None else f"\nwritten to {output}"
-    answer(as_json, lambda: figures, lambda: numbers_text(figures) + written)
+    return figures, _with_place(numbers_text(figures), output)
+
+
+def _with_place(text: str, output: Path | None) -> str:
+    return text if output is None else f"{text}\nwritten to {output}"
 
 
 def _interiors(path: Path) -> tuple[Camera, ...]:
@@ -284,15 +285,6 @@ def check(
             "there must be one thing to check",
             "name a block or project, or --discrepancies, or --experiment, or --points",
         )
-    if experiment is not None:
-        judge_experiment(experiment, output, as_json=as_json)
-        return
-    if control_numbers is not None:
-        if block is None:
-            raise ConfigurationError("--control-numbers needs a block", "name a block or project")
-        source = with_project(block, Question())[0].output / "block" if block.suffix == ".toml" else block
-        judge_numbers(source, control_numbers, output, as_json=as_json)
-        return
     question = Question(
         None if scale is None else parse_scale(scale),
         interval,
@@ -303,23 +295,26 @@ def check(
         target_vertical,
         gsd,
     )
-    noise = None if simulate_direct is None else noise_of(simulate_direct, seed)
+    project, names = None, tuple(standard or ())
     if block is not None and block.suffix == ".toml":
         project, question = with_project(block, question)
-        names = standard or project.contents.judgement.standards or SHIPPED
-        standards = tuple(load_standard(name) for name in names)
-        source = project.output / "block"
-        judge_block(source, output, standards, question, noise, crs, on_the_job=True, as_json=as_json)
-        return
-    standards = tuple(load_standard(name) for name in standard or SHIPPED)
+        block, names = project.output / "block", names or project.contents.judgement.standards
+    standards = tuple(load_standard(name) for name in names or SHIPPED)
     folder = figures or output
-    if block is not None:
-        judge_block(block, output, standards, question, noise, crs, on_the_job=False, as_json=as_json)
+    if experiment is not None:
+        judged = judge_experiment(experiment, output)
+    elif control_numbers is not None:
+        if block is None:
+            raise ConfigurationError("--control-numbers needs a block", "name a block or project")
+        judged = judge_numbers(block, control_numbers, output)
+    elif block is not None:
+        noise = None if simulate_direct is None else noise_of(simulate_direct, seed)
+        judged = judge_block(block, output, standards, question, noise, crs, on_the_job=project is not None)
     elif discrepancies is not None:
         from photocal.accuracy.discrepancies import read_discrepancies
 
         table = read_discrepancies(discrepancies)
-        judge_product(table, discrepancies, standards, question, folder, geopackage, crs, as_json=as_json)
+        judged = judge_product(table, discrepancies, standards, question, folder, geopackage, crs)
     elif points is not None:
         from photocal.products.product_check import check_products, read_check_points
 
@@ -332,4 +327,5 @@ def check(
             height_kind=height_kind,
             dtm_height_kind=dtm_height_kind,
         )
-        judge_product(found, points, standards, question, folder, geopackage, crs, as_json=as_json)
+        judged = judge_product(found, points, standards, question, folder, geopackage, crs)
+    answer(as_json, lambda: judged[0], lambda: judged[1])
