@@ -43,6 +43,7 @@ def argument(text: str, **settings: Any) -> Any:
 
 
 AsJson = Annotated[bool, option("Print the figures as JSON.", "--json")]
+Address = Annotated[str, option("HOST:PORT of the page. Beyond this computer the page demands a token.")]
 
 
 def printable(text: str) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer, argument, option
+from acquire.console import Address, answer, argument, option
 
 if TYPE_CHECKING:
     import threading
@@ -104,9 +104,7 @@ def monitor(
         Path, argument("Flight log (.mcap), folder of a recording, or its configuration (.toml).")
     ],
     page: Annotated[bool, option("Show it as a local web page instead.", "--page")] = False,
-    address: Annotated[
-        str, option("HOST:PORT of the page. Beyond this computer the page demands a token.")
-    ] = "127.0.0.1:8740",
+    address: Address = "127.0.0.1:8740",
     debrief: Annotated[Path | None, option("File that `photocal debrief` writes: the page shows it.")] = None,
     foxglove: Annotated[
         bool, option("Also serve the channels to Foxglove, with a token.", "--foxglove")

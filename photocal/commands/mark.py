@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import answer, argument, option, progress
+from acquire.console import Address, answer, argument, option, progress
 from drivers.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -27,9 +27,7 @@ def mark(
     run: Annotated[
         Path | None, option("Folder of an adjustment that says how the images are oriented.")
     ] = None,
-    address: Annotated[
-        str, option("HOST:PORT of the page. Beyond this computer the page demands a token.")
-    ] = "127.0.0.1:8750",
+    address: Address = "127.0.0.1:8750",
     cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
     as_json: Annotated[bool, option("Print what is marked as JSON, and show no page.", "--json")] = False,
 ) -> None:

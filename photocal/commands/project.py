@@ -104,7 +104,7 @@ def debrief(
     live: Annotated[
         bool, option("Go on in flight: judge pictures as they come into the folder, until Ctrl-C.", "--live")
     ] = False,
-    as_json: Annotated[bool, option("Print the figures as JSON.", "--json")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Judge a flight before the crew drives home: complete, to be looked at, or to be flown again.
 
