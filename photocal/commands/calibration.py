@@ -2,8 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -57,13 +56,11 @@ def adjust(
         raise ConfigurationError(f"--ellipses {ellipses:g} is no probability", "give 0.95 for 95 %")
     wanted = Wanted(ellipses, reliability, components, parse_joint(joint))
     compile_ahead()
-    with iteration_lines("adjusting") as report:
-        result = adjust_block(block, output, test, report, wanted, read_any_block)
+    result = adjust_block(block, output, test, iteration_lines("adjusting"), wanted, read_any_block)
     answer(as_json, lambda: result_json(result), lambda: f"{result!r}\nwritten to {output}")
 
 
-@contextmanager
-def iteration_lines(title: str) -> Iterator[Callable[[Any], None]]:
+def iteration_lines(title: str) -> Callable[[Any], None]:
     """Show each iteration on standard error when a person watches and it takes more than a second."""
     began = time.monotonic()
 
@@ -74,7 +71,7 @@ def iteration_lines(title: str) -> Iterator[Callable[[Any], None]]:
                 f"step {iteration.decrement**0.5:.2g} sigma\n"
             )
 
-    yield line
+    return line
 
 
 def analyse(
