@@ -16,6 +16,7 @@ from drivers.errors import ConfigurationError
 from drivers.mavlink.dialect import Dialect, ardupilotmega
 
 CHUNK_BYTES = 1 << 20
+_COUNTED = ("frames", "frame_bytes", "stamp_bytes", "damage_bytes", "damage_runs")
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,7 @@ class Imported:
             "bytes": self.size,
             "format": self.form.name,
             "log_time": self.log_time,
-            "frames": self.tally.frames,
-            "frame_bytes": self.tally.frame_bytes,
-            "stamp_bytes": self.tally.stamp_bytes,
-            "damage_bytes": self.tally.damage_bytes,
-            "damage_runs": self.tally.damage_runs,
+            **{key: getattr(self.tally, key) for key in _COUNTED},
             "cut_bytes": self.cut,
             "packing_cut": self.packing_cut,
             "warning": self.warning,

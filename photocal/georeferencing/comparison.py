@@ -52,6 +52,11 @@ class Judged:
     check: Differences
     assessment: Assessment | None
 
+    @property
+    def differences(self) -> tuple[Differences, ...]:
+        """Those at check and at control points, where there are any."""
+        return tuple(found for found in (self.check, self.control) if found.names)
+
 
 @dataclass(frozen=True)
 class BlockCheck:

@@ -202,7 +202,7 @@ def to_text(check: BlockCheck) -> str:
         f"   {'error/sigma':>11}"
     )
     for judged in check.judged:
-        lines += [_row(judged, found) for found in (judged.check, judged.control) if found.names]
+        lines += [_row(judged, found) for found in judged.differences]
     lines += ["", *map(_label, check.judged), ""]
     rows = standards_rows(check)
     widths = [max(map(len, column)) + 3 for column in zip(*rows, strict=True)]
@@ -256,9 +256,7 @@ def _row(judged: Judged, differences: Differences) -> str:
 
 def _points(judged: Judged) -> list[str]:
     lines = []
-    for found in (judged.check, judged.control):
-        if not found.names:
-            continue
+    for found in judged.differences:
         if found.joint is not None:
             one = found.joint
             pairs = zip("XYZ", one.mean, one.mean_sigma, strict=True)
@@ -296,9 +294,7 @@ def write_check(
             (aside / name).write_text(text, encoding="utf-8")
         for judged in check.judged:
             method = judged.found.method
-            groups = tuple(
-                (found.role, found.discrepancies()) for found in (judged.control, judged.check) if found.names
-            )
+            groups = tuple((found.role, found.discrepancies()) for found in judged.differences[::-1])
             if groups:
                 write_geopackage(aside / f"{method}.gpkg", groups, system, changed_utc)
                 names.append(f"{method}.gpkg")
@@ -318,7 +314,7 @@ def _ground_points(check: BlockCheck) -> str:
     header += ["chi_squared", "ellipse_major_m", "ellipse_minor_m", "ellipse_azimuth_deg"]
     rows: list[list[object]] = []
     for judged in check.judged:
-        for found in (judged.check, judged.control):
+        for found in judged.differences:
             axes, azimuth = found.ellipses.semi_axes, np.degrees(found.ellipses.azimuth)
             figures = np.column_stack([found.d, found.product_sigma, found.w, found.distance, axes, azimuth])
             rows += [
@@ -359,12 +355,10 @@ def _report(check: BlockCheck) -> str:
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for judged in check.judged:
-        for found in (judged.check, judged.control):
-            if not found.names:
-                continue
-            cells = " | ".join(f"{v:.4f}" for v in (*found.rmse, *found.predicted))
-            n = len(found.names)
-            lines.append(f"| {judged.found.method} | {found.role} | {n} | {cells} | {found.ratio:.2f} |")
+        for found in judged.differences:
+            figures = " | ".join(f"{v:.4f}" for v in (*found.rmse, *found.predicted))
+            head = f"| {judged.found.method} | {found.role} | {len(found.names)}"
+            lines.append(f"{head} | {figures} | {found.ratio:.2f} |")
     lines += ["", *(f"- {_label(judged)}" for judged in check.judged), ""]
     rows = standards_rows(check)
     if rows:

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats
 from drivers.earth import enu_offsets
 from drivers.errors import IllPosedError
 from photocal.findings.finding import Finding, untested
 from photocal.navigation.events import CameraEventList, Events
-from photocal.navigation.exposures import Exposures, at_camera
+from photocal.navigation.exposures import Exposures
 from photocal.navigation.image_metadata import ImageMetadata, stated_places
 from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
@@ -149,27 +148,20 @@ def _autopilot_clock(e: Evidence) -> Finding:
 
 def _other_positions(e: Evidence) -> list[Finding]:
     """Hold the exposures against every other position that was told for them."""
-    found = []
-    exposures = e.antenna if e.listed is not None else at_camera(e.antenna, e.rig)
-    for source, theirs, free, at in _sources(e):
-        ours = exposures if at == "camera" else e.antenna
-        rig = e.rig if at == "camera" else replace(e.rig, lever_m=None)
-        found.append(judge_positions(source, ours, theirs, rig, free))
-    return found
-
-
-def _sources(e: Evidence) -> list[tuple[str, Floats, str, str]]:
-    """Return name, latitude/longitude/height (n, 3), what is unknown, and what was located."""
-    sources = []
-    if e.listed is not None and e.trajectory is not None:
-        sources.append(("vehicle-event-list", e.listed.placed.place, "shift", "camera"))
-    if e.trajectory is not None and e.events.claimed is not None:
-        sources.append(("event-source", e.events.claimed[:, :3], "shift", "antenna"))
+    if e.trajectory is None:
+        return []
+    found, at_antenna = [], replace(e.rig, lever_m=None)
+    if e.listed is not None:
+        found.append(judge_positions("vehicle-event-list", e.antenna, e.listed.placed.place, e.rig, "shift"))
+    if e.events.claimed is not None:
+        claimed = e.events.claimed[:, :3]
+        found.append(judge_positions("event-source", e.antenna, claimed, at_antenna, "shift"))
     by_name = {image.name: image.facts for image in e.images}
     facts = [by_name.get(name.split(" ")[0]) for name in e.antenna.image]
-    if e.trajectory is not None and any(f is not None and f.has_position for f in facts):
-        sources.append(("image-positions", stated_places(facts), "shift", "antenna"))
-    return sources
+    if any(f is not None and f.has_position for f in facts):
+        stated = stated_places(facts)
+        found.append(judge_positions("image-positions", e.antenna, stated, at_antenna, "shift"))
+    return found
 
 
 def _out_of_sight(e: Evidence) -> list[Finding]:

@@ -77,7 +77,8 @@ class ReceiverRecording:
         raw = ubx.decode_rawx(batch).epochs
         empty = raw.fields["numMeas"] == 0
         untimed = ~empty & ((raw.fields["week"] == 0) | ~np.isfinite(raw.fields["rcvTow"]))
-        good = raw.index[~empty & ~untimed]
+        used = ~empty & ~untimed
+        good = raw.index[used]
         self.epochs += len(good)
         self.empty_epochs += int(empty.sum())
         self.untimed_epochs += int(untimed.sum())
@@ -92,7 +93,6 @@ class ReceiverRecording:
             mean = [float(last[f"mean{a}"]) * 1e-2 + float(last[f"mean{a}HP"]) * 1e-4 for a in "XYZ"]
             self.surveyed_m = np.array(mean)
             self.surveyed_sigma_m = float(last["meanAcc"]) * 1e-4
-        used = ~empty & ~untimed
         epoch = week_to_ns(raw.fields["week"][used], raw.fields["rcvTow"][used])
         before = np.concatenate([[int(self.epoch_ns[-1][-1]) if self.epoch_ns else -1], epoch])
         marks = ubx.decode(batch, ubx.TIM_TM2)

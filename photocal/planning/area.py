@@ -60,18 +60,18 @@ class LocalPlane:
 
 def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Area:
     """Make an area from corners and refuse what cannot be flown."""
+    wrong = InputMalformedError.at(where)
     if len(corners_deg) > 1 and corners_deg[0] == corners_deg[-1]:
         corners_deg = corners_deg[:-1]
     if len(set(corners_deg)) < 3:
-        raise InputMalformedError("has fewer than three different corners", where=where)
+        raise wrong("has fewer than three different corners")
     for longitude, latitude in corners_deg:
         if not (math.isfinite(longitude) and math.isfinite(latitude)):
-            raise InputMalformedError("has a corner that is not a number", where=where)
+            raise wrong("has a corner that is not a number")
         if abs(latitude) > 90.0 or abs(longitude) > 180.0:
-            raise InputMalformedError(
+            raise wrong(
                 f"has a corner at latitude {latitude:g}, longitude {longitude:g}",
-                where=where,
-                remedy="latitude and longitude may be swapped, or the coordinates are not degrees",
+                "latitude and longitude may be swapped, or the coordinates are not degrees",
             )
     longitude_deg, latitude_deg = (
         np.array(column, dtype=np.float64) for column in zip(*corners_deg, strict=True)
@@ -79,17 +79,9 @@ def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Are
     area = Area(latitude_deg, longitude_deg)
     corners_m = LocalPlane(*area.centre_deg).to_plane(latitude_deg, longitude_deg)
     if not np.isfinite(corners_m).all() or float(np.ptp(corners_m, axis=0).max()) > _LARGEST_EXTENT_M:
-        raise InputMalformedError(
-            "is larger than 100 km",
-            where=where,
-            remedy="look for a wrong corner; one flight covers some kilometres",
-        )
+        raise wrong("is larger than 100 km", "look for a wrong corner; one flight covers some kilometres")
     if abs(polygon_area(corners_m)) < 1.0 or _crosses_itself(corners_m):
-        raise InputMalformedError(
-            "is not a simple polygon (no area, or sides that cross)",
-            where=where,
-            remedy="put the corners in order",
-        )
+        raise wrong("is not a simple polygon (no area, or sides that cross)", "put the corners in order")
     return area
 
 
@@ -143,23 +135,20 @@ def read_area(path: Path) -> Area:
 
 
 def _from_geojson(text: str, where: str) -> list[tuple[float, float]]:
+    wrong = InputMalformedError.at(where)
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as refusal:
-        raise InputMalformedError(f"is not JSON ({refusal})", where=where) from refusal
+        raise wrong(f"is not JSON ({refusal})") from refusal
     rings = list(_polygons(content, where))
     if len(rings) != 1:
-        raise InputMalformedError(
-            f"holds {len(rings)} polygons, one is needed", where=where, remedy="keep the polygon to be flown"
-        )
+        raise wrong(f"holds {len(rings)} polygons, one is needed", "keep the polygon to be flown")
     if not isinstance(rings[0], list) or len(rings[0]) != 1:
-        raise InputMalformedError(
-            "is a polygon with holes", where=where, remedy="keep the outer ring; holes are flown over"
-        )
+        raise wrong("is a polygon with holes", "keep the outer ring; holes are flown over")
     try:
         return [(float(position[0]), float(position[1])) for position in rings[0][0]]
     except (TypeError, ValueError, IndexError, KeyError, OverflowError) as refusal:
-        raise InputMalformedError("has a corner that is not a position", where=where) from refusal
+        raise wrong("has a corner that is not a position") from refusal
 
 
 def _polygons(content: Any, where: str) -> list[Any]:
@@ -183,27 +172,22 @@ def _from_kml(text: str, where: str) -> list[tuple[float, float]]:
     from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import fromstring
 
+    wrong = InputMalformedError.at(where)
     try:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as refusal:
-        raise InputMalformedError(f"is not KML ({refusal})", where=where) from refusal
+        raise wrong(f"is not KML ({refusal})") from refusal
     polygons = [element for element in root.iter() if _local(element.tag) == "Polygon"]
     if len(polygons) != 1:
-        raise InputMalformedError(
-            f"holds {len(polygons)} polygons, one is needed",
-            where=where,
-            remedy="keep the polygon to be flown",
-        )
+        raise wrong(f"holds {len(polygons)} polygons, one is needed", "keep the polygon to be flown")
     rings = [element for element in polygons[0].iter() if _local(element.tag) == "coordinates"]
     if len(rings) != 1:
-        raise InputMalformedError(
-            "is a polygon with holes or without corners", where=where, remedy="keep the outer ring"
-        )
+        raise wrong("is a polygon with holes or without corners", "keep the outer ring")
     try:
         fields = [position.split(",") for position in (rings[0].text or "").split()]
         return [(float(field[0]), float(field[1])) for field in fields]
     except (ValueError, IndexError) as refusal:
-        raise InputMalformedError("has a corner that is not lon,lat", where=where) from refusal
+        raise wrong("has a corner that is not lon,lat") from refusal
 
 
 def _local(tag: object) -> str:

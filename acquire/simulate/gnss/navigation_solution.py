@@ -97,9 +97,7 @@ def dilution(observations: Observations) -> tuple[Integers, Floats]:
     plane = cosine * np.sin(rows["azimuth"]), cosine * np.cos(rows["azimuth"])
     design = np.column_stack([*plane, np.sin(rows["elevation"]), np.ones(len(rows))])
     normal = np.zeros((count, 4, 4))
-    for i in range(4):
-        for j in range(4):
-            normal[:, i, j] = np.bincount(rows["epoch"], design[:, i] * design[:, j], count)
+    np.add.at(normal, rows["epoch"], design[:, :, None] * design[:, None, :])
     numbers = np.bincount(rows["epoch"], minlength=count)
     pdop = np.full(count, 99.0)
     good = (numbers >= _LEAST_SATELLITES) & (np.linalg.cond(normal) < 1e8)

@@ -125,8 +125,5 @@ def _ubx(kind: int, messages: Iterable[Timed]) -> list[Timed]:
 
 
 def _stream(parts: Iterable[list[Timed]]) -> Stream:
-    timed = [item for part in parts for item in part]
-    order = np.argsort(np.array([time for time, _ in timed], np.int64), kind="stable")
-    return Stream(
-        np.array([timed[i][0] for i in order.tolist()], np.int64), [timed[i][1] for i in order.tolist()]
-    )
+    timed = sorted((item for part in parts for item in part), key=lambda item: item[0])
+    return Stream(np.array([time for time, _ in timed], np.int64), [frame for _, frame in timed])
