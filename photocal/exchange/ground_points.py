@@ -10,15 +10,14 @@ pitch of -90 is 0 here. Neither states the kind of the heights: that stays with 
 OpenDroneMap documentation, "Ground control points" and "Image geolocation files"; ODM's `compute_opk`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError, InputMalformedError
-from photocal.exchange.parts import digits, require_no_blanks, require_unique
+from photocal.exchange.parts import Mark, digits, require_no_blanks, require_unique
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import Line, number, numbers, read_lines
 from photocal.geometry.conversion import Conversion
@@ -28,40 +27,17 @@ _CAMERA_TO_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # Some metres to the north, in which meridians are straight.
 _NORTH_DEG = 1e-4
 _NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+# The list says nothing of how well a mark is placed.
+_SIGMA_PX = (1.0, 1.0)
+Places = Mapping[str, Sequence[float]]
 
 
-@dataclass(frozen=True)
-class GroundMark:
-    """A ground point seen in an image.
+def read_gcp_list(
+    path: Path, sigma_px: tuple[float, float] = _SIGMA_PX
+) -> tuple[str, Places, tuple[Mark, ...]]:
+    """Read gcp_list.txt: its coordinate system, X, Y, Z of the points by name, and their marks.
 
-    xyz: in the file's coordinate system; geographic ones as longitude, latitude (deg), height (m).
-    """
-
-    point: str
-    xyz: tuple[float, float, float]
-    column: float
-    row: float
-    image: str
-    place: str
-
-
-@dataclass(frozen=True)
-class ImagePosition:
-    """Where an image was taken, as far as geo.txt knows.
-
-    xyz: in the file's coordinate system; height NaN when not given.
-    yaw_pitch_roll_deg: NaN when not given.
-    accuracy_m: horizontal and vertical; NaN when not given.
-    """
-
-    image: str
-    xyz: tuple[float, float, float]
-    yaw_pitch_roll_deg: tuple[float, float, float]
-    accuracy_m: tuple[float, float]
-
-
-def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
-    """Read gcp_list.txt.
+    Geographic coordinates are longitude, latitude (deg), height (m).
 
     raises InputNotFoundError, InputMalformedError: also when one name has two places, or a point is marked
         twice in an image.
@@ -80,10 +56,10 @@ def read_gcp_list(path: Path) -> tuple[str, tuple[GroundMark, ...]]:
         known = names.setdefault((x, y, z), cells[6] if len(cells) > 6 else f"point{len(names) + 1}")
         if len(cells) > 6 and cells[6] != known:
             raise line.malformed(f"points {known} and {cells[6]} have the same coordinates")
-        marks.append(GroundMark(known, (x, y, z), column, row, cells[5], line.place))
+        marks.append(Mark(cells[5], known, column, row, sigma_px, line.place))
     require_unique(list(names.values()), "a point with other coordinates,", path)
     require_unique([f"{mark.point} in image {mark.image}" for mark in marks], "point", path)
-    return crs, tuple(marks)
+    return crs, {name: xyz for xyz, name in names.items()}, tuple(marks)
 
 
 def _cells(text: str) -> list[str]:
@@ -96,17 +72,17 @@ def _cells(text: str) -> list[str]:
     return [*(cell.replace(",", ".") for cell in cells[:5]), *cells[5:]]
 
 
-def write_gcp_list(path: Path, crs: str, marks: Sequence[GroundMark]) -> None:
+def write_gcp_list(path: Path, crs: str, places: Places, marks: Sequence[Mark]) -> None:
     """Write gcp_list.txt."""
     require_no_blanks(name for mark in marks for name in (mark.image, mark.point))
-    rows = (f"{digits((*mark.xyz, mark.column, mark.row))} {mark.image} {mark.point}" for mark in marks)
+    rows = (f"{digits((*places[mark.point], mark.x, mark.y))} {mark.image} {mark.point}" for mark in marks)
     path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
 
 
-def read_geo(path: Path) -> tuple[str, tuple[ImagePosition, ...]]:
-    """Read geo.txt."""
+def read_geo(path: Path) -> tuple[str, Places]:
+    """Read geo.txt: its coordinate system, and by image what `write_geo` takes; NaN where it says nothing."""
     crs, lines = _head(path)
-    positions = []
+    names, rows = [], []
     for line in lines:
         cells = line.text.split()
         if not 3 <= len(cells) <= 9:
@@ -118,10 +94,10 @@ def read_geo(path: Path) -> tuple[str, tuple[ImagePosition, ...]]:
             float("nan") if cell.lower() in ("-", "nan") and k >= 2 else number(cell, line.place, "position")
             for k, cell in enumerate(cells[1:])
         ]
-        x, y, z, yaw, pitch, roll, h, v = values + [float("nan")] * (8 - len(values))
-        positions.append(ImagePosition(cells[0], (x, y, z), (yaw, pitch, roll), (h, v)))
-    require_unique([position.image for position in positions], "image", path)
-    return crs, tuple(positions)
+        names.append(cells[0])
+        rows.append(values + [float("nan")] * (8 - len(values)))
+    require_unique(names, "image", path)
+    return crs, dict(zip(names, rows, strict=True))
 
 
 def angles_of_geo(to_camera: Floats) -> Floats:
@@ -137,13 +113,16 @@ def angles_of_geo(to_camera: Floats) -> Floats:
     return np.asarray(np.degrees(np.stack([yaw, pitch, roll], axis=1)))
 
 
-def write_geo(path: Path, crs: str, positions: Sequence[ImagePosition]) -> None:
-    """Write geo.txt; what is not known at the end of a row is left out, in between it is "nan"."""
+def write_geo(path: Path, crs: str, images: Places) -> None:
+    """Write geo.txt; what is not known at the end of a row is left out, in between it is "nan".
+
+    images: X, Y, Z, yaw, pitch, roll (deg), horizontal and vertical accuracy (m), by name.
+    """
+    require_no_blanks(images)
     rows = []
-    for position in positions:
-        values = [*position.xyz, *position.yaw_pitch_roll_deg, *position.accuracy_m]
+    for image, values in images.items():
         last = max((k for k, value in enumerate(values) if not np.isnan(value)), default=1)
-        rows.append(f"{position.image} {digits(values[: last + 1])}")
+        rows.append(f"{image} {digits(values[: last + 1])}")
     path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
 
 
@@ -156,34 +135,20 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
         )
     # A compound name has the heights' system behind a plus.
     crs = given.frame.split("+")[0]
-    control = {j for j, role in enumerate(given.roles) if role == "control"}
+    names, xyz = given.point_names, given.xyz.tolist()
+    control = {names[j]: xyz[j] for j, role in enumerate(given.roles) if role == "control"}
+    rays = zip(given.image.tolist(), given.point.tolist(), given.pixels.tolist(), strict=True)
     marks = [
-        GroundMark(given.point_names[j], (x, y, z), column, row, given.image_names[i], "")
-        for i, j, (column, row), (x, y, z) in zip(
-            given.image.tolist(),
-            given.point.tolist(),
-            given.pixels.tolist(),
-            given.xyz[given.point].tolist(),
-            strict=True,
-        )
-        if j in control
+        Mark(given.image_names[i], names[j], x, y, _SIGMA_PX, "")
+        for i, j, (x, y) in rays
+        if names[j] in control
     ]
     if marks:
-        write_gcp_list(folder / "gcp_list.txt", crs, marks)
+        write_gcp_list(folder / "gcp_list.txt", crs, control, marks)
     to_camera = matrix_from_angles(given.poses[:, :3]) @ _to_map(crs, given.poses[:, 3], given.poses[:, 4])
-    angles = angles_of_geo(to_camera)
-    positions = [
-        ImagePosition(name, (x, y, z), (yaw, pitch, roll), (float(np.hypot(sx, sy)), sz))
-        for name, (x, y, z), (yaw, pitch, roll), (sx, sy, sz) in zip(
-            given.image_names,
-            given.poses[:, 3:].tolist(),
-            angles.tolist(),
-            given.pose_sigma[:, 3:].tolist(),
-            strict=True,
-        )
-    ]
-    require_no_blanks(given.image_names)
-    write_geo(folder / "geo.txt", crs, positions)
+    sx, sy, sz = given.pose_sigma[:, 3:].T
+    known = np.column_stack([given.poses[:, 3:], angles_of_geo(to_camera), np.hypot(sx, sy), sz])
+    write_geo(folder / "geo.txt", crs, dict(zip(given.image_names, known.tolist(), strict=True)))
     return ()
 
 

@@ -94,9 +94,7 @@ def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks
         return _metashape(path, sigma_m)
     if kind == ".json":
         return _opensfm(path, sigma_m, sizes)
-    crs, rows = read_gcp_list(path)
-    places = {row.point: row.xyz for row in rows}
-    marks = tuple(Mark(row.image, row.point, row.column, row.row, _BY_HAND, row.place) for row in rows)
+    crs, places, marks = read_gcp_list(path, _BY_HAND)
     assumed = (sigma_m[0], *sigma_m)
     entries = [PointEntry(name, "control", xyz, assumed) for name, xyz in places.items()]
     return ControlMarks(crs, object_points(entries), marks)

@@ -83,9 +83,9 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
         crs, rows = read_references(path)
         places = _in_degrees(crs, {row.name: (*row.xyz, *row.sigma) for row in rows}, path)
     else:
-        crs, positions = read_geo(path)
+        crs, images = read_geo(path)
         # Of the plane and of the height.
-        listed = {one.image: (*one.xyz, one.accuracy_m[0], *one.accuracy_m) for one in positions}
+        listed = {name: (*row[:3], row[6], *row[6:]) for name, row in images.items()}
         places = _in_degrees(crs, listed, path)
     if not any(_of(name, places) for name in names):
         first = next(iter(places), "nothing")

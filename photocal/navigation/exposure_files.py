@@ -219,28 +219,18 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
 
     rig: camera axes and boresight: the angles are the camera's, see `photocal.exchange.ground_points`.
     """
-    from photocal.exchange.ground_points import ImagePosition, angles_of_geo, write_geo
+    from photocal.exchange.ground_points import angles_of_geo, write_geo
 
     p = exposures.placed
     angles = angles_of_geo(orientations(exposures, rig).rotation)
-    sigma = np.sqrt(np.diagonal(p.covariance_m2, axis1=1, axis2=2))
-    nan = float("nan")
-    positions = []
-    for row in with_images(exposures).tolist():
-        place = (
-            round(float(p.lon_deg[row]), 10),
-            round(float(p.lat_deg[row]), 10),
-            round(float(p.height_m[row]), 4),
-        )
-        known = bool(np.isfinite(angles[row]).all())
-        yaw, pitch, roll = (round(v, 5) for v in angles[row].tolist()) if known else (nan, nan, nan)
-        east, north, up = sigma[row].tolist()
-        # The accuracies follow the angles: without these there is no place for them.
-        accuracy = (round(float(np.hypot(east, north)), 4), round(up, 4)) if known else (nan, nan)
-        positions += [
-            ImagePosition(name, place, (yaw, pitch, roll), accuracy) for name in exposures.image[row].split()
-        ]
-    write_geo(path, "EPSG:4326", positions)
+    east, north, up = np.sqrt(np.diagonal(p.covariance_m2, axis1=1, axis2=2)).T
+    places = np.column_stack([np.round(p.lon_deg, 10), np.round(p.lat_deg, 10), np.round(p.height_m, 4)])
+    turned = np.column_stack([np.round(angles, 5), np.round(np.hypot(east, north), 4), np.round(up, 4)])
+    # The accuracies follow the angles: without these there is no place for them.
+    turned[~np.isfinite(angles).all(axis=1)] = np.nan
+    values = np.hstack([places, turned]).tolist()
+    rows = with_images(exposures).tolist()
+    write_geo(path, "EPSG:4326", {name: values[row] for row in rows for name in exposures.image[row].split()})
 
 
 def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str, changed_utc: str) -> None:

@@ -108,22 +108,23 @@ def test_places_on_the_earth_need_no_origin(run: Path, tmp_path: Path) -> None:
 def test_lists_and_tables_keep_map_coordinates(run: Path, tmp_path: Path) -> None:
     given = of_result(read_result(run))
     assert exported(run, tmp_path, "--format", "odm")["origin"] is None
-    crs, marks = read_gcp_list(tmp_path / "gcp_list.txt")
+    crs, places, marks = read_gcp_list(tmp_path / "gcp_list.txt")
     assert crs == "EPSG:31982"
     assert len(marks) == len(given.pixels)
     k = given.point_names.index(marks[0].point)
-    assert marks[0].xyz == tuple(given.xyz[k].tolist())
-    _, positions = read_geo(tmp_path / "geo.txt")
-    np.testing.assert_allclose([one.xyz for one in positions], given.poses[:, 3:], rtol=1e-15)
+    assert places[marks[0].point] == tuple(given.xyz[k].tolist())
+    _, images = read_geo(tmp_path / "geo.txt")
+    told = np.array(list(images.values()))
+    np.testing.assert_allclose(told[:, :3], given.poses[:, 3:], rtol=1e-15)
     horizontal = np.hypot(*given.pose_sigma[:, 3:5].T)
-    np.testing.assert_allclose([one.accuracy_m[0] for one in positions], horizontal, rtol=1e-12)
+    np.testing.assert_allclose(told[:, 6], horizontal, rtol=1e-12)
     # The upper edge of the image points to the yaw, counted from true north: ten metres on by the geodesic.
     upper = matrix_from_angles(given.poses[:, :3])[:, 1]
     turn = pyproj.Transformer.from_crs("EPSG:31982", "EPSG:4326", always_xy=True)
     level = 10 * upper[:, :2] / np.linalg.norm(upper[:, :2], axis=1)[:, None]
     here, there = (turn.transform(*(given.poses[:, 3:5] + way).T) for way in (0.0, level))
     azimuth = pyproj.Geod(ellps="GRS80").inv(*here, *there)[0]
-    yaw, pitch, _ = np.array([one.yaw_pitch_roll_deg for one in positions]).T
+    yaw, pitch, _ = told[:, 3:6].T
     np.testing.assert_allclose((yaw - azimuth + 180) % 360 - 180, 0.0, atol=1e-3)
     np.testing.assert_allclose(pitch, np.degrees(np.arcsin(upper[:, 2])), atol=1e-9)
 

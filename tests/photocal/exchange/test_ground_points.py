@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import InputMalformedError
 from photocal.exchange.ground_points import (
-    GroundMark,
-    ImagePosition,
     angles_of_geo,
     read_gcp_list,
     read_geo,
     write_gcp_list,
     write_geo,
 )
+from photocal.exchange.parts import Mark
 
 NAME = st.text(st.characters(categories=("L", "N")), min_size=1, max_size=8)
 FLOAT = st.floats(-1e7, 1e7, allow_nan=False)
@@ -36,21 +36,21 @@ FLOAT = st.floats(-1e7, 1e7, allow_nan=False)
 @settings(max_examples=30)
 def test_gcp_list_round_trip(tmp_path_factory: pytest.TempPathFactory, rows: list) -> None:  # type: ignore[type-arg]
     path = tmp_path_factory.mktemp("gcp") / "gcp_list.txt"
-    marks = [GroundMark(f"p{k}", xyz, x, y, "a.jpg", "") for k, (xyz, x, y) in enumerate(rows)]
-    write_gcp_list(path, "EPSG:32632", marks)
-    crs, again = read_gcp_list(path)
+    places = {f"p{k}": xyz for k, (xyz, _, _) in enumerate(rows)}
+    marks = [Mark("a.jpg", f"p{k}", x, y, (1.0, 1.0), "") for k, (_, x, y) in enumerate(rows)]
+    write_gcp_list(path, "EPSG:32632", places, marks)
+    crs, found, again = read_gcp_list(path)
     assert crs == "EPSG:32632"
-    assert [(m.point, m.xyz, m.column, m.row, m.image) for m in again] == [
-        (m.point, m.xyz, m.column, m.row, m.image) for m in marks
-    ]
+    assert found == places
+    assert [replace(mark, place="") for mark in again] == marks
 
 
 @pytest.mark.shared
 def test_recorded_gcp_list(shared: Path) -> None:
-    crs, marks = read_gcp_list(shared / "data" / "rtk-mrk-gcp-helenenschacht" / "gcp_list.txt")
+    crs, places, marks = read_gcp_list(shared / "data" / "rtk-mrk-gcp-helenenschacht" / "gcp_list.txt")
     assert crs == "EPSG:4326"
     assert len(marks) == 35
-    assert len({mark.point for mark in marks}) == 5
+    assert len(places) == len({mark.point for mark in marks}) == 5
 
 
 @pytest.mark.parametrize(
@@ -72,15 +72,15 @@ def test_bad_gcp_list(tmp_path: Path, text: str, message: str) -> None:
 
 def test_geo_round_trip(tmp_path: Path) -> None:
     nan = math.nan
-    given_ = [
-        ImagePosition("a.jpg", (8.5, 47.25, 500.125), (10.0, -90.0, 0.5), (0.02, 0.04)),
-        ImagePosition("b.jpg", (8.5, 47.25, nan), (nan,) * 3, (nan, nan)),
-        ImagePosition("c.jpg", (8.5, 47.25, 501.0), (nan,) * 3, (0.02, 0.04)),
-    ]
+    given_ = {
+        "a.jpg": [8.5, 47.25, 500.125, 10.0, -90.0, 0.5, 0.02, 0.04],
+        "b.jpg": [8.5, 47.25, nan, nan, nan, nan, nan, nan],
+        "c.jpg": [8.5, 47.25, 501.0, nan, nan, nan, 0.02, 0.04],
+    }
     write_geo(tmp_path / "geo.txt", "EPSG:4326", given_)
     crs, again = read_geo(tmp_path / "geo.txt")
     assert crs == "EPSG:4326"
-    assert repr(again) == repr(tuple(given_))
+    assert repr(again) == repr(given_)
 
 
 def test_angles_are_those_of_a_body_whose_camera_looks_down() -> None:
@@ -108,5 +108,6 @@ def test_angles_are_those_of_a_body_whose_camera_looks_down() -> None:
 def test_separators_of_gcp_lists(tmp_path: Path, row: str) -> None:
     path = tmp_path / "gcp_list.txt"
     path.write_text(f"EPSG:32722\n{row}\n")
-    mark = read_gcp_list(path)[1][0]
-    assert (mark.xyz, mark.column, mark.row, mark.image, mark.point) == ((1.5, 2.5, 3), 10, 20, "a.jpg", "p")
+    _, places, (mark,) = read_gcp_list(path)
+    assert places == {"p": (1.5, 2.5, 3)}
+    assert (mark.x, mark.y, mark.image, mark.point) == (10, 20, "a.jpg", "p")

@@ -22,8 +22,6 @@ from drivers.errors import PhotocalError
 from photocal.exchange.dbat import read_dbat_cameras
 from photocal.exchange.formats import FORMATS, export
 from photocal.exchange.ground_points import (
-    GroundMark,
-    ImagePosition,
     read_gcp_list,
     read_geo,
     write_gcp_list,
@@ -32,7 +30,7 @@ from photocal.exchange.ground_points import (
 from photocal.exchange.jaicov import read_scale_bars
 from photocal.exchange.micmac import read_measures
 from photocal.exchange.orientation_tables import read_matrices, write_matrices
-from photocal.exchange.parts import PointEntry
+from photocal.exchange.parts import Mark, PointEntry
 from photocal.exchange.pix4d_project import read_pix4d, write_pix4d
 from photocal.exchange.reconstruction import Choices, Reconstruction, of_result
 from photocal.exchange.reference_table import read_references, write_references
@@ -84,16 +82,17 @@ CASES = [of_format(form.name) for form in FORMATS if form.read is not None] + [
     Case(
         "gcp_list",
         lambda folder: write_gcp_list(
-            folder / "g.txt", "EPSG:32632", [GroundMark("p", (1.5, 2.5, 3.5), 4.5, 5.5, "a.jpg", "")]
+            folder / "g.txt",
+            "EPSG:32632",
+            {"p": (1.5, 2.5, 3.5)},
+            [Mark("a.jpg", "p", 4.5, 5.5, (1.0, 1.0), "")],
         ),
         lambda folder: read_gcp_list(folder / "g.txt"),
     ),
     Case(
         "geo",
         lambda folder: write_geo(
-            folder / "g.txt",
-            "EPSG:32632",
-            [ImagePosition("a.jpg", (1.5, 2.5, 3.5), (0.5, 0.5, 0.5), (0.25, 0.25))],
+            folder / "g.txt", "EPSG:32632", {"a.jpg": (1.5, 2.5, 3.5, 0.5, 0.5, 0.5, 0.25, 0.25)}
         ),
         lambda folder: read_geo(folder / "g.txt"),
     ),

@@ -139,17 +139,18 @@ def test_quaternions_and_gaps() -> None:
 def test_geo_txt_has_the_cameras_angles_and_accuracies(tmp_path: Path) -> None:
     found, rig = exposure()
     write_geo_txt(tmp_path / "geo.txt", found, rig)
-    crs, (told,) = read_geo(tmp_path / "geo.txt")
-    assert (crs, told.image) == ("EPSG:4326", "a")
+    crs, images = read_geo(tmp_path / "geo.txt")
+    assert (crs, *images) == ("EPSG:4326", "a")
+    told = images["a"]
     p = found.placed
-    assert told.xyz == pytest.approx((p.lon_deg[0], p.lat_deg[0], p.height_m[0]), abs=1e-4)
+    assert told[:3] == pytest.approx((p.lon_deg[0], p.lat_deg[0], p.height_m[0]), abs=1e-4)
     # omega, phi, kappa and yaw, pitch, roll of the same camera.
     angles, covariance = claimed()
-    body = Rotation.from_euler("ZYX", told.yaw_pitch_roll_deg, degrees=True).as_matrix()
+    body = Rotation.from_euler("ZYX", told[3:6], degrees=True).as_matrix()
     camera = (NED_TO_ENU @ body).T
     assert camera == pytest.approx(NADIR.T @ matrix_from_angles(angles), abs=1e-5)
-    assert told.accuracy_m[0] == pytest.approx(np.sqrt(covariance[0, 0] + covariance[1, 1]), abs=1e-4)
-    assert told.accuracy_m[1] == pytest.approx(np.sqrt(covariance[2, 2]), abs=1e-4)
+    assert told[6] == pytest.approx(np.sqrt(covariance[0, 0] + covariance[1, 1]), abs=1e-4)
+    assert told[7] == pytest.approx(np.sqrt(covariance[2, 2]), abs=1e-4)
     unknown = replace(found, attitude=no_attitudes(1))
     write_geo_txt(tmp_path / "geo.txt", unknown, rig)
     assert len((tmp_path / "geo.txt").read_text().splitlines()[1].split()) == 4
