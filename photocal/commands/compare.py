@@ -72,7 +72,7 @@ def compare(
         pairs = compare_pairs(
             asked.calibrations, pixels, chosen, np.random.default_rng(how.seed), done=lambda: advance(1)
         )
-    followed = follow(asked.printed, pairs)
+    followed = follow(asked.published, pairs)
     if picture is not None:
         from photocal.analysis.stability.pictures import draw
 
@@ -150,10 +150,7 @@ def _figures(
             }
             for pair in pairs
         ],
-        "published": [
-            as_plain(one.printed) | {"computed_px": one.computed_px, "follows": one.follows}
-            for one in followed
-        ],
+        "published": [as_plain(one) | {"follows": one.follows} for one in followed],
         "findings": list(sentences(pairs, how.thresholds_px, followed)),
     }
 

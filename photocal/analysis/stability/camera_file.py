@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, PositiveFloat, Positive
 from acquire.checked_toml import Table, checked_tables, read_tables
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.analysis.estimates import from_sigmas
-from photocal.analysis.stability.comparison import Printed
+from photocal.analysis.stability.comparison import Published
 from photocal.analysis.stability.methods import Terrain
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.geometry.camera import PARAMETERS, Camera, among, camera
@@ -69,17 +69,10 @@ class Comparison(Table):
     seed: Annotated[int, Field(ge=0)] = 1
 
 
-class _Published(Table):
-    method: Literal["MIS", "ZROT", "ROT", "SPR"]
-    definition: str
-    tolerance_px: PositiveFloat
-    values: list[tuple[str, str, FiniteFloat]]
-
-
 class _File(Table):
     camera: Annotated[list[_Camera], Field(min_length=1)]
     comparison: Comparison = Comparison()
-    published: tuple[_Published, ...] = ()
+    published: tuple[Published, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,7 +80,7 @@ class CameraFile:
     """What a comparison was asked for."""
 
     calibrations: tuple[Camera, ...]
-    printed: tuple[Printed, ...]
+    published: tuple[Published, ...]
     comparison: Comparison
 
 
@@ -108,14 +101,9 @@ def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
     if isinstance(entries := tables.get("camera"), list):
         tables = {**tables, "camera": [_ours(entry, path) for entry in entries]}
     file = checked_tables(tables, _File, path)
-    printed = tuple(
-        Printed(one.method, one.definition, a, b, value, one.tolerance_px)
-        for one in file.published
-        for a, b, value in one.values
-    )
     made = [(make_camera(one, path), one) for one in file.camera]
     calibrations = (_with_sigmas(own, one, f"{path}, camera {one.id}") for own, one in made)
-    return CameraFile(tuple(calibrations), printed, file.comparison)
+    return CameraFile(tuple(calibrations), file.published, file.comparison)
 
 
 def _ours(entry: Any, path: Path) -> Any:

@@ -3,9 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
+from pydantic import FiniteFloat, PositiveFloat
 
+from acquire.checked_toml import Table
 from drivers.arrays import Floats
 from drivers.errors import ConfigurationError
 from photocal.analysis.stability import methods
@@ -164,12 +167,21 @@ def _check(calibrations: tuple[Camera, ...]) -> None:
             )
 
 
-@dataclass(frozen=True)
-class Printed:
-    """A figure printed elsewhere for a pair of these calibrations.
+class Published(Table):
+    """Figures printed elsewhere, by one method: the names of both calibrations, and the figure, px.
 
-    printed_px, tolerance_px: the printed figure and how far the recomputed one may be from it.
+    tolerance_px: how far a recomputed figure may be from the printed one.
     """
+
+    method: Literal["MIS", "ZROT", "ROT", "SPR"]
+    definition: str
+    tolerance_px: PositiveFloat
+    values: list[tuple[str, str, FiniteFloat]]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A figure printed elsewhere for a pair of calibrations, and the one that their parameters give."""
 
     method: str
     definition: str
@@ -177,31 +189,26 @@ class Printed:
     second: str
     printed_px: float
     tolerance_px: float
-
-
-@dataclass(frozen=True)
-class Followed:
-    """Whether a printed figure follows from the parameters."""
-
-    printed: Printed
     computed_px: float
 
     @property
     def follows(self) -> bool:
         """Whether both agree within the tolerance."""
-        return abs(self.computed_px - self.printed.printed_px) <= self.printed.tolerance_px
+        return abs(self.computed_px - self.printed_px) <= self.tolerance_px
 
 
-def follow(printed: tuple[Printed, ...], pairs: tuple[Pair, ...]) -> tuple[Followed, ...]:
+def follow(published: tuple[Published, ...], pairs: tuple[Pair, ...]) -> tuple[Followed, ...]:
     """Set printed figures against those of the comparison."""
     computed = {
         (figure.method, figure.definition, pair.first, pair.second): figure.value_px
         for pair in pairs
         for figure in pair.figures
     }
-    keys = [(one.method, one.definition, one.first, one.second) for one in printed]
     return tuple(
-        Followed(one, computed[key]) for one, key in zip(printed, keys, strict=True) if key in computed
+        Followed(*key, value, one.tolerance_px, computed[key])
+        for one in published
+        for first, second, value in one.values
+        if (key := (one.method, one.definition, first, second)) in computed
     )
 
 
@@ -234,9 +241,8 @@ def sentences(
             f"largest {figures[worst].value_px:.2f} px ({pairs[worst].first}-{pairs[worst].second}){noise}."
         )
     texts += [
-        f"Pair {one.printed.first}-{one.printed.second}: the printed {one.printed.method} "
-        f"({one.printed.definition}) of {one.printed.printed_px:g} px does not follow from its parameters, "
-        f"which give {one.computed_px:.2f} px."
+        f"Pair {one.first}-{one.second}: the printed {one.method} ({one.definition}) of {one.printed_px:g} "
+        f"px does not follow from its parameters, which give {one.computed_px:.2f} px."
         for one in followed
         if not one.follows
     ]
