@@ -62,12 +62,8 @@ class Format:
     opens: tuple[str, ...] = ()
     recognises: str = ""
 
-    @property
-    def read(self) -> Callable[[Path], Reconstruction] | None:
-        """Reader of a folder that was written."""
-        return self._read if self.reads else None
-
-    def _read(self, folder: Path) -> Reconstruction:
+    def read(self, folder: Path) -> Reconstruction:
+        """Read a folder that was written, in a format with `reads`."""
         from photocal.exchange.reconstruction import Reconstruction, of_block, orientations_alone
 
         module, function, *file = self.reads.split(":")
@@ -261,7 +257,7 @@ def page() -> str:
             form.axes,
             form.distortion,
             form.units,
-            "adjust" if form.opens else "yes" if form.read or form.name in IN_PARTS else "no",
+            "adjust" if form.opens else "yes" if form.reads or form.name in IN_PARTS else "no",
         )
         for form in FORMATS
         if form.writes

@@ -170,7 +170,7 @@ def _exported(run: Path, folder: Path) -> Iterator[Reader]:
         files = sorted(p for p in out.rglob("*") if p.is_file() and p.stat().st_size < LARGEST)
         for path in files[:MOST_FILES]:
             kind = kinds.get(path.suffix, "tables")
-            if form.read is not None:
+            if form.reads:
                 yield Reader(kind, path, _of_folder(form.read, out))
             if form.blocks and form.takes(path):
                 yield Reader(kind, path, _loaded(form.blocks))

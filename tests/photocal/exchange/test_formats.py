@@ -20,7 +20,7 @@ from tests.photocal import blocks
 from tests.photocal.exchange.conftest import reconstruction_of
 
 ROOT = Path(__file__).resolve().parents[3]
-READ = [form for form in FORMATS if form.read is not None]
+READ = [form for form in FORMATS if form.reads]
 # Formats whose points are the surveyed ones only.
 SURVEYED = ("metashape", "dbat", "micmac")
 # Formats that leave out the marks of the others.
@@ -60,7 +60,6 @@ def made(form: Format, name: str, drawn: tuple[float, ...]) -> Camera:
 
 
 def written(form: Format, folder: Path, given_: Reconstruction) -> Reconstruction:
-    assert form.read is not None
     for conversion in export(form, folder, given_, Choices("gon")):
         # A format without distortion loses it, and says how much.
         assert conversion.largest_px == 0 or form.distortion == "none"

@@ -72,13 +72,12 @@ def small(model: Model) -> Reconstruction:
 def of_format(name: str) -> Case:
     form = next(form for form in FORMATS if form.name == name)
     model: Model = "brown-observed" if form.distortion == "brown-observed" else "brown-ideal"
-    assert form.read is not None
     return Case(name, lambda folder: export(form, folder, small(model), Choices("gon")), form.read)
 
 
 ANGLES = np.array([[0.1, 0.2, 0.3, 1.5, 2.5, 3.5], [0.1, 0.2, 0.3, 4.5, 5.5, 6.5]])
 PLAIN = camera("1", "brown-ideal", "mm", (3060, 2036), (0.009, 0.009), {"c": 20.5, "K1": -2.5e-5})
-CASES = [of_format(form.name) for form in FORMATS if form.read is not None] + [
+CASES = [of_format(form.name) for form in FORMATS if form.reads] + [
     Case(
         "gcp_list",
         lambda folder: write_gcp_list(
