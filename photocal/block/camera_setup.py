@@ -151,12 +151,9 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
     )
     own = _with_known_readout(keys, place, own)
     rolling = own.rolling or "readout" in keys.parameters
-    if "readout" in keys.photo_variant or (rolling and keys.shutter not in (None, "rolling")):
-        what = (
-            "varies from image to image"
-            if "readout" in keys.photo_variant
-            else f"has a {keys.shutter} shutter"
-        )
+    varies = "readout" in keys.photo_variant
+    if varies or (rolling and keys.shutter not in (None, "rolling")):
+        what = "varies from image to image" if varies else f"has a {keys.shutter} shutter"
         raise wrong(f"the readout {what}", 'give shutter = "rolling", and one readout for all images')
     if keys.shutter == "rolling" and not rolling:
         raise wrong(

@@ -142,7 +142,11 @@ def read_block(folder: Path) -> Block:
         raise ConfigurationError("two cameras have the same id", "rename one", where=folder / SETUP)
     images = read_images(folder / "images.csv", cameras)
     points = read_points(folder / "points.csv")
-    table = _observations_path(folder)
+    table, text = folder / "observations.parquet", folder / "observations.csv"
+    if table.exists() and text.exists():
+        what = "has both observations.csv and observations.parquet"
+        raise InputMalformedError(what, "keep one of them", where=folder)
+    table = table if table.exists() else text
     observations, repetition = read_observations(table, setup.observations, images.names, points.names)
     fits: tuple[FiducialFit, ...] = ()
     readings = setup.observations.readings
@@ -285,15 +289,6 @@ def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
         return NO_RELATIONS
     columns = ("kind", "first", "second", "values", "sigma", "third")
     return Relations(*(np.concatenate([getattr(part, column) for part in parts]) for column in columns))
-
-
-def _observations_path(folder: Path) -> Path:
-    parquet, text = folder / "observations.parquet", folder / "observations.csv"
-    if parquet.exists() and text.exists():
-        raise InputMalformedError(
-            "has both observations.csv and observations.parquet", "keep one of them", where=folder
-        )
-    return parquet if parquet.exists() else text
 
 
 def _sigmas(table: Table, column: str) -> Floats:

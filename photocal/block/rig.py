@@ -63,21 +63,18 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
 
     raises ConfigurationError: for an unknown camera, one that is on two frames, or a chain of frames.
     """
+    wrong = ConfigurationError.at(str(where))
     given = {key.camera: key for key in keys}
     first = dict.fromkeys(key.of for key in keys)
     for name in (*given, *first):
         if name not in cameras:
-            raise ConfigurationError(
-                f"[[head]] names camera {name}, which is not in the block",
-                f"name one of {', '.join(cameras)}",
-                where=str(where),
-            )
+            what = f"[[head]] names camera {name}, which is not in the block"
+            raise wrong(what, f"name one of {', '.join(cameras)}")
     for one in keys:
         if len(given) < len(keys) or (one.of in given and given[one.of].of != one.of):
-            raise ConfigurationError(
+            raise wrong(
                 f"camera {one.camera} has two places on its frame, or refers to one that refers to another",
                 "give each camera one [[head]]; all of a frame have the same `of`",
-                where=str(where),
             )
     others = [key for key in keys if key.camera != key.of]
     nothing = np.zeros(len(OF_HEAD))
@@ -89,11 +86,8 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
         sigma[LATER] = one.time_sigma_s
         rotation = None if one.rotation_deg is None else np.radians(one.rotation_deg)
         if rotation is None and np.isfinite(sigma[TURN]).any():
-            raise ConfigurationError(
-                f"the head of camera {one.camera} has rotation_sigma_deg but no rotation_deg",
-                'give rotation_deg, or "free"',
-                where=str(where),
-            )
+            what = f"the head of camera {one.camera} has rotation_sigma_deg but no rotation_deg"
+            raise wrong(what, 'give rotation_deg, or "free"')
         stiffness = one.stiffness_m, float(np.radians(one.stiffness_deg))
         heads.append(Head(one.camera, one.of, rotation, values, sigma, stiffness))
     return tuple(heads)

@@ -185,7 +185,18 @@ def volume(
     from photocal.products import sections as tanks
     from photocal.products.closed_sections import measure_closed
 
-    _require_pairs(sections, radius, radius_sigma, height, height_sigma)
+    if (radius is None) != (radius_sigma is None) or (height is None) != (height_sigma is None):
+        raise ConfigurationError(
+            "a length stands without its standard deviation, or the other way round",
+            "give --radius with --radius-sigma and --height with --height-sigma",
+        )
+    if sections is not None and radius is not None:
+        raise ConfigurationError("both a table of sections and --radius are given", "give one of them")
+    if sections is None and (radius is None or height is None):
+        raise ConfigurationError(
+            "there is nothing to compute from",
+            "name a table of sections, or give --radius and --height with their sigmas",
+        )
     figures: dict[str, Any] = {"schema": tanks.SCHEMA}
     lines: list[str] = []
     if sections is not None:
@@ -215,25 +226,3 @@ def volume(
         figures["by_mean_radius"] = tanks.volume_json(whole)
         lines.append(f"by mean radius and height: {tanks.volume_text(whole)}")
     answer(as_json, lambda: figures, lambda: "\n".join(lines))
-
-
-def _require_pairs(
-    sections: Path | None,
-    radius: float | None,
-    radius_sigma: float | None,
-    height: float | None,
-    height_sigma: float | None,
-) -> None:
-    """Refuse what is given twice, by half, or not at all."""
-    if (radius is None) != (radius_sigma is None) or (height is None) != (height_sigma is None):
-        raise ConfigurationError(
-            "a length stands without its standard deviation, or the other way round",
-            "give --radius with --radius-sigma and --height with --height-sigma",
-        )
-    if sections is not None and radius is not None:
-        raise ConfigurationError("both a table of sections and --radius are given", "give one of them")
-    if sections is None and (radius is None or height is None):
-        raise ConfigurationError(
-            "there is nothing to compute from",
-            "name a table of sections, or give --radius and --height with their sigmas",
-        )

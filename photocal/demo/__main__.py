@@ -12,18 +12,6 @@ _DATA = Path(__file__).parent
 app = application("Demonstrations: a simulated flight with known truth, a camera of a published study.")
 
 
-def published(output: Path) -> None:
-    """Calibrate a Kodak DCS460 into a folder, write its certificate, import a synthetic flight."""
-    began = time.monotonic()
-    typer.echo("Calibration of a Kodak DCS460 from its published observations\n")
-    calibrate(_DATA / "dcs460", output)
-    typer.echo("\nFlight log. The flight is SYNTHETIC, made by the project's own encoder\n")
-    typer.echo("\n".join(f"  {line}" for line in fly(_DATA / "flight" / "flight.tlog", output)))
-    typer.echo(f"\nThe certificate: {output / 'certificate' / 'certificate.html'}, the same as .pdf")
-    typer.echo(f"The flight log, for Foxglove or Lichtblick: {output / 'flight.mcap'}")
-    typer.echo(f"Done in {time.monotonic() - began:.1f} s.")
-
-
 def calibrate(block: Path, output: Path) -> None:
     """Adjust a block into `run` and write its `certificate`, which prints what it says."""
     from photocal.commands.calibration import certificate
@@ -86,7 +74,14 @@ def dcs460(
 
     Example: `python -m photocal.demo dcs460`
     """
-    published(output)
+    began = time.monotonic()
+    typer.echo("Calibration of a Kodak DCS460 from its published observations\n")
+    calibrate(_DATA / "dcs460", output)
+    typer.echo("\nFlight log. The flight is SYNTHETIC, made by the project's own encoder\n")
+    typer.echo("\n".join(f"  {line}" for line in fly(_DATA / "flight" / "flight.tlog", output)))
+    typer.echo(f"\nThe certificate: {output / 'certificate' / 'certificate.html'}, the same as .pdf")
+    typer.echo(f"The flight log, for Foxglove or Lichtblick: {output / 'flight.mcap'}")
+    typer.echo(f"Done in {time.monotonic() - began:.1f} s.")
 
 
 if __name__ == "__main__":

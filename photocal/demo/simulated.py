@@ -88,12 +88,14 @@ def _mounting(true: dict[str, Any], result: Result) -> Iterator[Row]:
 def _positions(truth: Path, work: Path) -> Iterator[Row]:
     """Antenna positions at the events by PPK: root mean square of their errors against 3 cm."""
     true = {row["image"]: row for row in _rows(truth / "exposures.csv")}
-    squares: dict[str, list[float]] = {axis: [] for axis in "XYZ"}
-    for row in _rows(work / "block" / "positions.csv"):
-        for axis, key in zip("XYZ", ("antenna_E", "antenna_N", "antenna_h"), strict=True):
-            squares[axis].append((float(row[axis]) - float(true[row["image"]][key])) ** 2)
-    for axis, word in zip("XYZ", ("east", "north", "height"), strict=True):
-        rms = math.sqrt(sum(squares[axis]) / len(squares[axis]))
+    found = _rows(work / "block" / "positions.csv")
+    for axis, key, word in (
+        ("X", "antenna_E", "east"),
+        ("Y", "antenna_N", "north"),
+        ("Z", "antenna_h", "height"),
+    ):
+        squares = [(float(row[axis]) - float(true[row["image"]][key])) ** 2 for row in found]
+        rms = math.sqrt(sum(squares) / len(squares))
         yield Row(f"antenna positions, rms {word}", "m", 0.0, rms, 0.03, 1.0)
 
 

@@ -115,13 +115,9 @@ class Number:
     def __format__(self, form: str) -> str:
         """Write it: four significant digits; "sN" N of them; "length" in m or mm; else as Python does."""
         if form == "length":
-            return self._length()
+            # In m, or in mm below a metre.
+            scale, decimals, unit = (1.0, 2, "m") if abs(self.value) >= 1.0 else (1000.0, 1, "mm")
+            return f"{fixed(scale * self.value, decimals, self.mark)} {unit}"
         if not form or form[0] == "s":
             return significant(self.value, int(form[1:] or 4), self.mark)
         return format(self.value, form).replace("-", MINUS).replace(".", self.mark)
-
-    def _length(self) -> str:
-        """In m, or in mm below a metre."""
-        if abs(self.value) >= 1.0:
-            return f"{fixed(self.value, 2, self.mark)} m"
-        return f"{fixed(1000.0 * self.value, 1, self.mark)} mm"

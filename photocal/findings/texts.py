@@ -120,7 +120,9 @@ def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = 
         if finding.cause and finding.severity != "untested":
             text += say("join.cause") + say(f"cause.{finding.cause}", **figures)
         text = text if text.endswith((".", "?")) else f"{text}."
-        remedy = remedy_text(finding, say, figures)
+        remedy, advice = "", f"remedy.{finding.remedy or finding.code}"
+        if finding.severity not in ("passed", "untested") and (finding.remedy or advice in say.messages):
+            remedy = say(advice, **figures)
     except KeyError as missing:
         raise InputMalformedError(
             f"finding {finding.code} lacks {missing}: it was stored by another version of photocal",
@@ -131,14 +133,6 @@ def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = 
     if first[1:] in TERMS or (first == "{subject" and key in say.messages):
         text = text[0].upper() + text[1:]
     return f"{text} {remedy}".rstrip()
-
-
-def remedy_text(finding: Finding, say: Catalogue, figures: Mapping[str, object]) -> str:
-    """Say what to do; nothing where there is nothing to say."""
-    if finding.severity in ("passed", "untested"):
-        return ""
-    key = f"remedy.{finding.remedy or finding.code}"
-    return say(key, **figures) if finding.remedy or key in say.messages else ""
 
 
 def finding_json(finding: Finding, say: Catalogue) -> dict[str, Any]:

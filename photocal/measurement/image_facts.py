@@ -201,14 +201,13 @@ def _pitch_mm(exif: Mapping[int, Any], width: int) -> float:
 
 def _tags(image: "Image") -> tuple[Mapping[int, Any], Mapping[int, Any], Mapping[int, Any]]:
     """Give the main, EXIF and GPS directories; empty where they are damaged."""
-    none: dict[int, Any] = {}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             exif = image.getexif()
             return dict(exif), dict(exif.get_ifd(_EXIF_IFD)), dict(exif.get_ifd(_GPS_IFD))
     except (SyntaxError, ValueError, KeyError, TypeError, OSError, struct.error, IndexError, OverflowError):
-        return none, none, none
+        return {}, {}, {}
 
 
 def _text(value: object) -> str:
@@ -251,13 +250,9 @@ def _angle(value: Any, hemisphere: str, negative: str, limit: float) -> float:
 
 
 def _altitude(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> float:
-    written = _number(xmp.get("AbsoluteAltitude"))
-    if math.isfinite(written):
-        return written
-    altitude = _number(gps.get(6))
-    reference = gps.get(5, 0)
-    below = reference in (1, b"\x01", 3, b"\x03")
-    return -altitude if below else altitude
+    written, altitude = _number(xmp.get("AbsoluteAltitude")), _number(gps.get(6))
+    below = gps.get(5, 0) in (1, b"\x01", 3, b"\x03")
+    return written if math.isfinite(written) else -altitude if below else altitude
 
 
 def _taken(stamp: str, fraction: str) -> str:

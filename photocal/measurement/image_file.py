@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,7 +167,9 @@ def read_grey(path: Path) -> Grey:
         if image.mode in ("I;16", "I;16B", "I;16L", "I;16N"):
             return np.asarray(image).astype(np.uint16)
         if image.mode == "I":
-            return _sixteen_bits(np.asarray(image))
+            values = np.asarray(image)
+            sixteen_bits = values.size and values.min() >= 0 and values.max() < 65536
+            return values.astype(np.uint16) if sixteen_bits else values.astype(np.float32)
         if image.mode == "F":
             return np.asarray(image, dtype=np.float32)
         return np.asarray(image.convert("L"), dtype=np.uint8)
@@ -200,12 +202,6 @@ def _unknown(path: Path) -> InputMalformedError:
             where=path,
         )
     return InputMalformedError("is not an image", "copy the image again or take it out", where=path)
-
-
-def _sixteen_bits(values: NDArray[Any]) -> Grey:
-    if values.size and values.min() >= 0 and values.max() < 65536:
-        return values.astype(np.uint16)
-    return values.astype(np.float32)
 
 
 def _require_sensible(path: Path, size: tuple[int, int]) -> None:

@@ -40,17 +40,15 @@ def read_marks(path: Path) -> tuple[Mark, ...]:
     table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
     xy, sigma = table.matrix("xy"), table.matrix(("sx", "sy"), empty=BY_HAND_PX)
     refuse(table, (sigma <= 0).any(axis=1), "the sigma is not positive", "give a positive number")
-    names = (table.names(column) for column in ("image", "point"))
-    images, points = ([found[k] for k in index] for index, found in names)
-    seen: set[tuple[str, str]] = set()
-    again = np.zeros(len(xy), dtype=np.bool_)
-    for row, pair in enumerate(zip(images, points, strict=True)):
-        again[row] = pair in seen
-        seen.add(pair)
+    (image, images), (point, points) = table.names("image"), table.names("point")
+    again = np.ones(len(xy), dtype=np.bool_)
+    again[np.unique(image * len(points) + point, return_index=True)[1]] = False
     refuse(table, again, "the point was already marked in this image", "keep one of the marks")
     return tuple(
-        Mark(image, point, float(x), float(y), (float(sx), float(sy)), table.place(row))
-        for row, (image, point, (x, y), (sx, sy)) in enumerate(zip(images, points, xy, sigma, strict=True))
+        Mark(images[i], points[j], x, y, (sx, sy), table.place(row))
+        for row, (i, j, (x, y), (sx, sy)) in enumerate(
+            zip(image, point, xy.tolist(), sigma.tolist(), strict=True)
+        )
     )
 
 

@@ -66,18 +66,12 @@ def of_exposures(project: Project, folder: Path) -> Orientation:
     """
     images = read_images(folder / "images.csv", project.cameras)
     known = np.where(np.isfinite(images.sigma), images.sigma, np.nan)
-    boresight = np.diag(np.r_[_boresight_sigma(project), 0, 0, 0] ** 2)
+    rig = project.contents.rig
+    unsure = 0.0 if rig is None or rig.boresight_sigma_deg == "free" else rig.boresight_sigma_deg
+    boresight = np.diag(np.r_[np.radians(np.broadcast_to(unsure, 3)), 0, 0, 0] ** 2)
     covariance = image_covariances(folder, images.names, known) + boresight
     oriented = OrientedImages(images.names, project.cameras, images.camera, images.values, covariance)
     return Orientation(oriented, project.crs, project.height, "exposures")
-
-
-def _boresight_sigma(project: Project) -> Floats:
-    """How unsure the camera's attitude is beyond that of the body, radians, shape (3,)."""
-    rig = project.contents.rig
-    if rig is None or rig.boresight_sigma_deg == "free":
-        return np.zeros(3)
-    return np.asarray(np.radians(np.broadcast_to(rig.boresight_sigma_deg, 3)), dtype=np.float64)
 
 
 # 95 percent of a plane normal distribution lie within this many standard deviations.

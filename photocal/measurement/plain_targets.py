@@ -208,14 +208,13 @@ def targets_of_project(
     marks: list[Mark] = []
     strangers: list[str] = []
     findings: list[Finding] = []
-    record: dict[str, Any] = {"coded": 0}
     _require_points(project, control)
     for coded in given.coded_targets:
         with progress("looking for coded targets", len(sources)) as done:
             found, unnamed = find_coded_targets(sources, coded.dictionary, coded.names, workers, done)
         marks += found
         strangers += unnamed
-    record["coded"] = len(marks)
+    record: dict[str, Any] = {"coded": len(marks)}
     kinds = ", ".join(dict.fromkeys(target.kind for target in given.plain_targets))
     if given.plain_targets and exposures is None:
         findings.append(Finding("targets-not-sought", "doubtful", kinds))

@@ -41,9 +41,8 @@ def recorded_turns(packet: str, offset_ns: float) -> Floats:
         return np.zeros((0, 4))
     rate = records["rate"].astype(float)
     step = np.diff(records["time"].astype(float))
-    if len(records) < 2 or not np.isfinite(offset_ns) or (step <= 0).any():
-        return np.zeros((0, 4))
-    if not (np.abs(rate) < _FASTEST).all():
+    credible = (step > 0).all() and (np.abs(rate) < _FASTEST).all()
+    if len(records) < 2 or not np.isfinite(offset_ns) or not credible:
         return np.zeros((0, 4))
     elapsed = 1e-6 * np.r_[0.0, np.cumsum(step)] - 1e-9 * offset_ns - _DELAY_S
     return np.column_stack([elapsed, rate @ _TO_CAMERA.T])

@@ -33,13 +33,9 @@ class Frame:
 
 def recognised(pictures: Mapping[Path, ImageFacts]) -> Frame | None:
     """Recognise pictures of cameras on one frame; None where each picture stands for itself."""
-    best: Frame | None = None
     for by, split in (("names", _by_name), ("folders", _by_folder)):
-        for frame in split(pictures, by):
-            if best is None or len(frame.head) > len(best.head):
-                best = frame
-        if best is not None:
-            return best
+        if frames := list(split(pictures, by)):
+            return max(frames, key=lambda frame: len(frame.head))
     return None
 
 

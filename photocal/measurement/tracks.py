@@ -125,11 +125,9 @@ def spaced(tracks: Tracks, least_px: float) -> Tracks:
         mine = np.flatnonzero(tracks.image == image)
         near = cKDTree(tracks.pixels[mine]).query_pairs(least_px, output_type="ndarray")
         pairs.append(tracks.track[mine][near])
-    both = np.concatenate(pairs)
-    links = np.ones(2 * len(both), dtype=np.bool_)
-    shape = (tracks.count, tracks.count)
-    ends = (np.r_[both[:, 0], both[:, 1]], np.r_[both[:, 1], both[:, 0]])
-    neighbours = csr_array((links, ends), shape=shape)
+    one, two = np.concatenate(pairs).T
+    links = np.ones(2 * len(one), dtype=np.bool_)
+    neighbours = csr_array((links, (np.r_[one, two], np.r_[two, one])), shape=(tracks.count, tracks.count))
     keep = np.zeros(tracks.count, dtype=np.bool_)
     for j in _strongest_first(tracks)[0]:
         beside = neighbours.indices[neighbours.indptr[j] : neighbours.indptr[j + 1]]

@@ -5,7 +5,7 @@ import os
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -91,23 +91,14 @@ def _on_processes(
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()
-        except BrokenPipeError as death:
-            raise _died() from death
-        except RuntimeError as death:
-            # concurrent.futures' BrokenProcessPool is a RuntimeError.
-            if type(death).__name__ != "BrokenProcessPool":
-                raise
-            raise _died() from death
+        except (BrokenPipeError, BrokenExecutor) as death:
+            raise ProgramMissingError(
+                "a worker process died, probably for want of memory",
+                "use fewer workers (--workers 1); finished images are not computed again",
+            ) from death
         finally:
             for future in waiting:
                 future.cancel()
-
-
-def _died() -> ProgramMissingError:
-    return ProgramMissingError(
-        "a worker process died, probably for want of memory",
-        "use fewer workers (--workers 1); finished images are not computed again",
-    )
 
 
 def _prepare() -> None:
@@ -119,16 +110,14 @@ def _prepare() -> None:
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
     """Let the processes that start now compute with one thread each."""
-    before = {name: os.environ.get(name) for name in _THREADS}
+    before = {name: os.environ[name] for name in _THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in _THREADS:
+            os.environ.pop(name, None)
+        os.environ.update(before)
 
 
 @dataclass(frozen=True)

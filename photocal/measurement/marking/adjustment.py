@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
+from drivers.arrays import Flags
 from drivers.errors import IllPosedError
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
@@ -75,7 +75,13 @@ def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence
     )
     values, covariance = given_exposures(assembly, solution)
     factor = solution.variance_factor
-    improved = _improved(orientation, block.images.names, values, covariance)
+    images = orientation.images
+    row = {name: k for k, name in enumerate(images.names)}
+    rows = np.array([row[name] for name in block.images.names], dtype=np.int64)
+    poses, covariances = images.values.copy(), images.covariances.copy()
+    poses[rows], covariances[rows] = values, covariance
+    images = replace(images, values=poses, covariance=covariances)
+    improved = replace(orientation, images=images, source="adjusted marks")
     return Adjusted(residuals, improved, float(np.sqrt(factor)) if np.isfinite(factor) else None, left_out)
 
 
@@ -132,13 +138,3 @@ def _only(block: Block, image: Flags, point: Flags, ray: Flags) -> Block:
         points=block.points.only(point),
         observations=replace(seen, image=i[seen.image], point=j[seen.point]),
     )
-
-
-def _improved(orientation: Orientation, names: tuple[str, ...], found: Floats, spread: Floats) -> Orientation:
-    images = orientation.images
-    row = {name: k for k, name in enumerate(images.names)}
-    rows = np.array([row[name] for name in names], dtype=np.int64)
-    values, covariance = images.values.copy(), images.covariances.copy()
-    values[rows], covariance[rows] = found, spread
-    images = replace(images, values=values, covariance=covariance)
-    return replace(orientation, images=images, source="adjusted marks")

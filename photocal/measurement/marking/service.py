@@ -189,11 +189,10 @@ class MarkingService:
             grey = _grey(path, facts.st_mtime_ns, facts.st_size)
             bend = self._bend(click.image, place)
             snapped = snap(grey, place, click.reach, click.kinds, self._scene.dictionaries, bend)
-        if snapped is None:
-            mark = _rounded(click, place, (BY_HAND_PX, BY_HAND_PX))
-        else:
-            mark = _rounded(click, (snapped.x, snapped.y), snapped.sigma)
-        self._store.put(mark)
+        sigma = (BY_HAND_PX, BY_HAND_PX)
+        if snapped is not None:
+            place, sigma = (snapped.x, snapped.y), snapped.sigma
+        self._store.put(_rounded(click, place, sigma))
         return self.state() | {"snapped": None if snapped is None else snapped.kind}
 
     @property

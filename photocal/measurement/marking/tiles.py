@@ -50,10 +50,7 @@ class TileAddress:
 
 def coarsest_level(size_px: tuple[int, int]) -> int:
     """Give the first level that is one tile."""
-    level = 0
-    while -(-max(size_px) >> level) > TILE_PX:
-        level += 1
-    return level
+    return ((max(size_px) - 1) // TILE_PX).bit_length()
 
 
 class Tiles:
