@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.mounting import mounting_of
-from acquire.log.reader import LogReader, Messages, link_of, read_json
+from acquire.log.reader import LogReader, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
 from drivers.arrays import Bytes, Floats, Integers
 from drivers.frames import Batch, Wire
@@ -217,16 +217,13 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
                 parameters.setdefault(channel.topic.removeprefix("/"), {}).update(values)
             elif channel.schema is None:
                 link = link_of(channel)
-                _add(links.setdefault(link, LinkSummary(link, dialect)), messages)
+                summary, encoding = links.setdefault(link, LinkSummary(link, dialect)), channel.encoding
+                if encoding == DAMAGE_ENCODING:
+                    summary.damage_bytes += sum(map(len, messages.payloads))
+                elif encoding in _ENCODINGS:
+                    batch = batch_of_payloads(_ENCODINGS[encoding], messages.payloads, dialect)
+                    summary.add(batch, messages.log_ns)
     return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata, parameters)
-
-
-def _add(link: LinkSummary, messages: Messages) -> None:
-    encoding = messages.channel.encoding
-    if encoding == DAMAGE_ENCODING:
-        link.damage_bytes += sum(map(len, messages.payloads))
-    elif encoding in _ENCODINGS:
-        link.add(batch_of_payloads(_ENCODINGS[encoding], messages.payloads, link.dialect), messages.log_ns)
 
 
 def _sender(source: tuple[int, int], parts: list[Bytes]) -> dict[str, int]:

@@ -71,7 +71,8 @@ def reported(
     if last == number:
         return counted
     if counted.offset is None:
-        counted = replace(counted, offset=_offset(counted.pending, number))
+        announced = not counted.pending or any(trigger.number == number for trigger in counted.pending)
+        counted = replace(counted, offset=0 if announced else number - counted.pending[-1].number)
     offset = counted.offset or 0
     wanted = number - offset
     open_ = {trigger.number for trigger in counted.missed}
@@ -125,9 +126,3 @@ def _restarted(counted: Exposures) -> Exposures:
     still_open = counted.pending if counted.feedbacks else ()
     before = (*counted.before, *counted.missed, *still_open)
     return Exposures(counted.triggers, counted.feedbacks, before=before)
-
-
-def _offset(pending: tuple[Trigger, ...], number: int) -> int:
-    if not pending or any(trigger.number == number for trigger in pending):
-        return 0
-    return number - pending[-1].number

@@ -160,7 +160,7 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
     What a wrong principal point does over a flight there and back is much like a readout.
     """
     doubtful = {
-        k: with_loose_sides(_with_loose_lens(_freed(camera)))
+        k: with_loose_sides(_loosened(_freed(camera), _LENS, LENS_SHARE * camera.value("c")))
         for k, camera in enumerate(network.cameras)
         if camera.shutter == "unknown" and not camera.rolling
     }
@@ -169,10 +169,6 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
     except IllPosedError:
         return False
     return any(test.p_value < SIGNIFICANCE for test in tests.values())
-
-
-def _with_loose_lens(camera: Camera) -> Camera:
-    return _loosened(camera, _LENS, LENS_SHARE * camera.value("c"))
 
 
 def with_loose_sides(camera: Camera) -> Camera:

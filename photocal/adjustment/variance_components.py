@@ -106,7 +106,8 @@ def estimate_components(
         scaled = with_factors(network, rays, factors)
         solution = adjust(scaled, report, state)
         state = solution.state
-        groups = _groups(scaled, rays, solution)
+        groups = groups_of_rays(scaled, solution, rays.names, rays.group)
+        groups += [group for group in solution.groups if group.name != "image"]
         free = [g for g in groups if g.name not in hold and g.redundancy > FEWEST]
         change = {group.name: group.chi_squared / group.redundancy for group in free}
         if all(abs(share - 1) < settled for share in change.values()):
@@ -124,12 +125,6 @@ def estimate_components(
         f"the variance components have not settled after {ROUNDS} rounds",
         "hold the groups with the least redundancy, or look for gross errors first",
     )
-
-
-def _groups(network: Network, rays: RayGroups, solution: Solution) -> list[Group]:
-    """What each group adds to v'Pv, and its redundancy."""
-    groups = groups_of_rays(network, solution, rays.names, rays.group)
-    return groups + [group for group in solution.groups if group.name != "image"]
 
 
 def _components(

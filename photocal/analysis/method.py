@@ -86,13 +86,14 @@ def shape(network: Network, state: State) -> Shape:
     rolls = _from_right_angle(state.rotation[i] @ np.swapaxes(state.rotation[j], 1, 2))
     inner = 0 if network.datum_points is None else DATUM_CONSTRAINTS
     flat = _across(state.points, axes)
+    centres_known = len(network.positions.image) or (network.exposures.sigma[:, 5] < np.inf).any()
     whole, middle_of_object = _hull_area(flat), (flat.min(axis=0) + flat.max(axis=0)) / 2.0
     return Shape(
         len(axes),
         float(angles.max(initial=0.0)),
         float(rolls.min(initial=90.0)),
         _relief(state.points, axes, float(angles.max(initial=0.0))) / float(np.median(distance)),
-        float(median.max() / median.min()) if _centres_known(network) else 1.0,
+        float(median.max() / median.min()) if centres_known else 1.0,
         int(known.sum() + np.isfinite(network.exposures.sigma).sum() + len(network.relations.kind) + inner),
         len(control),
         len({(bool(a), bool(b)) for a, b in flat[control] > middle_of_object}),
@@ -156,10 +157,6 @@ def _from_right_angle(between: Floats) -> Floats:
     trace = np.trace(between, axis1=1, axis2=2)
     twist = 2.0 * np.arctan2(between[:, 0, 1] - between[:, 1, 0], 1.0 + trace)
     return np.asarray(np.abs(90.0 - np.abs(np.degrees(np.arctan2(np.sin(twist), np.cos(twist))))))
-
-
-def _centres_known(network: Network) -> bool:
-    return bool(len(network.positions.image) or (network.exposures.sigma[:, 5] < np.inf).any())
 
 
 def _relief(points: Floats, axes: Floats, convergence_deg: float) -> float:

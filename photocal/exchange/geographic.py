@@ -7,7 +7,7 @@ reading back into an adjustment.
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -22,7 +22,7 @@ from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, to
 from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.distortion import undistorted
-from photocal.geopackage import LOCAL, Feature, Layer, Value, add_layer, add_table, geopackage, wgs84
+from photocal.geopackage import LOCAL, Feature, Layer, add_layer, add_table, geopackage, wgs84
 
 # Turns local coordinates, shape (n, 3), into longitude, latitude, height.
 ToGeographic = Callable[[Floats], Floats]
@@ -208,16 +208,14 @@ def write_geopackage(
         corners = geometry["coordinates"]
         corners = np.array(corners[0] if geometry["type"] == "Polygon" else [corners], dtype=float)
         layers[layer.name][1].append((corners, values))
+    columns = (values.tolist() for values in (given.image, given.point, given.pixels, given.residuals_px))
+    rows = (
+        (given.image_names[i], given.point_names[j], *xy, *v) for i, j, xy, v in zip(*columns, strict=True)
+    )
     with geopackage(path, system) as database:
         for layer, found in layers.values():
             add_layer(database, layer, system, found, changed_utc)
-        add_table(database, "image_residuals", _RESIDUALS, _residuals(given), changed_utc)
-
-
-def _residuals(given: Reconstruction) -> Iterator[Sequence[Value]]:
-    columns = (given.image, given.point, given.pixels, given.residuals_px)
-    for i, j, pixel, residual in zip(*(column.tolist() for column in columns), strict=True):
-        yield given.image_names[i], given.point_names[j], *pixel, *residual
+        add_table(database, "image_residuals", _RESIDUALS, rows, changed_utc)
 
 
 def export_geopackage(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:

@@ -78,7 +78,6 @@ MODELS: dict[Model, LensModel] = {
     "pix4d-fisheye": LensModel(("K1", "K2", "K3"), relative=True, angular=True),
 }
 AFFINITIES: tuple[Affinity, ...] = ("additive", "before", "after")
-AFFINITY_FORMS: tuple[AffinityForm, ...] = ("fraser", "canon-elph", "tank")
 
 # Where B1 and B2 stand in the 2 x 2 matrix F of the affinity: F = B1 * first + B2 * second.
 AFFINITY_MATRICES: dict[AffinityForm, tuple[list[list[float]], list[list[float]]]] = {

@@ -205,9 +205,7 @@ def _smoothed(source: Source) -> Floats32:
     grey = as_eight_bit(read_grey(source.path))
     height, width = grey.shape
     small = _halved((width, height), source.level)
-    reduced = (
-        cv2.resize(grey.astype(np.float32), small, interpolation=cv2.INTER_AREA) if source.level else grey
-    )
+    reduced = cv2.resize(grey.astype("f4"), small, interpolation=cv2.INTER_AREA) if source.level else grey
     weights = cv2.getGaussianKernel(_SMOOTHED_PX, SMOOTHING_PX, cv2.CV_32F)
     return np.asarray(cv2.sepFilter2D(reduced, cv2.CV_32F, weights, weights), dtype=np.float32)
 

@@ -14,6 +14,8 @@ from photocal.navigation.exposures import CameraMatch, Exposures
 from photocal.navigation.trajectory import LARGEST_GAP_S
 
 _LISTED = 12
+# What schema 1 calls the outcome of a check; all others failed.
+_VERDICTS = {"passed": "passed", "note": "passed", "untested": "not possible"}
 
 
 def exposure_figures(
@@ -47,7 +49,10 @@ def exposure_figures(
         "sigma": _sigmas(exposures),
         "cameras": [_camera(camera, events) for camera in cameras],
         "clocks": [clock.figures() for clock in clocks],
-        "checks": [_check(check) for check in checks],
+        "checks": [
+            finding_json(check, catalogue("en")) | {"verdict": _VERDICTS.get(check.severity, "failed")}
+            for check in checks
+        ],
         "findings": [finding_json(one, catalogue("en")) for one in found],
         "common": None if ppk is None else ppk.get("common"),
         "ppk": ppk,
@@ -93,12 +98,6 @@ def _camera(found: CameraMatch, events: Events) -> dict[str, Any]:
         "clock_drift_sigma_ppm": m.drift_sigma * 1e6,
         "residual_s": m.scatter_s,
     }
-
-
-def _check(check: Finding) -> dict[str, Any]:
-    """A check as a JSON value, with what schema 1 calls its outcome."""
-    verdict = {"passed": "passed", "note": "passed", "untested": "not possible"}.get(check.severity, "failed")
-    return {**finding_json(check, catalogue("en")), "verdict": verdict}
 
 
 def _unmatched(cameras: list[CameraMatch], events: Events) -> Iterator[Finding]:

@@ -264,7 +264,8 @@ def _side_overlaps(
 ) -> dict[tuple[int, int], float]:
     """Overlap of each strip with the nearest parallel one of the same height on either side."""
     numbers = [int(s) for s in np.unique(strip) if (strip == s).sum() > 1]
-    way = {s: _direction(station[strip == s, :2]) for s in numbers}
+    run = {s: np.subtract(*station[strip == s, :2][[-1, 0]]) for s in numbers}
+    way = {s: moved / max(float(np.linalg.norm(moved)), 1e-9) for s, moved in run.items()}
     level = {s: float(np.median(height[strip == s])) for s in numbers}
     found = {}
     for s in numbers:
@@ -286,11 +287,6 @@ def _side_overlaps(
             shown = np.unique(np.concatenate([seen[j] for j in np.flatnonzero(strip == t)]))
             found[s, t] = float(np.median([_share(parts[i], shown) for i in beside]))
     return found
-
-
-def _direction(places: Floats) -> Floats:
-    way = places[-1] - places[0]
-    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-9))
 
 
 def _below_the_flight(station: Floats, ground: Ground) -> Flags:

@@ -152,7 +152,7 @@ class Cluster:
         cache.mkdir(parents=True, exist_ok=True)
         with self._client() as client, tempfile.NamedTemporaryFile(dir=cache) as proof:
             for path, folder in ((Path(proof.name), cache), (images, images)):
-                seen: dict[str, bool] = client.run(_sees, str(path.resolve()))
+                seen: dict[str, bool] = client.run(os.path.exists, str(path.resolve()))
                 blind = sorted(name for name, sees in seen.items() if not sees)
                 if blind:
                     raise ConfigurationError(
@@ -199,10 +199,6 @@ class Cluster:
                     "look at its workers' memory and start again; what was finished is kept",
                     where=self.address,
                 ) from failure
-
-
-def _sees(path: str) -> bool:
-    return Path(path).exists()
 
 
 # Processes of this machine, 1 for this very process; or a cluster.

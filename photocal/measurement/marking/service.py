@@ -192,7 +192,8 @@ class MarkingService:
         sigma = (BY_HAND_PX, BY_HAND_PX)
         if snapped is not None:
             place, sigma = (snapped.x, snapped.y), snapped.sigma
-        self._store.put(_rounded(click, place, sigma))
+        x, y, *sigmas = (round(value, _DECIMALS) for value in (*place, *sigma))
+        self._store.put(Mark(click.image, click.point, x, y, (sigmas[0], sigmas[1]), ""))
         return self.state() | {"snapped": None if snapped is None else snapped.kind}
 
     @property
@@ -258,11 +259,6 @@ def _checked(kind: type[Question], body: bytes) -> Question:
         first = failure.errors()[0]
         what = ": ".join((".".join(map(str, first["loc"])), first["msg"])).lstrip(": ")
         raise ConfigurationError(what, "use the page", where="request") from failure
-
-
-def _rounded(click: _Click, place: tuple[float, float], sigma: tuple[float, float]) -> Mark:
-    x, y, sx, sy = (round(value, _DECIMALS) for value in (*place, *sigma))
-    return Mark(click.image, click.point, x, y, (sx, sy), "")
 
 
 @lru_cache(maxsize=2)

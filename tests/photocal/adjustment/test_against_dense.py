@@ -12,7 +12,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Network
 from photocal.geometry.camera import (
     AFFINITIES,
-    AFFINITY_FORMS,
+    AFFINITY_MATRICES,
     MODELS,
     PARAMETERS,
     Affinity,
@@ -80,7 +80,7 @@ def same(network: Network, tolerance: float = 1e-5, defect: int = 0) -> None:
 
 @pytest.mark.parametrize("model", ["brown-observed", "brown-ideal"])
 @pytest.mark.parametrize("affinity", AFFINITIES)
-@pytest.mark.parametrize("form", AFFINITY_FORMS)
+@pytest.mark.parametrize("form", AFFINITY_MATRICES)
 def test_every_camera_model(model: Model, affinity: Affinity, form: AffinityForm) -> None:
     # Over a free exposure the forms with a rotation inside are as well determined as the others.
     own = networks.lens(model=model, affinity=affinity, affinity_form=form, estimate=ALL)

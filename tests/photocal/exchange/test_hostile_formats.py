@@ -31,7 +31,6 @@ from photocal.exchange.jaicov import read_scale_bars
 from photocal.exchange.micmac import read_measures
 from photocal.exchange.orientation_tables import read_matrices, write_matrices
 from photocal.exchange.parts import Mark, PointEntry
-from photocal.exchange.pix4d_project import read_pix4d, write_pix4d
 from photocal.exchange.reconstruction import Choices, Reconstruction, of_result
 from photocal.exchange.reference_table import read_references, write_references
 from photocal.geometry.camera import Model, camera
@@ -106,11 +105,6 @@ CASES = [of_format(form.name) for form in FORMATS if form.reads] + [
         "matrices",
         lambda folder: write_matrices(folder / "a.txt", ("a", "b"), ANGLES),
         lambda folder: read_matrices(folder / "a.txt"),
-    ),
-    Case(
-        "pix4d",
-        lambda folder: write_pix4d(folder / "c.cam", PLAIN),
-        lambda folder: read_pix4d(folder / "c.cam", (3060, 2036)),
     ),
     Case(
         "scale-bars",

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputMalformedError
-from photocal.exchange.pix4d_project import read_pix4d, write_pix4d
+from photocal.exchange.pix4d_project import write_pix4d
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
+from tests.photocal.exchange.cam_file import read_pix4d
 
 
 def test_pix4d_example() -> None:

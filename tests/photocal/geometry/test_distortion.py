@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photocal.geometry.camera import AFFINITIES, AFFINITY_FORMS, Affinity, AffinityForm, Model, camera
+from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, Affinity, AffinityForm, Model, camera
 from photocal.geometry.distortion import distorted, projected, radial_profile, undistorted
 from tests.photocal import networks, oracle
 
 BROWN: tuple[Model, ...] = ("brown-observed", "brown-ideal")
-KINDS = [(m, a, f) for m in BROWN for a in AFFINITIES for f in AFFINITY_FORMS]
+KINDS = [(m, a, f) for m in BROWN for a in AFFINITIES for f in AFFINITY_MATRICES]
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from photocal.geometry.camera import (
     AFFINITIES,
-    AFFINITY_FORMS,
+    AFFINITY_MATRICES,
     PARAMETERS,
     Affinity,
     AffinityForm,
@@ -26,7 +26,7 @@ from tests.photocal import oracle
 
 Floats = NDArray[np.float64]
 BROWN: tuple[Model, ...] = ("brown-observed", "brown-ideal")
-KINDS = [(m, a, f) for m in BROWN for a in AFFINITIES for f in AFFINITY_FORMS]
+KINDS = [(m, a, f) for m in BROWN for a in AFFINITIES for f in AFFINITY_MATRICES]
 
 # Magnitudes of strong lenses of about 20 mm; at r = 12 mm each term moves a point by up to a millimetre.
 LARGEST = {

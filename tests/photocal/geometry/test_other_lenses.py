@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from photocal.geometry.camera import AFFINITY_FORMS, PARAMETERS, Camera, Model, camera, plane_to_pixel
+from photocal.geometry.camera import AFFINITY_MATRICES, PARAMETERS, Camera, Model, camera, plane_to_pixel
 from photocal.geometry.distortion import distorted, projected, undistorted
 from photocal.geometry.lens import bent, optics, scratch
 from tests.photocal import oracle
@@ -43,7 +43,7 @@ def rays(widest: float) -> Floats:
 
 
 @pytest.mark.parametrize("model", COEFFICIENTS)
-@pytest.mark.parametrize("form", AFFINITY_FORMS)
+@pytest.mark.parametrize("form", AFFINITY_MATRICES)
 def test_residual_and_derivatives(model: Model, form: Any) -> None:
     own, room = lens(model, affinity_form=form), scratch(0)
     assert own.affinity == "after"
