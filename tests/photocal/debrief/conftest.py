@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from PIL import Image, ImageFilter
 
 from acquire.importing.importer import import_recordings
 from acquire.simulate.world.configuration import FLIGHTS, read_configuration
@@ -13,6 +15,10 @@ from acquire.simulate.world.site import simulate_flight
 
 SIZE, FOCAL = (640, 480), 471.4
 LENS = {"size_px": SIZE, "pitch_mm": 0.01872, "fx": FOCAL, "fy": FOCAL, "cx": 321.4, "cy": 238.1}
+
+# EXIF: the table of the exposure, and tags in it.
+_EXIF = 0x8769
+FOCAL_MM, SERIAL, TAKEN, BOTH = 0x920A, 0xA431, 0x9003, 0x9004
 
 
 @pytest.fixture(scope="package", autouse=True)
@@ -43,3 +49,25 @@ def import_log(site: Path, links: tuple[str, ...]) -> None:
     (site / "flight.mcap").unlink(missing_ok=True)
     found = [(link, path) for link in links for path in site.glob(f"{link}.*")]
     import_recordings(found, [], site / "flight.mcap", lambda _: None)
+
+
+def edited(
+    path: Path, change: Callable[[Image.Image], Image.Image], exif: dict[int, Any] | None = None
+) -> None:
+    """Write a picture again with other pixels or tags."""
+    with Image.open(path) as image:
+        tags, xmp = image.getexif(), image.info.get("xmp", b"")
+        made = change(image.convert("RGB"))
+    tags.get_ifd(_EXIF).update(exif or {})
+    # Copies of a flight may share their files.
+    path.unlink()
+    made.save(path, "JPEG", quality=92, exif=tags, xmp=xmp)
+
+
+def smeared(image: Image.Image) -> Image.Image:
+    """Moved by four pixels while the shutter was open."""
+    return image.filter(ImageFilter.Kernel((5, 5), [0] * 10 + [1] * 5 + [0] * 10))
+
+
+def names(site: Path) -> list[Path]:
+    return sorted((site / "images").iterdir())

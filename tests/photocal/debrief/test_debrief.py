@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image, ImageFilter
 
 from acquire.console import progress
 from photocal.debrief import pictures
@@ -21,9 +19,19 @@ from photocal.geometry.camera import Camera
 from photocal.measurement import match_images
 from photocal.project import read_project
 from tests.conftest import needs_engine
-from tests.photocal.debrief.conftest import FOCAL, SIZE, fly, import_log
-
-_FOCAL_MM, _EXIF, _SERIAL, _TAKEN, _BOTH = 0x920A, 0x8769, 0xA431, 0x9003, 0x9004
+from tests.photocal.debrief.conftest import (
+    BOTH,
+    FOCAL,
+    FOCAL_MM,
+    SERIAL,
+    SIZE,
+    TAKEN,
+    edited,
+    fly,
+    import_log,
+    names,
+    smeared,
+)
 
 
 @pytest.fixture
@@ -45,26 +53,6 @@ def judged(site: Path, camera: Camera | None = None) -> Debrief:
 
 def codes(made: Debrief) -> set[str]:
     return {one.code for one in made.findings if not one.small}
-
-
-def edited(
-    path: Path, change: Callable[[Image.Image], Image.Image], exif: dict[int, Any] | None = None
-) -> None:
-    """Write a picture again with other pixels or tags."""
-    with Image.open(path) as image:
-        tags, xmp = image.getexif(), image.info.get("xmp", b"")
-        made = change(image.convert("RGB"))
-    tags.get_ifd(_EXIF).update(exif or {})
-    made.save(path, "JPEG", quality=92, exif=tags, xmp=xmp)
-
-
-def smeared(image: Image.Image) -> Image.Image:
-    """Moved by four pixels while the shutter was open."""
-    return image.filter(ImageFilter.Kernel((5, 5), [0] * 10 + [1] * 5 + [0] * 10))
-
-
-def names(site: Path) -> list[Path]:
-    return sorted((site / "images").iterdir())
 
 
 @pytest.mark.slow
@@ -127,8 +115,8 @@ def test_bad_pictures_are_named(site: Path) -> None:
 
 def test_another_camera_and_another_zoom_are_named(site: Path) -> None:
     paths = names(site)
-    edited(paths[0], lambda image: image, {_SERIAL: "9999"})
-    edited(paths[9], lambda image: image, {_FOCAL_MM: 12.3})
+    edited(paths[0], lambda image: image, {SERIAL: "9999"})
+    edited(paths[9], lambda image: image, {FOCAL_MM: 12.3})
     found = {one.code: one.figures.get("images") for one in judged(site).findings if not one.small}
     assert found["pictures-of-other-camera"] == (paths[0].name,)
     assert found["lens-changed"] == (paths[9].name,)
@@ -146,7 +134,7 @@ def test_missing_pictures_name_the_strip_to_fly_again(site: Path) -> None:
 
 def test_the_card_of_another_flight_is_named(site: Path) -> None:
     for path in names(site):
-        day = {_TAKEN: "2025:06:12 08:00:00", _BOTH: "2025:06:12 08:00:00"}
+        day = {TAKEN: "2025:06:12 08:00:00", BOTH: "2025:06:12 08:00:00"}
         edited(path, lambda image: image, day)
     assert codes(judged(site)) & {"wrong-card", "exposures-unknown"}
 
