@@ -57,6 +57,24 @@ class _Rays(Columns):
     affinity: Floats
 
 
+@dataclass(frozen=True)
+class _Surface:
+    """The surface at each track, as its reference image shows it.
+
+    image (n,), middle (n, 2): reference image, and the middle of the pixel there.
+    anchor (n, 3), axes (n, 2, 3): the place that it shows, and steps on the surface.
+    to_axes (n, 2, 2): steps for each pixel of the reference image.
+    towards (n, 3): direction to it.
+    """
+
+    image: Integers
+    middle: Floats
+    anchor: Floats
+    axes: Floats
+    to_axes: Floats
+    towards: Floats
+
+
 def refine(
     sources: Sequence[Source],
     views: OrientedImages,
@@ -67,24 +85,25 @@ def refine(
     done: Callable[[float], None],
 ) -> Tracks:
     """Measure tracks again, in all images that should show them."""
-    reference = _reference_rays(views, tracks, points)
-    middle = np.round(tracks.pixels[reference])
-    anchor, axes = _anchors(views, tracks, points, reference, middle)
-    image = tracks.image[reference]
-    base = _jacobians(views, image, anchor, axes)
-    inside = _inside(middle, views.sizes()[image])
-    wanted = _candidates(tracks, reference, partners)
-    wanted = wanted[inside[wanted[:, 0]]]
-    rays = _expected(views, wanted, anchor, axes, base, image)
+    surface = _surface(views, tracks, points)
+    inside = _inside(surface.middle, views.sizes()[surface.image])
     patches = np.zeros((tracks.count, 2 * HALF + 1, 2 * HALF + 1), dtype=np.float32)
     images = range(len(sources))
-    tasks = [(sources[k], middle[(image == k) & inside]) for k in images]
+    tasks = [(sources[k], surface.middle[(surface.image == k) & inside]) for k in images]
     for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes, done)):
-        patches[(image == k) & inside] = cut
-    jobs = ((sources[k], part, patches[part.track]) for k in images for part in [rays.rows(rays.image == k)])
+        patches[(surface.image == k) & inside] = cut
+    seen = [np.unique(tracks.track[tracks.image == k]) for k in images]
+    # Image by image, while others are matched: all rays at once would need more memory than pictures do.
+    jobs = (
+        (sources[k], rays, patches[rays.track])
+        for k in images
+        for rays in [
+            _expected(views, k, _candidates(seen, partners[k], k, inside & (surface.image != k)), surface)
+        ]
+    )
     refined = list(run_tasks(_match_image, jobs, processes, done))
     inner = np.flatnonzero(inside)
-    return _joined(refined, inner, image[inner], middle[inner], tracks.conflicts)
+    return _joined(refined, inner, surface.image[inner], surface.middle[inner], tracks.conflicts)
 
 
 def refine_reduced(
@@ -139,10 +158,10 @@ def _directions(views: OrientedImages, image: Integers, xyz: Floats) -> Floats:
     return np.asarray(towards / np.linalg.norm(towards, axis=1)[:, None])
 
 
-def _anchors(
-    views: OrientedImages, tracks: Tracks, points: Floats, reference: Integers, middle: Floats
-) -> tuple[Floats, Floats]:
-    """Points of the surface that the reference image shows in the middle of a pixel, and axes on it."""
+def _surface(views: OrientedImages, tracks: Tracks, points: Floats) -> _Surface:
+    """Where the reference images show the surface at the tracks, in the middle of a pixel."""
+    reference = _reference_rays(views, tracks, points)
+    middle, image = np.round(tracks.pixels[reference]), tracks.image[reference]
     # The surface at a track is taken as square to the mean direction to its images.
     towards = _directions(views, tracks.image, points[tracks.track])
     normal = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
@@ -150,13 +169,14 @@ def _anchors(
     least = np.eye(3)[np.abs(normal).argmin(axis=1)]
     first = np.cross(normal, least)
     first = first / np.linalg.norm(first, axis=1)[:, None]
-    image = tracks.image[reference]
     distance = np.linalg.norm(views.station[image] - points, axis=1)
     # Steps of about a pixel or a few keep the differences within the local linearity.
     axes = np.stack([first, np.cross(normal, first)], axis=1) * (1e-3 * distance)[:, None, None]
     miss = middle - views.project(image, points)
     along = np.linalg.solve(_jacobians(views, image, points, axes), miss[..., None])[..., 0]
-    return points + np.einsum("nk,nkj->nj", along, axes), axes
+    anchor = points + np.einsum("nk,nkj->nj", along, axes)
+    to_axes = np.linalg.inv(_jacobians(views, image, anchor, axes))
+    return _Surface(image, middle, anchor, axes, to_axes, _directions(views, image, anchor))
 
 
 def _jacobians(views: OrientedImages, image: Integers, xyz: Floats, axes: Floats) -> Floats:
@@ -165,30 +185,24 @@ def _jacobians(views: OrientedImages, image: Integers, xyz: Floats, axes: Floats
     return np.stack(ahead, axis=2) / 2
 
 
-def _candidates(tracks: Tracks, reference: Integers, partners: Sequence[Integers]) -> Integers:
-    """Tracks and images that may show them, besides their reference: partners of their images."""
-    count, numbers = len(partners), []
-    for k, others in enumerate(partners):
-        mine = tracks.track[tracks.image == k]
-        numbers.append((count * mine[:, None] + np.r_[others, k]).ravel())
-    # Sorted as single numbers: rows would take ten times as long.
-    pairs = np.column_stack(np.divmod(np.unique(np.concatenate(numbers)), count))
-    return np.asarray(pairs[pairs[:, 1] != tracks.image[reference][pairs[:, 0]]])
+def _candidates(seen: Sequence[Integers], partners: Integers, image: int, wanted: Flags) -> Integers:
+    """Tracks that an image may show: those of its partners and its own, as far as they are wanted."""
+    may = np.zeros(len(wanted), dtype=np.bool_)
+    for other in (*partners.tolist(), image):
+        may[seen[other]] = True
+    return np.flatnonzero(may & wanted)
 
 
-def _expected(
-    views: OrientedImages, wanted: Integers, anchor: Floats, axes: Floats, base: Floats, own: Integers
-) -> _Rays:
-    track, image = wanted.T
-    place = views.project(image, anchor[track])
+def _expected(views: OrientedImages, number: int, track: Integers, surface: _Surface) -> _Rays:
+    """Where an image should show tracks."""
+    image = np.full(len(track), number)
+    anchor = surface.anchor[track]
+    place = views.project(image, anchor)
     with np.errstate(invalid="ignore"):
         seen = _inside(place, views.sizes()[image])
-    apart = np.einsum(
-        "nk,nk->n", _directions(views, image, anchor[track]), _directions(views, own[track], anchor[track])
-    )
-    seen &= apart > _COS_APART
-    track, image, place = track[seen], image[seen], place[seen]
-    affinity = _jacobians(views, image, anchor[track], axes[track]) @ np.linalg.inv(base[track])
+    seen &= np.einsum("nk,nk->n", _directions(views, image, anchor), surface.towards[track]) > _COS_APART
+    track, image, place, anchor = track[seen], image[seen], place[seen], anchor[seen]
+    affinity = _jacobians(views, image, anchor, surface.axes[track]) @ surface.to_axes[track]
     zoom = np.sqrt(np.abs(np.linalg.det(affinity)))
     alike = np.isfinite(affinity).all(axis=(1, 2)) & (zoom < _ZOOM) & (zoom > 1 / _ZOOM)
     return _Rays(track, image, place, affinity).rows(alike)
