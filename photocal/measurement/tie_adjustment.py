@@ -24,7 +24,8 @@ from photocal.measurement.tie_block import GROSS, START_GROSS, fitting, place, r
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
 
-_ROUNDS = 8
+# A round takes out a third or less of what the one before has: after this share no later one would show.
+_ROUNDS, FEW_LEFT = 8, 1e-4
 # Share of the tie points that may not meet for reasons of their own.
 FEW_APART = 0.02
 # Three rays give a pose that nothing checks.
@@ -144,7 +145,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         standardised = size[tie_rays] / (sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], 0.05)))
         good = standardised <= (GROSS if round_ else 2 * GROSS)
         ties, block = replace(ties, sigma=sigma).some(good).held()
-        if round_ and good.all():
+        if round_ and np.mean(~good) <= FEW_LEFT:
             break
     # Readouts that the network did not bear while rays still fell out are tested once more.
     ties = replace(ties, start=_opened(ties.start, given))
