@@ -61,7 +61,7 @@ def sweep(folder: Path, most_bytes: int, unused_s: float, now_s: float) -> int:
                 # Another program sweeps, too.
                 continue
             files.append((facts.st_mtime, facts.st_size, path))
-    files.sort(key=lambda one: one[:2], reverse=True)
+    files.sort(key=lambda file: file[:2], reverse=True)
     remaining = 0
     for used, size, path in files:
         if remaining + size <= most_bytes and now_s - used <= unused_s:

@@ -44,27 +44,27 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     if not folder.is_dir():
         raise InputNotFoundError("is not a folder", "name the folder with the images", where=folder)
     files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
-    found = sorted(path for path in files if path.suffix.lower() in SUFFIXES)
-    if not found:
-        found = _of_heads(folder)
+    pictures = sorted(path for path in files if path.suffix.lower() in SUFFIXES)
+    if not pictures:
+        pictures = _of_heads(folder)
     unread = sorted({path.suffix for path in files if path.suffix.lower() in UNREAD})
-    if not found and unread:
+    if not pictures and unread:
         raise InputNotFoundError(
             f"has only pictures that are not read ({', '.join(unread)})",
             "save them as JPEG or TIFF in full size, neither turned nor corrected for distortion",
             where=folder,
         )
-    if not found:
+    if not pictures:
         raise InputNotFoundError("has no image", f"it takes {', '.join(SUFFIXES)}", where=folder)
-    return tuple(found)
+    return tuple(pictures)
 
 
 def _of_heads(folder: Path) -> list[Path]:
     """Images of the folders in a folder, one for each camera of a frame."""
     below = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    found = [path for part in below for path in part.iterdir() if path.suffix.lower() in SUFFIXES]
+    pictures = [path for part in below for path in part.iterdir() if path.suffix.lower() in SUFFIXES]
     place: dict[str, Path] = {}
-    for path in found:
+    for path in pictures:
         if path.name in place:
             raise InputMalformedError(
                 f"has two pictures {path.name}, in {place[path.name].parent.name} and {path.parent.name}",
@@ -72,7 +72,7 @@ def _of_heads(folder: Path) -> list[Path]:
                 where=folder,
             )
         place[path.name] = path
-    return sorted(found, key=lambda path: path.name)
+    return sorted(pictures, key=lambda path: path.name)
 
 
 def each_picture(

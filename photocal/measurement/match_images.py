@@ -91,8 +91,8 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
     from scipy.spatial import KDTree
 
     partners = min(len(rows), MOST_PARTNERS + 1)
-    found = KDTree(seen.centre[rows]).query(seen.centre[rows], k=partners)
-    distance, other = (np.reshape(part, (len(rows), -1)) for part in found)
+    nearest = KDTree(seen.centre[rows]).query(seen.centre[rows], k=partners)
+    distance, other = (np.reshape(part, (len(rows), -1)) for part in nearest)
     first = np.broadcast_to(np.arange(len(rows))[:, None], other.shape)
     near, radius = first != other, seen.radius[rows]
     # Where a height is not known the nearest go together, however far.
@@ -137,8 +137,8 @@ def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
     path, key, plan = image
 
     def make() -> Arrays:
-        found = detect(as_eight_bit(read_grey(path)), plan.features)
-        return {"pixels": found.pixels, "scale": found.scale, "descriptors": found.descriptors}
+        features = detect(as_eight_bit(read_grey(path)), plan.features)
+        return {"pixels": features.pixels, "scale": features.scale, "descriptors": features.descriptors}
 
     try:
         cached(plan.cache, key, _NAMES, make)

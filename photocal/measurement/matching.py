@@ -38,17 +38,17 @@ def search_windows(
     extent = float(np.ptp(second, axis=0).max())
     # No result may depend on chance.
     cv2.setRNGSeed(len(known_first))
-    found: Any = cv2.findHomography(known_first, known_second, cv2.USAC_MAGSAC, _LEAST_PART * extent)[0]
-    if found is None:
+    homography: Any = cv2.findHomography(known_first, known_second, cv2.USAC_MAGSAC, _LEAST_PART * extent)[0]
+    if homography is None:
         return None
-    off = np.hypot(*(_moved(found, known_first) - known_second).T)
+    off = np.hypot(*(_moved(homography, known_first) - known_second).T)
     off = off[off < _WILD_PART * extent]
     if len(off) < _FEWEST:
         return None
     reach = max(_REACH * float(np.quantile(off, 0.95)), _LEAST_PART * extent)
     if reach > _MOST_PART * extent:
         return None
-    aim = _moved(found, first)
+    aim = _moved(homography, first)
     with np.errstate(invalid="ignore"):
         near = (aim >= second.min(axis=0) - reach) & (aim <= second.max(axis=0) + reach)
     rows = np.flatnonzero(near.all(axis=1))
@@ -60,13 +60,13 @@ def search_windows(
     down = np.argsort(second[:, 1], kind="stable")
     across, height = second[down, 0], second[down, 1]
     windows = []
-    for place, mine in zip(cells, np.split(rows, np.cumsum(counts)[:-1]), strict=True):
+    for place, together in zip(cells, np.split(rows, np.cumsum(counts)[:-1]), strict=True):
         low, high = (place - 1) * reach, (place + 2) * reach
         begin, end = np.searchsorted(height, (low[1], high[1]))
         inside = (across[begin:end] >= low[0]) & (across[begin:end] <= high[0])
         there = np.sort(down[begin:end][inside])
         if len(there) >= _FEWEST:
-            windows.append((mine, there))
+            windows.append((together, there))
     return windows
 
 
@@ -104,12 +104,12 @@ def match(first: Features, second: Features, settings: MatchSettings) -> Integer
     large = len(first.scale) > 2 * settings.sketch and len(second.scale) > 2 * settings.sketch
     windows: Iterable[Window] | None = None
     if large:
-        orders = ((own, np.argsort(-own.scale, kind="stable")) for own in (first, second))
+        orders = ((features, np.argsort(-features.scale, kind="stable")) for features in (first, second))
         coarse = [features.rows(order[: settings.sketch]) for features, order in orders]
         known = _verified(coarse[0], coarse[1], settings)
         if len(known) < settings.sketch_fewest:
             return np.zeros((0, 2), dtype=np.int64)
-        places = [own.pixels[index] for own, index in zip(coarse, known.T, strict=True)]
+        places = [features.pixels[index] for features, index in zip(coarse, known.T, strict=True)]
         windows = search_windows(first.pixels, second.pixels, places[0], places[1])
     pairs = _verified(first, second, settings, windows)
     return pairs if len(pairs) >= settings.fewest else pairs[:0]
@@ -163,10 +163,10 @@ def epipolar_inliers(first: Floats32, second: Floats32, tolerance_px: float) -> 
     # No result may depend on chance.
     cv2.setRNGSeed(len(first))
     try:
-        found: Any = cv2.findFundamentalMat(first, second, cv2.USAC_MAGSAC, tolerance_px, 0.9999, 5000)
+        fundamental: Any = cv2.findFundamentalMat(first, second, cv2.USAC_MAGSAC, tolerance_px, 0.9999, 5000)
     except cv2.error:
         return none
-    mask = found[1]
+    mask = fundamental[1]
     return none if mask is None else np.asarray(np.ravel(mask) > 0)
 
 

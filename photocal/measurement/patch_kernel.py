@@ -27,7 +27,7 @@ def match_patches(
     place: Floats,
     affinity: Floats,
     farthest: float,
-    found: Floats,
+    matched: Floats,
     likeness: Floats,
     covariance: Floats,
 ) -> None:
@@ -42,7 +42,7 @@ def match_patches(
     jacobian, inverse = np.empty((size, _UNKNOWNS)), np.empty((_UNKNOWNS, 2 * _UNKNOWNS))
     state, step, result = np.empty(_UNKNOWNS), np.empty(_UNKNOWNS), np.empty(2)
     for k in range(count):
-        found[k, 0], found[k, 1], likeness[k] = np.nan, np.nan, 0.0
+        matched[k, 0], matched[k, 1], likeness[k] = np.nan, np.nan, 0.0
         length = _prepare(patches[k], template, jacobian)
         if length < _FLAT or not _inverted(jacobian, inverse):
             continue
@@ -53,7 +53,7 @@ def match_patches(
         if not result[0] > 0:
             continue
         likeness[k] = result[0]
-        found[k, 0], found[k, 1] = state[0], state[1]
+        matched[k, 0], matched[k, 1] = state[0], state[1]
         variance = result[1] / (size - _UNKNOWNS - 2)
         xx, yy = variance * inverse[0, _UNKNOWNS], variance * inverse[1, _UNKNOWNS + 1]
         xy = variance * inverse[0, _UNKNOWNS + 1]
@@ -110,13 +110,13 @@ def _inverted(jacobian: Floats, inverse: Floats) -> bool:
     for i in range(_UNKNOWNS):
         a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for m in range(len(jacobian)):
-            own = jacobian[m, i]
-            a += own * jacobian[m, 0]
-            b += own * jacobian[m, 1]
-            c += own * jacobian[m, 2]
-            d += own * jacobian[m, 3]
-            e += own * jacobian[m, 4]
-            f += own * jacobian[m, 5]
+            slope = jacobian[m, i]
+            a += slope * jacobian[m, 0]
+            b += slope * jacobian[m, 1]
+            c += slope * jacobian[m, 2]
+            d += slope * jacobian[m, 3]
+            e += slope * jacobian[m, 4]
+            f += slope * jacobian[m, 5]
         inverse[i, 0], inverse[i, 1], inverse[i, 2] = a, b, c
         inverse[i, 3], inverse[i, 4], inverse[i, 5] = d, e, f
         for j in range(_UNKNOWNS):
@@ -242,5 +242,5 @@ def compile_kernels() -> None:
     row, column = np.mgrid[:15, :15].astype(np.float32)
     picture = np.sin(row) * np.cos(0.7 * column)
     patches = np.ascontiguousarray(picture[None, 2:13, 2:13])
-    found, likeness, covariance = np.empty((1, 2)), np.empty(1), np.zeros((1, 2, 2))
-    match_patches(patches, picture, np.full((1, 2), 7.0), np.eye(2)[None], 1.0, found, likeness, covariance)
+    matched, likeness, covariance = np.empty((1, 2)), np.empty(1), np.zeros((1, 2, 2))
+    match_patches(patches, picture, np.full((1, 2), 7.0), np.eye(2)[None], 1.0, matched, likeness, covariance)

@@ -5,7 +5,7 @@ tie point in one of its images are carried over to all images that should show i
 squares on the full images: the rays become precise, and rays that the features missed are found.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -92,16 +92,16 @@ def refine(
     tasks = [(sources[k], surface.middle[(surface.image == k) & inside]) for k in images]
     for k, cut in enumerate(run_tasks(_cut_patches, tasks, processes, done)):
         patches[(surface.image == k) & inside] = cut
-    seen = [np.unique(tracks.track[tracks.image == k]) for k in images]
-    # Image by image, while others are matched: all rays at once would need more memory than pictures do.
-    jobs = (
-        (sources[k], rays, patches[rays.track])
-        for k in images
-        for rays in [
-            _expected(views, k, _candidates(seen, partners[k], k, inside & (surface.image != k)), surface)
-        ]
-    )
-    refined = list(run_tasks(_match_image, jobs, processes, done))
+
+    def jobs() -> Iterator[tuple[Source, _Rays, Floats32]]:
+        # Image by image, while others are matched: all rays at once would need more memory than pictures do.
+        for k, source in enumerate(sources):
+            near = np.zeros(tracks.count, dtype=np.bool_)
+            near[tracks.track[np.isin(tracks.image, [*partners[k], k])]] = True
+            rays = _expected(views, k, np.flatnonzero(near & inside & (surface.image != k)), surface)
+            yield source, rays, patches[rays.track]
+
+    refined = list(run_tasks(_match_image, jobs(), processes, done))
     inner = np.flatnonzero(inside)
     return _joined(refined, inner, surface.image[inner], surface.middle[inner], tracks.conflicts)
 
@@ -144,28 +144,20 @@ def _halved(size: tuple[int, int], level: int) -> tuple[int, int]:
     return max(1, round(size[0] / 2**level)), max(1, round(size[1] / 2**level))
 
 
-def _reference_rays(views: OrientedImages, tracks: Tracks, points: Floats) -> Integers:
-    """For each track the ray nearest to the mean direction to its images."""
-    towards = _directions(views, tracks.image, points[tracks.track])
-    mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
-    order = np.lexsort((-np.einsum("nk,nk->n", towards, mean[tracks.track]), tracks.track))
-    starts = np.r_[True, np.diff(tracks.track[order]) > 0]
-    return np.asarray(order[starts], dtype=np.int64)
-
-
 def _directions(views: OrientedImages, image: Integers, xyz: Floats) -> Floats:
     towards = views.station[image] - xyz
     return np.asarray(towards / np.linalg.norm(towards, axis=1)[:, None])
 
 
 def _surface(views: OrientedImages, tracks: Tracks, points: Floats) -> _Surface:
-    """Where the reference images show the surface at the tracks, in the middle of a pixel."""
-    reference = _reference_rays(views, tracks, points)
+    """Where the images that look straightest at the tracks show them, in the middle of a pixel."""
+    towards = _directions(views, tracks.image, points[tracks.track])
+    mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
+    order = np.lexsort((-np.einsum("nk,nk->n", towards, mean[tracks.track]), tracks.track))
+    reference = order[np.r_[True, np.diff(tracks.track[order]) > 0]]
     middle, image = np.round(tracks.pixels[reference]), tracks.image[reference]
     # The surface at a track is taken as square to the mean direction to its images.
-    towards = _directions(views, tracks.image, points[tracks.track])
-    normal = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
-    normal = normal / np.linalg.norm(normal, axis=1)[:, None]
+    normal = mean / np.linalg.norm(mean, axis=1)[:, None]
     least = np.eye(3)[np.abs(normal).argmin(axis=1)]
     first = np.cross(normal, least)
     first = first / np.linalg.norm(first, axis=1)[:, None]
@@ -183,14 +175,6 @@ def _jacobians(views: OrientedImages, image: Integers, xyz: Floats, axes: Floats
     """Pixels per step along the axes of the surface, shape (n, 2, 2)."""
     ahead = [views.project(image, xyz + axes[:, k]) - views.project(image, xyz - axes[:, k]) for k in (0, 1)]
     return np.stack(ahead, axis=2) / 2
-
-
-def _candidates(seen: Sequence[Integers], partners: Integers, image: int, wanted: Flags) -> Integers:
-    """Tracks that an image may show: those of its partners and its own, as far as they are wanted."""
-    may = np.zeros(len(wanted), dtype=np.bool_)
-    for other in (*partners.tolist(), image):
-        may[seen[other]] = True
-    return np.flatnonzero(may & wanted)
 
 
 def _expected(views: OrientedImages, number: int, track: Integers, surface: _Surface) -> _Rays:
@@ -267,9 +251,11 @@ def _matched(image: Floats32, rays: _Rays, patches: Floats32) -> Arrays:
     return {"index": np.flatnonzero(good), "pixels": places[good], "sigma": sigma[good]}
 
 
-def _joined(refined: list[Tracks], kept: Integers, own: Integers, middle: Floats, conflicts: int) -> Tracks:
+def _joined(
+    refined: list[Tracks], kept: Integers, reference: Integers, middle: Floats, conflicts: int
+) -> Tracks:
     track = np.concatenate([kept, *(f.track for f in refined)])
-    image = np.concatenate([own, *(f.image for f in refined)])
+    image = np.concatenate([reference, *(f.image for f in refined)])
     pixels = np.concatenate([middle, *(f.pixels for f in refined)])
     sigma = np.concatenate([np.full(len(kept), np.nan), *(f.scale for f in refined)])
     # The reference ray is as sure as its matches: their median.

@@ -221,7 +221,7 @@ def _better(camera: Camera, adjusted: Camera, values: Floats) -> Camera:
 
 def _opened(start: Block, given: tuple[Camera, ...]) -> Block:
     """The block with shutters that were unknown to be tested again, unless they were found to roll."""
-    unknown = {own.id for own in given if own.shutter == "unknown" and not own.rolling}
+    unknown = {camera.id for camera in given if camera.shutter == "unknown" and not camera.rolling}
     cameras = [
         replace(camera, shutter="unknown") if camera.id in unknown and not camera.rolling else camera
         for camera in start.cameras

@@ -82,7 +82,7 @@ def fitting(block: Block) -> Flags:
     plane, _ = observed_plane(block)
     frame = block_frame(block)
     camera = block.images.camera[seen.image]
-    c = np.array([own.value("c") for own in block.cameras])[camera]
+    c = np.array([lens.value("c") for lens in block.cameras])[camera]
     slopes = slopes_of(block.cameras, camera, plane)
     views = views_of(block, frame)
     rotation, station = views.at_lines(seen.image, observed_pixels(block))
@@ -145,8 +145,10 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
     for _ in range(_TURNS):
         of_class = class_sigmas(scale, size / factor[image], redundancy)
         for k in judged:
-            mine = (image == k) & seen
-            factor[k] = _sigma_of_the_kept((size[mine] / of_class[mine]) ** 2, 2 * redundancy[mine])
+            of_image = (image == k) & seen
+            factor[k] = _sigma_of_the_kept(
+                (size[of_image] / of_class[of_image]) ** 2, 2 * redundancy[of_image]
+            )
         # Their mean is 1, so that images of few rays have the sigmas of all.
         factor[judged] /= (
             np.exp(np.average(np.log(factor[judged]), weights=count[judged])) if len(judged) else 1
@@ -162,9 +164,9 @@ def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
     member = np.searchsorted(edges, scale)
     sigma = np.ones(len(scale))
     for k in range(classes):
-        mine = (member == k) & (redundancy > _SEEN)
-        if mine.any():
-            sigma[member == k] = _sigma_of_the_kept(size[mine] ** 2, 2 * redundancy[mine])
+        of_class = (member == k) & (redundancy > _SEEN)
+        if of_class.any():
+            sigma[member == k] = _sigma_of_the_kept(size[of_class] ** 2, 2 * redundancy[of_class])
     return np.maximum(sigma, FINEST_PX)
 
 

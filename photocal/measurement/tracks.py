@@ -58,11 +58,11 @@ def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence
     place = np.concatenate([_places(f) + o for f, o in zip(features, offset[:-1], strict=True)])
     first = [place[offset[a] + m[:, 0]] for (a, _), m in zip(pairs, matches, strict=True)]
     second = [place[offset[b] + m[:, 1]] for (_, b), m in zip(pairs, matches, strict=True)]
-    one = np.concatenate(first) if first else np.zeros(0, dtype=np.int64)
-    two = np.concatenate(second) if second else np.zeros(0, dtype=np.int64)
-    graph = coo_matrix((np.ones(len(one), dtype=np.int8), (one, two)), shape=(total, total))
+    one_end = np.concatenate(first) if first else np.zeros(0, dtype=np.int64)
+    other_end = np.concatenate(second) if second else np.zeros(0, dtype=np.int64)
+    graph = coo_matrix((np.ones(len(one_end), dtype=np.int8), (one_end, other_end)), shape=(total, total))
     _, label = connected_components(graph, directed=False)
-    used = np.unique(np.concatenate([one, two]))
+    used = np.unique(np.concatenate([one_end, other_end]))
     image = np.searchsorted(offset, used, side="right") - 1
     _, track = np.unique(label[used], return_inverse=True)
     pixels = np.concatenate([f.pixels for f in features]).astype(float)[used]
@@ -71,8 +71,8 @@ def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence
     track, image = track[order].astype(np.int64), image[order].astype(np.int64)
     twice = np.flatnonzero((np.diff(track) == 0) & (np.diff(image) == 0))
     bad = np.unique(track[twice])
-    found = Tracks(track, image, pixels[order], scale[order], len(bad))
-    return found.some(~np.isin(track, bad))
+    tracks = Tracks(track, image, pixels[order], scale[order], len(bad))
+    return tracks.some(~np.isin(track, bad))
 
 
 def without_twins(tracks: Tracks, apart_px: float) -> Tracks:
@@ -107,10 +107,10 @@ def thin(tracks: Tracks, sizes: Floats, cells: int, in_a_cell: int) -> Tracks:
     filled = np.zeros(int(cell.max(initial=-1)) + 1, dtype=np.int64)
     keep = np.zeros(tracks.count, dtype=np.bool_)
     for j in order:
-        mine = cell[starts[j] : starts[j + 1]]
-        if (filled[mine] < in_a_cell).any():
+        cells_of_track = cell[starts[j] : starts[j + 1]]
+        if (filled[cells_of_track] < in_a_cell).any():
             keep[j] = True
-            filled[mine] += 1
+            filled[cells_of_track] += 1
     return tracks.some(keep[tracks.track])
 
 
@@ -122,12 +122,14 @@ def spaced(tracks: Tracks, least_px: float) -> Tracks:
     """
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for image in np.unique(tracks.image):
-        mine = np.flatnonzero(tracks.image == image)
-        near = cKDTree(tracks.pixels[mine]).query_pairs(least_px, output_type="ndarray")
-        pairs.append(tracks.track[mine][near])
-    one, two = np.concatenate(pairs).T
-    links = np.ones(2 * len(one), dtype=np.bool_)
-    neighbours = csr_array((links, (np.r_[one, two], np.r_[two, one])), shape=(tracks.count, tracks.count))
+        in_image = np.flatnonzero(tracks.image == image)
+        near = cKDTree(tracks.pixels[in_image]).query_pairs(least_px, output_type="ndarray")
+        pairs.append(tracks.track[in_image][near])
+    first, second = np.concatenate(pairs).T
+    links = np.ones(2 * len(first), dtype=np.bool_)
+    neighbours = csr_array(
+        (links, (np.r_[first, second], np.r_[second, first])), shape=(tracks.count, tracks.count)
+    )
     keep = np.zeros(tracks.count, dtype=np.bool_)
     for j in _strongest_first(tracks)[0]:
         beside = neighbours.indices[neighbours.indptr[j] : neighbours.indptr[j + 1]]
