@@ -167,7 +167,7 @@ def _surface(views: OrientedImages, tracks: Tracks, points: Floats) -> _Surface:
     miss = middle - views.project(image, points)
     along = np.linalg.solve(_jacobians(views, image, points, axes), miss[..., None])[..., 0]
     anchor = points + np.einsum("nk,nkj->nj", along, axes)
-    to_axes = np.linalg.inv(_jacobians(views, image, anchor, axes))
+    to_axes = np.asarray(np.linalg.inv(_jacobians(views, image, anchor, axes)), dtype=np.float64)
     return _Surface(image, middle, anchor, axes, to_axes, _directions(views, image, anchor))
 
 
