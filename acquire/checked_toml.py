@@ -87,8 +87,8 @@ def _complaint(path: object, error: Any) -> ConfigurationError:
     if error["type"] == "missing":
         return ConfigurationError(f"key {key} is missing", "add it", where=path)
     if error["type"] == "value_error" and isinstance(error["input"], dict):
-        said = error["msg"].removeprefix("Value error, ")
-        return ConfigurationError(f"{key}: {said}" if key else said, "correct the file", where=path)
+        message = error["msg"].removeprefix("Value error, ")
+        return ConfigurationError(f"{key}: {message}" if key else message, "correct the file", where=path)
     return ConfigurationError(
         f"{key} = {error['input']!r}: {error['msg'].removeprefix('Value error, ').lower()}",
         "correct the value",

@@ -101,15 +101,15 @@ class _Lines:
 
     def __init__(self, title: str, total: float | None) -> None:
         self._title, self._total, self._done = title, total, 0.0
-        self._began = self._told = time.monotonic()
+        self._began = self._shown_s = time.monotonic()
 
     def advance(self, amount: float) -> None:
         """Count what was done since the last call."""
         self._done += amount
         now = time.monotonic()
-        if now - self._told < LINE_EVERY_S:
+        if now - self._shown_s < LINE_EVERY_S:
             return
-        self._told, elapsed = now, now - self._began
+        self._shown_s, elapsed = now, now - self._began
         line = f"{self._title}: {elapsed:.0f} s"
         if self._total and self._done:
             left = elapsed * (self._total / self._done - 1)

@@ -80,12 +80,12 @@ class Address:
 
     def _resolved(self) -> list[tuple[socket.AddressFamily, str]]:
         try:
-            found = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)
+            entries = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError) as refusal:
             raise ConfigurationError(
                 "is no address of this computer", "use for example 127.0.0.1:8740", where=str(self)
             ) from refusal
-        return [(entry[0], str(entry[4][0])) for entry in found]
+        return [(entry[0], str(entry[4][0])) for entry in entries]
 
     def __str__(self) -> str:
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"

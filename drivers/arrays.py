@@ -48,8 +48,8 @@ def as_plain(value: Any, beside: Callable[[Any], dict[str, Any]] = lambda _: {})
     if isinstance(value, np.ndarray | np.generic):
         return as_plain(value.tolist())
     if is_dataclass(value):
-        own = {field.name: as_plain(getattr(value, field.name), beside) for field in fields(value)}
-        return {**own, **beside(value)}
+        members = {field.name: as_plain(getattr(value, field.name), beside) for field in fields(value)}
+        return {**members, **beside(value)}
     if isinstance(value, Mapping):
         return {key: as_plain(each, beside) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -77,7 +77,7 @@ def from_plain(kind: Any, value: Any, place: str = "") -> Any:
         if origin is tuple:
             each = [parts[0]] * len(value) if parts[-1] is ... else parts
             rows = zip(each, value, strict=True)
-            return tuple(from_plain(one, row, f"{place}[{k}]") for k, (one, row) in enumerate(rows))
+            return tuple(from_plain(member, row, f"{place}[{k}]") for k, (member, row) in enumerate(rows))
         if origin in (dict, Mapping):
             return {key: from_plain(parts[1], each, f"{place}.{key}") for key, each in value.items()}
     except (TypeError, AttributeError) as failure:

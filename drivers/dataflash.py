@@ -54,9 +54,9 @@ class DataflashFramer(RecordFramer):
         return int(data.startswith(HEAD, at))
 
     def _next(self, data: bytes, at: int) -> int:
-        found = data.find(HEAD, at)
-        if found >= 0:
-            return found
+        start = data.find(HEAD, at)
+        if start >= 0:
+            return start
         return len(data) - 1 if len(data) > at and data[-1] == HEAD[0] else len(data)
 
     def _learn(self, data: bytes, at: int) -> int:

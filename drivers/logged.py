@@ -56,9 +56,9 @@ def since_boot_ns(values: NDArray[Any], unit_ns: int) -> Integers:
     return np.where(sure, np.where(sure, values, 0).astype(np.int64) * unit_ns, -1)
 
 
-def placed(boot_ns: Integers, told: list[tuple[Integers, Integers]]) -> tuple[Integers, Integers]:
+def placed(boot_ns: Integers, stamps: list[tuple[Integers, Integers]]) -> tuple[Integers, Integers]:
     """Return time since the start and UTC of records (their places and UTC, by kinds) that have both."""
-    index, utc = (np.concatenate(column) for column in zip(*told, strict=True))
+    index, utc = (np.concatenate(column) for column in zip(*stamps, strict=True))
     known = boot_ns[index] >= 0
     return boot_ns[index[known]], utc[known]
 
@@ -139,8 +139,8 @@ class RecordFramer(Framer):
             return NOTHING
         inside = self._next(data, at + 1)
         while inside < at + length:
-            found = self._closed_examine(data, inside, closed)
-            followed = self._follows(data, inside + found, closed) if found > 0 else found
+            inner = self._closed_examine(data, inside, closed)
+            followed = self._follows(data, inside + inner, closed) if inner > 0 else inner
             if followed == WAIT:
                 return WAIT
             if followed:

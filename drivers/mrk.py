@@ -28,8 +28,8 @@ EVENT_KIND = 1
 
 def parse_event(line: str) -> tuple[float, ...] | None:
     """Return the values of a line in the order of `COLUMNS`; None when it is no event."""
-    found = _ROW.match(line)
-    return None if found is None else tuple(float(value) for value in found.groups())
+    match = _ROW.match(line)
+    return None if match is None else tuple(float(value) for value in match.groups())
 
 
 class MrkFramer(Framer):
@@ -44,11 +44,11 @@ class MrkFramer(Framer):
         damage: list[tuple[int, int]] = []
         at = 0
         while at < len(data):
-            found = data.find(b"\n", at, at + _LONGEST_LINE)
-            if found < 0 and len(data) - at < _LONGEST_LINE and not closed:
+            line_end = data.find(b"\n", at, at + _LONGEST_LINE)
+            if line_end < 0 and len(data) - at < _LONGEST_LINE and not closed:
                 break
             # What is longer than any event is no text: it is passed over piece by piece.
-            end = found + 1 if found >= 0 else min(len(data), at + _LONGEST_LINE)
+            end = line_end + 1 if line_end >= 0 else min(len(data), at + _LONGEST_LINE)
             if parse_event(data[at:end].decode("latin-1")) is not None:
                 rows.append((at, end - at, EVENT_KIND))
             else:

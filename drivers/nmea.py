@@ -108,16 +108,16 @@ def decode_times(batch: Batch) -> tuple[Integers, Integers]:
 
     returns utc_ns (n,): UTC, nanoseconds since 1970.
     """
-    found: list[tuple[int, int]] = []
+    moments: list[tuple[int, int]] = []
     for i in batch.where(Wire.NMEA, int.from_bytes(b"RMC", "big")).tolist():
         f = _fields(batch, i, 10)
         if f[2] == "A" and len(f[9]) == 6 and f[9].isdigit():
-            found.append((i, _moment(f[1], 2000 + int(f[9][4:]), int(f[9][2:4]), int(f[9][:2]))))
+            moments.append((i, _moment(f[1], 2000 + int(f[9][4:]), int(f[9][2:4]), int(f[9][:2]))))
     for i in batch.where(Wire.NMEA, int.from_bytes(b"ZDA", "big")).tolist():
         f = _fields(batch, i, 5)
         if f[2].isdigit() and f[3].isdigit() and f[4].isdigit():
-            found.append((i, _moment(f[1], int(f[4]), int(f[3]), int(f[2]))))
-    pairs = np.array(sorted(p for p in found if p[1] >= 0), np.int64).reshape(-1, 2)
+            moments.append((i, _moment(f[1], int(f[4]), int(f[3]), int(f[2]))))
+    pairs = np.array(sorted(p for p in moments if p[1] >= 0), np.int64).reshape(-1, 2)
     return pairs[:, 0], pairs[:, 1]
 
 

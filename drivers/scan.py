@@ -266,8 +266,8 @@ def _nmea(data: Octets, at: int, tables: Tables) -> tuple[int, int]:
     for i in range(at + 1, stop):
         check ^= data[i]
     low, high = data[stop + 2], data[stop + 1]
-    told = (low & 15) + 9 * (low >> 6) | ((high & 15) + 9 * (high >> 6)) << 4
-    if check != told:
+    stated = (low & 15) + 9 * (low >> 6) | ((high & 15) + 9 * (high >> 6)) << 4
+    if check != stated:
         return 0, 0
     # Of standard sentences the two letters of the talker are left out.
     for i in range(at + 1 if data[at + 1] == 0x50 else at + 3, at + 1 + address):

@@ -45,13 +45,13 @@ class TlogFramer(Framer):
 
     def _take(self, closed: bool) -> Batch:
         """Walk while records are intact, search where one is not, and walk on; at last search the rest."""
-        found = [np.empty((0, 5), np.int64)]
+        records = [np.empty((0, 5), np.int64)]
         lost = [np.empty((0, 2), np.int64)]
         at, end = 0, len(self._pending)
         tables = scan.tables_of(self._dialect)
         for window in (*_WINDOWS, end):
             rows = self._walk(at)
-            found.append(rows)
+            records.append(rows)
             if len(rows):
                 at, self._stamp_us = int(rows[-1, 0] + rows[-1, 1]), int(rows[-1, 4])
             piece = self._pending[at : at + window]
@@ -66,12 +66,12 @@ class TlogFramer(Framer):
                 self._stamp_us = int(more[-1, 4])
             more[:, 0] += at
             damage[:, 0] += self._offset + at
-            found.append(more)
+            records.append(more)
             lost.append(damage)
             at += rest
             if last:
                 break
-        start, length, kind, known, stamp_us = np.concatenate(found).T
+        start, length, kind, known, stamp_us = np.concatenate(records).T
         columns, damage = (start, length, kind), np.concatenate(lost)
         return batch_of(Wire.MAVLINK, *self._consumed(at), columns, damage, known, stamp_us * 1000)
 

@@ -76,20 +76,20 @@ class UlogFormats:
         members: list[tuple[Any, ...]] = []
         size = 0
         for text in filter(None, self._formats.get(name, "").split(";")):
-            found = _MEMBER.fullmatch(text)
-            if found is None or depth > _DEEPEST or any(found[3] == member[0] for member in members):
+            match = _MEMBER.fullmatch(text)
+            if match is None or depth > _DEEPEST or any(match[3] == member[0] for member in members):
                 return None
-            kind: Any = _TYPES.get(found[1]) or self._row(found[1], depth + 1)
-            count = int(found[2] or 1)
+            kind: Any = _TYPES.get(match[1]) or self._row(match[1], depth + 1)
+            count = int(match[2] or 1)
             if kind is None or not 0 < count <= _LONGEST_ARRAY:
                 return None
             size += np.dtype(kind).itemsize * count
             if size > 1 << 16:
                 return None
             if kind == "S1":
-                members.append((found[3], f"S{count}"))
+                members.append((match[3], f"S{count}"))
             else:
-                members.append((found[3], kind, (count,)) if found[2] else (found[3], kind))
+                members.append((match[3], kind, (count,)) if match[2] else (match[3], kind))
         # Padding at the end is part of the format but not of the records.
         while members and depth == 0 and str(members[-1][0]).startswith("_padding"):
             members.pop()
@@ -115,10 +115,10 @@ class UlogFormats:
     def parameters(self, batch: Batch) -> Records:
         """Return the parameters at the start and their changes: `name`, `value`."""
         index = batch.where(Wire.ULOG, PARAMETER << 16)
-        found = [_parameter(batch.frame(i).data) for i in index.tolist()]
-        told = np.array([value == value for _, value in found], bool)
-        names, values = zip(*found, strict=True) if found else ((), ())
-        return Records(index, {"name": np.array(names, str), "value": np.array(values, float)}).rows(told)
+        parameters = [_parameter(batch.frame(i).data) for i in index.tolist()]
+        valid = np.array([value == value for _, value in parameters], bool)
+        names, values = zip(*parameters, strict=True) if parameters else ((), ())
+        return Records(index, {"name": np.array(names, str), "value": np.array(values, float)}).rows(valid)
 
     def boot_ns(self, batch: Batch) -> Integers:
         """Return the time of each record since the autopilot started, nanoseconds; -1 where it has none."""
@@ -178,10 +178,10 @@ class UlogFramer(RecordFramer):
                 return WAIT
             fits = size == _FIXED[kind] and (kind != ord("S") or data.startswith(_SYNC, body))
         else:
-            told = self._worded(data, body, kind, size)
-            if told == WAIT:
+            length = self._worded(data, body, kind, size)
+            if length == WAIT:
                 return WAIT
-            fits = told > 0
+            fits = length > 0
         return HEAD_BYTES + size if fits else NOTHING
 
     @staticmethod
@@ -211,8 +211,8 @@ class UlogFramer(RecordFramer):
         return int(needed in words and all(0x20 <= c < 0x7F for c in words))
 
     def _next(self, data: bytes, at: int) -> int:
-        found = _PLACES.search(data, at)
-        return found.start() if found else max(at, len(data) - HEAD_BYTES + 1)
+        match = _PLACES.search(data, at)
+        return match.start() if match else max(at, len(data) - HEAD_BYTES + 1)
 
     def _learn(self, data: bytes, at: int) -> int:
         if self._offset + at == 0 and data.startswith(MAGIC):

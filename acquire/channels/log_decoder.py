@@ -312,11 +312,11 @@ def _place(logged: Logged) -> tuple[Floats, Floats, Floats]:
 def _dataflash_exposure(logged: Logged, edge: str, part: Part[DataflashFormats]) -> Decoded:
     records = logged.records
     # GPSTime is that of the last fix before: the record's own time is nearer, where it has one.
-    timed, told = part.boot_ns[records.index] >= 0, receiver_utc_ns(records, ("GPSWeek",), ("GPSTime",))
+    timed, fix_utc_ns = part.boot_ns[records.index] >= 0, receiver_utc_ns(records, ("GPSWeek",), ("GPSTime",))
     return logged.exposure(
         edge,
         {
-            "time": Times(np.where(timed, logged.utc_ns, told)),
+            "time": Times(np.where(timed, logged.utc_ns, fix_utc_ns)),
             "latitude_deg": records.number("Lat"),
             "longitude_deg": records.number("Lng"),
             "altitude_msl_m": records.number("Alt"),

@@ -83,11 +83,11 @@ class Mounting:
         if self.values:
             # The attitude is that of the body already, whatever turn and trim the board has.
             offered["boresight_sigma_deg"] = [MOUNT_SIGMA_DEG] * 3
-        told = [
+        values = [
             {"thing": v.thing, "unit": v.unit, **dict(zip(v.parameters, v.values, strict=True))}
             for v in self.values
         ]
-        return {"values": told, "rig": offered}
+        return {"values": values, "rig": offered}
 
     def lines(self) -> list[str]:
         """Say the same in words."""
@@ -115,13 +115,13 @@ def mounting_of(parameters: Mapping[str, float]) -> Mounting:
         names = next((names for names in ways if all(name in parameters for name in names)), None)
         if names is not None:
             values.append(MountingValue(thing, names, tuple(parameters[name] for name in names), unit))
-    told = {value.thing: value.values for value in values}
-    x, y, z = told.get(ANTENNA, (0.0, 0.0, 0.0))
-    kind = told.get("camera mount, type", (0.0,))[0]
-    held = kind > 0 and told.get("camera mount, mode at start", (0.0,))[0] == _NEUTRAL_MODE
-    roll, pitch, yaw = told.get(NEUTRAL, (0.0, 0.0, 0.0))
+    by_thing = {value.thing: value.values for value in values}
+    x, y, z = by_thing.get(ANTENNA, (0.0, 0.0, 0.0))
+    kind = by_thing.get("camera mount, type", (0.0,))[0]
+    held = kind > 0 and by_thing.get("camera mount, mode at start", (0.0,))[0] == _NEUTRAL_MODE
+    roll, pitch, yaw = by_thing.get(NEUTRAL, (0.0, 0.0, 0.0))
     return Mounting(
         tuple(values),
         (x, y, z) if x or y or z else None,
-        (roll, pitch, yaw) if held and NEUTRAL in told else None,
+        (roll, pitch, yaw) if held and NEUTRAL in by_thing else None,
     )

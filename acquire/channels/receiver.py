@@ -160,15 +160,15 @@ class _Fixes:
 
 
 def _pvt(batch: Batch) -> _Fixes:
-    found = ubx.decode(batch, ubx.NAV_PVT)
-    f = found.fields
+    messages = ubx.decode(batch, ubx.NAV_PVT)
+    f = messages.fields
     carrier = f["flags"] >> 6
     fix = np.array([_PVT_FIXES[min(v, 5)] for v in f["fixType"].tolist()], "U16")
     fix[(f["flags"] & 2) != 0] = "differential"
     fix[carrier == 1] = "rtk_float"
     fix[carrier == 2] = "rtk_fixed"
     return _Fixes(
-        found.index,
+        messages.index,
         latitude_deg=f["lat"] * 1e-7,
         longitude_deg=f["lon"] * 1e-7,
         height_m=f["height"] * 1e-3,
@@ -183,10 +183,10 @@ def _pvt(batch: Batch) -> _Fixes:
 
 
 def _hpposllh(batch: Batch) -> _Fixes:
-    found = ubx.decode(batch, ubx.NAV_HPPOSLLH)
-    f = found.fields
+    messages = ubx.decode(batch, ubx.NAV_HPPOSLLH)
+    f = messages.fields
     return _Fixes(
-        found.index,
+        messages.index,
         latitude_deg=f["lat"] * 1e-7 + f["_HPlat"] * 1e-9,
         longitude_deg=f["lon"] * 1e-7 + f["_HPlon"] * 1e-9,
         height_m=f["height"] * 1e-3 + f["_HPheight"] * 1e-4,
@@ -197,10 +197,10 @@ def _hpposllh(batch: Batch) -> _Fixes:
 
 
 def _posllh(batch: Batch) -> _Fixes:
-    found = ubx.decode(batch, ubx.NAV_POSLLH)
-    f = found.fields
+    messages = ubx.decode(batch, ubx.NAV_POSLLH)
+    f = messages.fields
     return _Fixes(
-        found.index,
+        messages.index,
         latitude_deg=f["lat"] * 1e-7,
         longitude_deg=f["lon"] * 1e-7,
         height_m=f["height"] * 1e-3,

@@ -62,8 +62,8 @@ class ReceiverClock:
         sure = (f["valid"] & 3) == 3
         gps = week_to_ns(f["week"], f["iTOW"] * 1e-3 + f["fTOW"] * 1e-9)[sure]
         parts["NAV-TIMEGPS"] = (timegps.index[sure], gps_to_utc_ns(gps, leap(timegps.index[sure])))
-        told = (("NAV-PVT", ubx.NAV_PVT, "valid", 3), ("NAV-TIMEUTC", ubx.NAV_TIMEUTC, "validflags", 4))
-        for name, kind, flags, mask in told:
+        kinds = (("NAV-PVT", ubx.NAV_PVT, "valid", 3), ("NAV-TIMEUTC", ubx.NAV_TIMEUTC, "validflags", 4))
+        for name, kind, flags, mask in kinds:
             civil = ubx.decode(batch, kind)
             f = civil.fields
             sure = (f[flags] & mask) == mask
@@ -78,9 +78,9 @@ class ReceiverClock:
 
     def _leaps(self, index: Integers, epochs: NDArray[Any]) -> Callable[[Integers], Integers]:
         """Return what gives the leap seconds last told before each frame, -1 where none were."""
-        told = (epochs["recStat"] & 1) != 0
-        since = index[told]
-        leaps = np.concatenate([[self._leap_s], epochs["leapS"][told].astype(np.int64)])
+        determined = (epochs["recStat"] & 1) != 0
+        since = index[determined]
+        leaps = np.concatenate([[self._leap_s], epochs["leapS"][determined].astype(np.int64)])
         self._leap_s = int(leaps[-1])
         return lambda frames: np.asarray(leaps[np.searchsorted(since, frames, side="right")])
 
@@ -109,14 +109,14 @@ class ReceiverClock:
         more_index, more_time = [index], [time_ns]
         weekless = [rtcm3.decode_epochs(batch)]
         for kind in _WEEKLESS:
-            found = ubx.decode(batch, kind)
-            weekless.append((found.index, found.fields["iTOW"].astype(np.int64) * 1_000_000))
-        for found_index, of_week in weekless:
-            near = whole[np.searchsorted(index, found_index, side="right")]
+            messages = ubx.decode(batch, kind)
+            weekless.append((messages.index, messages.fields["iTOW"].astype(np.int64) * 1_000_000))
+        for message_index, of_week in weekless:
+            near = whole[np.searchsorted(index, message_index, side="right")]
             usable = near >= 0
             # The epoch of the GPS weeks in UTC, by the leap seconds at that time.
             offset = self._week_offset(near[usable])
-            more_index.append(found_index[usable])
+            more_index.append(message_index[usable])
             more_time.append(_nearest(near[usable], of_week[usable] + offset, _WEEK_NS))
         gga = nmea.decode_gga(batch)
         near = whole[np.searchsorted(index, gga.index, side="right")]

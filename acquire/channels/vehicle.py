@@ -76,18 +76,18 @@ class VehicleDecoder:
         time = _ns(messages.fields[member], _TIMES[member])
         since, offsets = boot
         offset = offsets[np.searchsorted(since, messages.index, side="right") - 1]
-        own = (messages.system == self._clock_system) & (offset >= 0)
-        return np.where(time > EARLIEST_UTC_NS, time, np.where(own, offset + time, -1))
+        timed = (messages.system == self._clock_system) & (offset >= 0)
+        return np.where(time > EARLIEST_UTC_NS, time, np.where(timed, offset + time, -1))
 
     def _decode(
         self, kind: int, messages: Messages, log_ns: Integers, publish: Integers
     ) -> Iterable[Decoded]:
         senders = messages.system.astype(np.int64) * 256 + messages.component
         for sender in dict.fromkeys(senders.tolist()):
-            own = senders == sender
-            index = messages.index[own]
+            of_sender = senders == sender
+            index = messages.index[of_sender]
             source = divmod(sender, 256)
-            name, fields = self._dialect.name(kind), messages.fields[own]
+            name, fields = self._dialect.name(kind), messages.fields[of_sender]
             sent = Sent(self._link, name, index, publish[index], source, fields, log_ns[index])
             for make in MAKERS[name]:
                 made = make(sent)

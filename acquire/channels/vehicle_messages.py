@@ -116,12 +116,12 @@ def timesync(sent: Sent) -> Decoded:
 
 def parameter(sent: Sent) -> Decoded:
     """Make the autopilot's parameters."""
-    told = sent.fields["param_value"]
+    sent_value = sent.fields["param_value"]
     whole = sent.fields["param_type"] < _FIRST_REAL_TYPE
     # ArduPilot sends whole numbers as such, PX4 their bytes, which as a real number are next to nothing.
     with np.errstate(invalid="ignore"):
-        bytewise = whole & (told != 0) & ~(np.abs(told) >= 1)
-    value = np.where(bytewise, told.view("<i4").astype(float), told.astype(float))
+        bytewise = whole & (sent_value != 0) & ~(np.abs(sent_value) >= 1)
+    value = np.where(bytewise, sent_value.view("<i4").astype(float), sent_value.astype(float))
     columns = {"name": sent.fields["param_id"], "value": value}
     return sent.json(f"/{sent.link}/parameter", PARAMETER, columns)
 

@@ -129,9 +129,10 @@ def _text(summary: "LogSummary") -> str:
         for receiver, counts in figures["fixes"].items():
             shares = ", ".join(f"{name} {count}" for name, count in counts.items())
             lines.append(f"  {receiver}: {shares}")
-    for source, told in summary.parameters.items():
-        lines += ["", f"mounting as {len(told)} parameters of {source.split('/')[0]} tell it (body axes)"]
-        lines += mounting_of(told).lines()
+    for source, parameters in summary.parameters.items():
+        sender = source.split("/")[0]
+        lines += ["", f"mounting as {len(parameters)} parameters of {sender} tell it (body axes)"]
+        lines += mounting_of(parameters).lines()
     lines += ["", "topics"]
     for topic in figures["topics"]:
         kind = topic["schema"] or topic["encoding"]

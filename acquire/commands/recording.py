@@ -47,7 +47,7 @@ def check(
         lambda: preflight.as_json(checks),
         lambda: "\n".join(f"{'good' if c.state == 'good' else 'BAD '}  {c.part}: {c.text}" for c in checks),
     )
-    bad = [one.part for one in checks if one.state != "good"]
+    bad = [finding.part for finding in checks if finding.state != "good"]
     if bad:
         raise DeviceError(
             f"not ready: {', '.join(bad)}", "see to these before the flight", where=configuration
@@ -175,14 +175,14 @@ def _in_terminal(
         state = read_all(tail)
         console.print(render(view_of(state), layers(state), console.width, console.height))
         return
-    told = 0
+    announced = 0
     with Live(console=console, screen=True, auto_refresh=False) as live:
 
         def show(state: State) -> None:
-            nonlocal told
-            if not mute and any(a.number > told and a.level == "bad" for a in state.alarms):
+            nonlocal announced
+            if not mute and any(a.number > announced and a.level == "bad" for a in state.alarms):
                 console.bell()
-            told = state.raised
+            announced = state.raised
             live.update(render(view_of(state), layers(state), console.width, console.height), refresh=True)
 
         follow(tail, show, stop, listen)

@@ -126,7 +126,7 @@ def _import(
         sha256=source.sha256(),
         size=source.size(),
         form=form,
-        log_time=way.told(),
+        log_time=way.time_source(),
         tally=log.tally,
         cut=framer.cut,
         packing_cut=source.cut,

@@ -50,7 +50,7 @@ def stamped(batches: Iterable[Batch]) -> Timed:
 def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Timed:
     """Yield batches with the receiver's own UTC, since there is no time of receipt."""
 
-    def told() -> Timed:
+    def timed() -> Timed:
         left, waiting = iter(batches), list[Batch]()
         for batch in left:
             waiting.append(batch)
@@ -73,23 +73,23 @@ def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Timed:
         for batch in left:
             yield batch, clock.feed(batch)
 
-    return _steadily(told(), -1)
+    return _steadily(timed(), -1)
 
 
 def since_boot(batches: Iterable[Batch], definitions: Definitions, boot: BootTime) -> Timed:
     """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt."""
 
-    def told() -> Timed:
+    def timed() -> Timed:
         for batch in batches:
             definitions.learn(batch)
             yield batch, boot.of(definitions.boot_ns(batch))
 
-    return _steadily(told(), boot.utc_ns)
+    return _steadily(timed(), boot.utc_ns)
 
 
-def _steadily(told: Timed, last: int) -> Timed:
+def _steadily(timed: Timed, last: int) -> Timed:
     """Yield batches with times that never go back: a frame without a time has the last one before it."""
-    for batch, device in told:
+    for batch, device in timed:
         times = np.maximum.accumulate(np.append(last, device))
         last = int(times[-1])
         yield batch, times[1:]
@@ -99,13 +99,13 @@ def _steadily(told: Timed, last: int) -> Timed:
 class Way:
     """The way of a recording into the log.
 
-    told: says, after the import, where the times came from.
+    time_source: says, after the import, where the times came from.
     warned: says what to know about the times, given the last one; empty when they are sure.
     """
 
     decoder: Decoder
     timed: Callable[[Iterable[Batch]], Timed]
-    told: Callable[[], str]
+    time_source: Callable[[], str]
     warned: Callable[[int], str] = expiry_warning
 
 
@@ -123,10 +123,9 @@ def way_of(source: Source, form: Format, link: str, dialect: Dialect, near_ns: i
                 where=source.path,
                 remedy="import a log that was recorded outdoors",
             )
-        told = f"running time of the autopilot, tied to UTC by {boot.pairs} times of its GNSS receiver"
-        return Way(
-            decoder(link, boot), partial(since_boot, definitions=formats(), boot=boot), lambda: told, warned
-        )
+        time_source = f"running time of the autopilot, tied to UTC by {boot.pairs} times of its GNSS receiver"
+        timed = partial(since_boot, definitions=formats(), boot=boot)
+        return Way(decoder(link, boot), timed, lambda: time_source, warned)
     events = form is EVENT_LIST
     clock: Clock = EventListClock() if events else ReceiverClock(near_ns)
     return Way(
@@ -137,7 +136,7 @@ def way_of(source: Source, form: Format, link: str, dialect: Dialect, near_ns: i
 
 
 def _derivation(clock: Clock, near_ns: int) -> str:
-    told = sorted(clock.sources)
     # Where the stream tells its date itself, that is what counts.
-    sources = ", ".join(told) if told or near_ns < 0 else "time of day or week, the date as it was given"
-    return f"derived from the receiver's own time ({sources}); no host clock"
+    dated = clock.sources or near_ns < 0
+    text = ", ".join(sorted(clock.sources)) if dated else "time of day or week, the date as it was given"
+    return f"derived from the receiver's own time ({text}); no host clock"

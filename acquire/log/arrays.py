@@ -24,11 +24,11 @@ def arrays_of_log(path: Path, topics: frozenset[str]) -> dict[str, dict[str, NDA
             if channel.topic not in topics if topics else channel.schema is None:
                 continue
             decode = decoders.setdefault(channel, _decoder(channel))
-            mine = rows.setdefault(channel.topic, [])
+            rows_of_topic = rows.setdefault(channel.topic, [])
             times = zip(messages.log_ns.tolist(), messages.publish_ns.tolist(), strict=True)
             for (log_ns, publish_ns), payload in zip(times, messages.payloads, strict=True):
-                mine.append({"log_ns": log_ns, "publish_ns": publish_ns, **decode(bytes(payload))})
-    return {topic: _columns(found) for topic, found in sorted(rows.items())}
+                rows_of_topic.append({"log_ns": log_ns, "publish_ns": publish_ns, **decode(bytes(payload))})
+    return {topic: _columns(rows_of_topic) for topic, rows_of_topic in sorted(rows.items())}
 
 
 def _decoder(channel: Channel) -> Decode:
@@ -56,13 +56,13 @@ def _protobuf(schema: Schema) -> Decode:
 
 
 def _flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    flat: dict[str, Any] = {}
     for key, value in content.items():
         if isinstance(value, dict):
-            found |= _flat(value, f"{before}{key}.")
+            flat |= _flat(value, f"{before}{key}.")
         else:
-            found[before + key] = value
-    return found
+            flat[before + key] = value
+    return flat
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, NDArray[Any]]:

@@ -59,12 +59,12 @@ def location_fixes(
     stamp, covariance = fix.timestamp, fix.position_covariance
     payloads = []
     columns = (time_ns, latitude_deg, longitude_deg, height_m, plane, up, known)
-    for time, *place, variance, up_variance, told in zip(*(c.tolist() for c in columns), strict=True):
+    for time, *place, variance, up_variance, has_accuracy in zip(*(c.tolist() for c in columns), strict=True):
         stamp.seconds, stamp.nanos = divmod(time, SECOND_NS)
         fix.latitude, fix.longitude, fix.altitude = place
         covariance[0] = covariance[4] = variance
         covariance[8] = up_variance
-        fix.position_covariance_type = fix.APPROXIMATED if told else fix.UNKNOWN
+        fix.position_covariance_type = fix.APPROXIMATED if has_accuracy else fix.UNKNOWN
         payloads.append(fix.SerializeToString())
     return payloads
 

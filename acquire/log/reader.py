@@ -73,7 +73,7 @@ class LogReader:
         """
         for opcode, body in self._records():
             try:
-                found = self._take(opcode, body)
+                messages = self._take(opcode, body)
             except InputMalformedError as refusal:
                 if damaged is None:
                     raise
@@ -88,8 +88,8 @@ class LogReader:
                     raise unreadable from damage
                 damaged(unreadable)
                 continue
-            if found is not None:
-                yield found
+            if messages is not None:
+                yield messages
 
     def _take(self, opcode: int, body: bytes) -> list[Messages] | None:
         stream = ReadDataStream(io.BytesIO(body))
@@ -157,14 +157,14 @@ class LogReader:
             at += 9 + size
         if at != end:
             raise ValueError("a message reaches over the end of its chunk")
-        found = []
+        messages = []
         for number, starts in places.items():
             if self.wanted is not None and not self.wanted(self._channels[number]):
                 continue
             place = np.array(starts, np.int64)
             head = np.ndarray((end - width + 1,), records.MESSAGE_ROW, content, strides=(1,))[place]
             payloads = [content[a + width : a + 9 + s] for a, s in zip(starts, sizes[number], strict=True)]
-            found.append(
+            messages.append(
                 Messages(
                     self._channels[number],
                     payloads,
@@ -173,7 +173,7 @@ class LogReader:
                     head["sequence"].astype(np.int64),
                 )
             )
-        return found
+        return messages
 
     def _define(self, opcode: int, body: bytes) -> None:
         stream = ReadDataStream(io.BytesIO(body))
@@ -181,9 +181,9 @@ class LogReader:
             schema = mcap.Schema.read(stream)
             self._schemas[schema.id] = Schema(schema.name, schema.encoding, schema.data)
             return
-        told = mcap.Channel.read(stream)
-        known = self._schemas.get(told.schema_id)
-        self._channels[told.id] = Channel(told.topic, told.message_encoding, known, told.metadata)
+        channel = mcap.Channel.read(stream)
+        known = self._schemas.get(channel.schema_id)
+        self._channels[channel.id] = Channel(channel.topic, channel.message_encoding, known, channel.metadata)
 
 
 def _unpacked(chunk: mcap.Chunk) -> bytes:

@@ -126,8 +126,8 @@ class LinkSummary:
             both = system.astype(np.int64) * 256 + component
             for code in np.unique(both).tolist():
                 self.senders.setdefault(divmod(code, 256), []).append(number[both == code])
-            told = decode(batch, self.dialect.number("SYSTEM_TIME"), self.dialect)
-            self.clock.add(told.system, told.fields, log_ns[told.index])
+            system_time = decode(batch, self.dialect.number("SYSTEM_TIME"), self.dialect)
+            self.clock.add(system_time.system, system_time.fields, log_ns[system_time.index])
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures."""
@@ -186,8 +186,8 @@ class LogSummary:
             ],
             "metadata": self.metadata,
             "mounting": {
-                source: {"parameters": len(told), **mounting_of(told).as_json()}
-                for source, told in sorted(self.parameters.items())
+                source: {"parameters": len(parameters), **mounting_of(parameters).as_json()}
+                for source, parameters in sorted(self.parameters.items())
             },
         }
 
@@ -212,8 +212,8 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
                 counts = fixes.setdefault(receiver, Counter())
                 counts.update(str(read_json(payload, path).get("fix")) for payload in messages.payloads)
             elif schema == "photocal.Parameter":
-                told = [read_json(payload, path) for payload in messages.payloads]
-                values = {str(p["name"]): float(p["value"]) for p in told if p.get("value") is not None}
+                contents = [read_json(payload, path) for payload in messages.payloads]
+                values = {str(p["name"]): float(p["value"]) for p in contents if p.get("value") is not None}
                 parameters.setdefault(channel.topic.removeprefix("/"), {}).update(values)
             elif channel.schema is None:
                 link = link_of(channel)

@@ -90,8 +90,8 @@ class LogWriter:
                 schema = self._schemas.get(channel.schema, 0)
                 if not schema:
                     schema = self._schemas[channel.schema] = len(self._schemas) + 1
-                    told = channel.schema
-                    self._define(encoded(mcap.Schema(schema, told.data, told.encoding, told.name)))
+                    kept = channel.schema
+                    self._define(encoded(mcap.Schema(schema, kept.data, kept.encoding, kept.name)))
             metadata = dict(channel.metadata)
             self._define(encoded(mcap.Channel(number, channel.topic, channel.encoding, metadata, schema)))
         return number

@@ -83,18 +83,18 @@ def reported(
     if last is not None and number < last:
         # The offset is found anew: the device may have begun at another number.
         return reported(_restarted(counted), number, time_ns, place)
-    told = {trigger.number for trigger in counted.pending}
+    pending_numbers = {trigger.number for trigger in counted.pending}
     first = number if last is None or number - last > LONGEST_GAP else last + 1
     skipped = [
         Trigger(skip, time_ns, place)
         for skip in range(first - offset, wanted)
-        if skip not in told and skip not in open_
+        if skip not in pending_numbers and skip not in open_
     ]
     passed = [trigger for trigger in counted.pending if trigger.number < wanted]
     return replace(
         counted,
         # A picture whose trigger was not told was asked for all the same.
-        triggers=counted.triggers + len(skipped) + (wanted not in told),
+        triggers=counted.triggers + len(skipped) + (wanted not in pending_numbers),
         feedbacks=counted.feedbacks + 1,
         pending=tuple(trigger for trigger in counted.pending if trigger.number > wanted),
         missed=(*counted.missed, *sorted([*passed, *skipped], key=lambda trigger: trigger.number)),
@@ -112,13 +112,12 @@ def settled(counted: Exposures, now_ns: int) -> Exposures:
 
 def numbers(missed: tuple[Trigger, ...]) -> str:
     """Return numbers in words: ``"7, 12-15"``."""
-    found = [trigger.number for trigger in missed]
     parts: list[list[int]] = []
-    for number in found:
-        if parts and number == parts[-1][1] + 1:
-            parts[-1][1] = number
+    for trigger in missed:
+        if parts and trigger.number == parts[-1][1] + 1:
+            parts[-1][1] = trigger.number
         else:
-            parts.append([number, number])
+            parts.append([trigger.number, trigger.number])
     return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in parts)
 
 

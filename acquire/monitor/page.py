@@ -80,12 +80,12 @@ class Latest:
             return {}
         try:
             content = json.loads(self._debrief.read_text(encoding="utf-8"))
-            told = [one["text"] for one in content["findings"] if one["severity"] not in _PASSED]
+            findings = [row["text"] for row in content["findings"] if row["severity"] not in _PASSED]
             summary = list(content.get("summary", ()))
             reported = sum(counted.feedbacks for counted in self.state.exposures.values())
             if "live" in content and reported:
                 summary.insert(0, f"{len(content['pictures'])} of {reported} reported pictures have come")
-            return {"verdict": content["verdict"]["text"], "summary": summary, "findings": told}
+            return {"verdict": content["verdict"]["text"], "summary": summary, "findings": findings}
         except (OSError, ValueError, LookupError, TypeError):
             return {}
 
@@ -124,7 +124,7 @@ def application(latest: Latest) -> Starlette:
 
 async def _events(latest: Latest) -> AsyncIterator[str]:
     """Yield the state each time that it was renewed; of the map only what is new for this reader."""
-    seen, told = 0, dict[str, Any]()
+    seen, sent = 0, dict[str, Any]()
     drawn: dict[tuple[str, str], tuple[str, int]] = {}
     while True:
         if latest.number == seen:
@@ -134,9 +134,9 @@ async def _events(latest: Latest) -> AsyncIterator[str]:
         yield _event("view", {**view_of(state).as_json(), "heard": latest.heard()})
         yield _event("chart", _news(state, drawn))
         debrief = latest.debrief()
-        if debrief != told:
-            told = debrief
-            yield _event("debrief", told)
+        if debrief != sent:
+            sent = debrief
+            yield _event("debrief", debrief)
 
 
 def _news(state: State, drawn: dict[tuple[str, str], tuple[str, int]]) -> list[dict[str, Any]]:

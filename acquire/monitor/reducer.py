@@ -82,8 +82,8 @@ def _fix_status(state: State, part: Messages) -> State:
     name = part.channel.topic.removeprefix("/gnss/").removesuffix("/status")
     receiver = state.receivers.get(name)
     for row, time_ns in _rows(part):
-        receiver, told = receiver_after(receiver, row, time_ns)
-        for level, text in told:
+        receiver, alarms = receiver_after(receiver, row, time_ns)
+        for level, text in alarms:
             state = raised(state, level, name, text, time_ns)
     return state if receiver is None else replace(state, receivers=_with(state.receivers, name, receiver))
 
@@ -145,9 +145,9 @@ def _settled(state: State) -> State:
         state = _pictures(state, name, settled(counted, state.last_ns))
     for name, receiver in state.receivers.items():
         age_s = correction_age_s(receiver, state.links.get(receiver.link, Link()), state.last_ns)
-        now, told = fed(receiver, age_s)
+        now, alarms = fed(receiver, age_s)
         state = replace(state, receivers=_with(state.receivers, name, now))
-        for level, text in told:
+        for level, text in alarms:
             state = raised(state, level, name, text, state.last_ns)
     return state
 

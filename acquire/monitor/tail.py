@@ -90,11 +90,11 @@ class Tail:
 
     def _new_files(self) -> list[Path]:
         """Return files newer than the one that is read; at the beginning those of the latest flight."""
-        found = [path for folder in self._folders if folder.is_dir() for path in folder.iterdir()]
-        logs = sorted((key, path) for path in found if (key := _order(path)) is not None)
+        paths = [path for folder in self._folders if folder.is_dir() for path in folder.iterdir()]
+        logs = sorted((key, path) for path in paths if (key := _order(path)) is not None)
         if self._reader is not None:
-            own = _order(self._reader.path)
-            return [path for key, path in logs if own is not None and key > own]
+            current = _order(self._reader.path)
+            return [path for key, path in logs if current is not None and key > current]
         first = len(logs) - 1
         while first > 0:
             begun_s, written_s = _begun_s(logs[first][1]), _written_s(logs[first - 1][1])

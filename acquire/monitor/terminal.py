@@ -135,7 +135,7 @@ def render(view: View, layers: Sequence[Layer], width: int, height: int) -> Rend
 
 def _sections(view: View, width: int) -> list[RenderableType]:
     """Return headings and lines, each one line high."""
-    found: list[RenderableType] = []
+    sections: list[RenderableType] = []
     names = [row.name for row in view.receivers] + [row.name for row in view.links]
     wide = min(max(map(len, ["disk", *names])), _LONGEST_NAME)
     groups: dict[str, Sequence[str | Text]] = {
@@ -145,9 +145,9 @@ def _sections(view: View, width: int) -> list[RenderableType]:
         "computer and vehicle": _rest(view, wide),
     }
     for heading, lines in groups.items():
-        found.append(_heading(heading))
-        found += [_cut(line, width) for line in lines]
-    return found
+        sections.append(_heading(heading))
+        sections += [_cut(line, width) for line in lines]
+    return sections
 
 
 def _head(view: View) -> RenderableType:

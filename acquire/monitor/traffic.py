@@ -39,9 +39,9 @@ def _after_frames(link: Link, part: Messages, size: int) -> Link:
     per_second = {second: (frames, octets) for second, frames, octets in link.recent}
     seconds = part.log_ns // SECOND_NS
     for second in np.unique(seconds).tolist():
-        own = seconds == second
+        in_second = seconds == second
         frames, octets = per_second.get(second, (0, 0))
-        per_second[second] = frames + int(own.sum()), octets + int(sizes[own].sum())
+        per_second[second] = frames + int(in_second.sum()), octets + int(sizes[in_second].sum())
     newest = max(per_second)
     return replace(
         link,

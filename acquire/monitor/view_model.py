@@ -49,9 +49,9 @@ def layers(state: State) -> list[Layer]:
     kinds = {kind for _, kind in state.pictures}
     kind = "feedback" if "feedback" in kinds else "rising"
     drawn += [
-        Layer("picture", name, track.points, f"{state.flight} {told}")
-        for (name, told), track in sorted(state.pictures.items())
-        if told == kind
+        Layer("picture", name, track.points, f"{state.flight} {source}")
+        for (name, source), track in sorted(state.pictures.items())
+        if source == kind
     ]
     for name, counted in (*sorted(state.exposures.items()), *sorted(state.marks.items())):
         missed = [(str(t.number), t.place) for t in counted.unreported if t.place is not None]
@@ -209,18 +209,18 @@ class View:
         """How it is altogether: the worst of all, and what that is."""
         if self.recording.level in ("off", "bad"):
             return self.recording
-        told = [(row.name, row.state) for row in self.links]
-        told += [(row.name, row.fix) for row in self.receivers]
-        told += [(row.name, row.correction) for row in self.receivers]
-        told += [(row.link, row.state) for row in self.cameras]
-        told += [(row.link, row.state) for row in self.batteries]
-        told += [(f"clock, {row.link}", row.state) for row in self.clocks]
-        told += [(row.link, row.mode) for row in self.vehicles] + [("disk", self.disk.state)]
+        states = [(row.name, row.state) for row in self.links]
+        states += [(row.name, row.fix) for row in self.receivers]
+        states += [(row.name, row.correction) for row in self.receivers]
+        states += [(row.link, row.state) for row in self.cameras]
+        states += [(row.link, row.state) for row in self.batteries]
+        states += [(f"clock, {row.link}", row.state) for row in self.clocks]
+        states += [(row.link, row.mode) for row in self.vehicles] + [("disk", self.disk.state)]
         for level in ("bad", "warn"):
-            found = [(name, word) for name, word in told if word.level == level]
-            if found:
-                name, word = found[0]
-                more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+            worst = [(name, word) for name, word in states if word.level == level]
+            if worst:
+                name, word = worst[0]
+                more = f", and {len(worst) - 1} more" if len(worst) > 1 else ""
                 return Word(f"{name}: {word.text}{more}", level)
         return Word("recording, all is well", "good")
 

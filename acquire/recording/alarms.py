@@ -78,18 +78,18 @@ class ClockWatch:
 class FloodWatch:
     """Tells links over which more comes than is taken, at once and then every so often with figures."""
 
-    _told: dict[str, tuple[float, tuple[int, int, bool]]] = field(default_factory=dict)
+    _announced: dict[str, tuple[float, tuple[int, int, bool]]] = field(default_factory=dict)
 
     def look(self, inboxes: dict[str, Inbox], steady_s: float, time_ns: int) -> list[Alarm]:
         """Return the alarms of links that flood; at an infinite time the last figures."""
-        found = []
+        alarms = []
         for link, inbox in inboxes.items():
             state = (inbox.dropped, inbox.missed, inbox.slowed)
-            last_s, last = self._told.get(link, (-np.inf, (0, 0, False)))
+            last_s, last = self._announced.get(link, (-np.inf, (0, 0, False)))
             if state != last and steady_s - last_s >= FLOOD_TOLD_S:
-                self._told[link] = (steady_s, state)
-                found.append(Alarm("flood", link, flood_text(inbox), time_ns))
-        return found
+                self._announced[link] = (steady_s, state)
+                alarms.append(Alarm("flood", link, flood_text(inbox), time_ns))
+        return alarms
 
 
 def flood_text(inbox: Inbox) -> str:
@@ -114,22 +114,22 @@ class SilenceWatch:
     limits_s: dict[str, float]
     start_s: float
     _heard_s: dict[str, float] = field(default_factory=dict)
-    _told: set[str] = field(default_factory=set)
+    _announced: set[str] = field(default_factory=set)
 
     def hear(self, link: str, steady_s: float, time_ns: int) -> list[Alarm]:
         """Take note of intact frames of a link."""
         self._heard_s[link] = steady_s
-        if link not in self._told:
+        if link not in self._announced:
             return []
-        self._told.discard(link)
+        self._announced.discard(link)
         return [Alarm("heard_again", link, "is heard again", time_ns)]
 
     def look(self, steady_s: float, time_ns: int) -> list[Alarm]:
         """Return the alarms of links that have become too silent."""
-        found = []
+        alarms = []
         for link, limit in self.limits_s.items():
             silence = steady_s - self._heard_s.get(link, self.start_s)
-            if silence > limit and link not in self._told:
-                self._told.add(link)
-                found.append(Alarm("silent", link, f"is silent for more than {limit:g} s", time_ns))
-        return found
+            if silence > limit and link not in self._announced:
+                self._announced.add(link)
+                alarms.append(Alarm("silent", link, f"is silent for more than {limit:g} s", time_ns))
+        return alarms

@@ -71,8 +71,8 @@ class Link(Table):
             raise ValueError("corrections come from a receiver or a caster, not from a vehicle")
         if (self.user or self.password_env) and not self.url.startswith(("ntrip:", "ntrips:")):
             raise ValueError("user and password_env belong to an ntrip link")
-        told = self.position is not None or self.position_from is not None
-        if told and not self.url.startswith(("ntrip:", "ntrips:")):
+        has_position = self.position is not None or self.position_from is not None
+        if has_position and not self.url.startswith(("ntrip:", "ntrips:")):
             raise ValueError("position and position_from belong to an ntrip link: a caster is told them")
         return self
 
@@ -98,13 +98,13 @@ class Site(Table):
 
     def texts(self) -> dict[str, str]:
         """Return the table that the log keeps; of files the names."""
-        found = {key: str(value) for key, value in (self.model_extra or {}).items()}
+        table = {key: str(value) for key, value in (self.model_extra or {}).items()}
         if self.antenna_height_m is not None:
-            found["antenna_height_m"] = repr(self.antenna_height_m)
-            found["antenna_height_kind"] = str(self.antenna_height_kind)
+            table["antenna_height_m"] = repr(self.antenna_height_m)
+            table["antenna_height_kind"] = str(self.antenna_height_kind)
         if self.control_file is not None:
-            found["control_file"] = self.control_file.name
-        return found
+            table["control_file"] = self.control_file.name
+        return table
 
     def files(self) -> tuple[Path, ...]:
         """Return the files to be attached."""

@@ -22,7 +22,7 @@ HELD_BYTES = 256 << 20
 TRY_AGAIN_S = 5.0
 
 # Kind (see `acquire.recording.alarms`) and words of what had to be done.
-Told = tuple[str, str]
+Notice = tuple[str, str]
 
 
 class WholeWrites(io.RawIOBase):
@@ -161,7 +161,7 @@ class LogFiles:
         """Add messages, see `LogWriter.messages`."""
         self._writer.messages(channel, payloads, log_ns, publish_ns, sequence)
 
-    def end_chunk(self) -> list[Told]:
+    def end_chunk(self) -> list[Notice]:
         """Write the open chunk; return in words what had to be done for that.
 
         Where every place is full the messages are held in memory and writing is tried again.
@@ -176,35 +176,35 @@ class LogFiles:
             return self._move(failure)
         return []
 
-    def make_safe(self) -> list[Told]:
+    def make_safe(self) -> list[Notice]:
         """Write everything, let the disk make it safe, and begin the next file when it is time."""
         # See `end_chunk`. Whether the disk has it is known by the next call, or later where the disk is slow.
-        told = self.end_chunk()
+        notices = self.end_chunk()
         if self._again_ns is not None:
-            return told
+            return notices
         if self._safe is not None and self._safe.done():
             failure = self._settled()
             if failure is not None:
                 # What was written to this file cannot be trusted to be on the disk: nothing more goes there.
-                return told + self._move(failure)
+                return notices + self._move(failure)
         if self._safe is None:
             self._safe = self._waiter.submit(self._stream.make_safe)
         age_s = (self._clock_ns() - self._begun_ns) / 1e9
         if (self._limits.size and self._stream.size >= self._limits.size) or (
             self._limits.age_s and age_s >= self._limits.age_s
         ):
-            told += self._rotate()
-        return told
+            notices += self._rotate()
+        return notices
 
-    def close(self) -> list[Told]:
+    def close(self) -> list[Notice]:
         """Write what is left and the summary; raises OutputError when what is held can be written nowhere."""
         self._again_ns = None if self._again_ns is None else 0
-        told = self.end_chunk()
+        notices = self.end_chunk()
         if self._again_ns is not None:
             raise self._refusal("no place has room")
-        told += self._finish()
+        notices += self._finish()
         self._waiter.shutdown()
-        return told
+        return notices
 
     def _settled(self) -> OSError | None:
         """Wait for the disk; return why it failed."""
@@ -216,7 +216,7 @@ class LogFiles:
             raise failure
         return failure
 
-    def _finish(self) -> list[Told]:
+    def _finish(self) -> list[Notice]:
         path = self.paths[-1]
         try:
             if (late := self._settled()) is not None:
@@ -230,23 +230,23 @@ class LogFiles:
             self._stream.close()
         return []
 
-    def _rotate(self) -> list[Told]:
+    def _rotate(self) -> list[Notice]:
         try:
             path, stream = new_log(self._folders[self._place], self._clock_ns(), self._make)
         except OSError as failure:
             return self._move(failure)
         following = self._writer.continued(stream)
-        told = self._finish()
+        notices = self._finish()
         self._writer, self._stream = following, stream
         self.paths.append(path)
         self._begun_ns = self._clock_ns()
         try:
             self._begin(self._writer)
         except OSError as failure:
-            return told + self._move(failure)
-        return [*told, ("note", f"recording to {path}")]
+            return notices + self._move(failure)
+        return [*notices, ("note", f"recording to {path}")]
 
-    def _move(self, failure: OSError) -> list[Told]:
+    def _move(self, failure: OSError) -> list[Notice]:
         """Go on in the first place that takes what is not written yet."""
         reason = failure.strerror or str(failure)
         full = self.paths[-1]
@@ -284,7 +284,7 @@ class LogFiles:
         text = f"no place can be written ({reason}): make room now, what comes is held in memory"
         return [("disk_full", text)]
 
-    def _try_again(self) -> list[Told]:
+    def _try_again(self) -> list[Notice]:
         """Look for a place when it is time for that, or when too much is held."""
         clock_ns = self._clock_ns()
         # A clock that was set back must not put it off.

@@ -162,10 +162,10 @@ class LinkSession:
             )
         if self._dialogue is None:
             return alarms
-        said = self._dialogue.step(batch, steady_s, clock_ns)
-        self.send(said.frames, clock_ns)
-        alarms += [Alarm("note", self.name, text, clock_ns) for text in said.notes]
-        return alarms + [Alarm("device", self.name, text, clock_ns) for text in said.alarms]
+        turn = self._dialogue.step(batch, steady_s, clock_ns)
+        self.send(turn.frames, clock_ns)
+        alarms += [Alarm("note", self.name, text, clock_ns) for text in turn.notes]
+        return alarms + [Alarm("device", self.name, text, clock_ns) for text in turn.alarms]
 
     def forward(self, batch: Batch, clock_ns: int) -> list[Alarm]:
         """Pass the corrections of a batch on to those who listen."""

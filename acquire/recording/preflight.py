@@ -78,14 +78,14 @@ def check(
     stop.set()
     left_behind(readers, 0.5)
     # A port may take a while to open: rates count from the first byte, but over half of the time at least.
-    found = [
+    checks = [
         seen
         for link in configuration.link
         for seen in _judge(
             link, heard[link.name], min(max(until - heard[link.name].first_s, seconds / 2), seconds)
         )
     ]
-    return [*found, *_disk(configuration, base, host)]
+    return [*checks, *_disk(configuration, base, host)]
 
 
 def _tell(position: CasterPosition, caster: Source, batch: Batch, host: Host) -> None:
@@ -105,9 +105,9 @@ def _hear(heard: _Heard, link: str, batch: Batch, time_ns: int, decoder: Decoder
     if known.any():
         heard.autopilots.update(autopilots(batch, dialect))
     _, decoded = decoder.feed(batch, np.full(len(batch), time_ns))
-    told = {part.channel.topic: part for part in decoded}
-    status = told.get(f"/gnss/{link}/status")
-    for part in filter(None, (status, told.get("/clock"))):
+    by_topic = {part.channel.topic: part for part in decoded}
+    status = by_topic.get(f"/gnss/{link}/status")
+    for part in filter(None, (status, by_topic.get("/clock"))):
         # What has no time of its own has that of its receipt.
         if part.publish_ns[-1] != time_ns:
             heard.host_minus_device_s = (time_ns - int(part.publish_ns[-1])) / SECOND_NS
@@ -115,14 +115,14 @@ def _hear(heard: _Heard, link: str, batch: Batch, time_ns: int, decoder: Decoder
         fix = json.loads(status.payloads[-1])
         heard.fix = f"{fix['fix']}, {fix['satellites']} satellites"
         # A receiver that doubts its position tells its status alone.
-        heard.fix_good = fix["fix"] not in _NOT_IN_SPACE and f"/gnss/{link}/fix" in told
+        heard.fix_good = fix["fix"] not in _NOT_IN_SPACE and f"/gnss/{link}/fix" in by_topic
 
 
 def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
     name = link.name
     if heard.event and not heard.frames:
         return [Check(f"{name}: port", "bad", heard.event)]
-    found = [
+    checks = [
         _check(
             f"{name}: frames",
             heard.frames > 0,
@@ -133,7 +133,7 @@ def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
     ]
     if link.protocol == "mavlink":
         systems = ", ".join(f"system {s} component {c}" for s, c in sorted(heard.autopilots))
-        found.append(_check(f"{name}: heartbeat", bool(systems), systems or "no autopilot"))
+        checks.append(_check(f"{name}: heartbeat", bool(systems), systems or "no autopilot"))
     rates_hz = dict(link.vehicle.rates_hz) if link.vehicle else {}
     if link.ublox is not None:
         periodic = [message for message in _PERIODIC if message in link.ublox.messages]
@@ -141,18 +141,18 @@ def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
     for message, wanted in rates_hz.items():
         rate = heard.counts[message] / seconds
         good = rate >= _LEAST_RATE * wanted
-        found.append(_check(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
+        checks.append(_check(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
     if heard.fix or link.protocol == "mavlink" or link.ublox is not None:
-        found.append(_check(f"{name}: fix", heard.fix_good, heard.fix or "none told"))
+        checks.append(_check(f"{name}: fix", heard.fix_good, heard.fix or "none told"))
     if heard.host_minus_device_s is not None:
         offset = heard.host_minus_device_s
         good = abs(offset) <= _CLOCK_LIMIT_S
-        found.append(_check(f"{name}: clock", good, f"this computer {offset:+.2f} s against the device"))
-    return found
+        checks.append(_check(f"{name}: clock", good, f"this computer {offset:+.2f} s against the device"))
+    return checks
 
 
 def _disk(configuration: Configuration, base: Path, host: Host) -> list[Check]:
-    found = []
+    checks = []
     for folder in (configuration.recording.output, *configuration.recording.spare):
         place = (base / folder).resolve()
         while not place.exists():
@@ -160,11 +160,11 @@ def _disk(configuration: Configuration, base: Path, host: Host) -> list[Check]:
         try:
             free_mb = host.free_bytes(place) / _MB
         except OSError as failure:
-            found.append(Check(f"disk {folder}", "bad", failure.strerror or str(failure)))
+            checks.append(Check(f"disk {folder}", "bad", failure.strerror or str(failure)))
             continue
         good = free_mb >= configuration.recording.least_free_mb
-        found.append(_check(f"disk {folder}", good, f"{free_mb:.0f} MB are free"))
-    return found
+        checks.append(_check(f"disk {folder}", good, f"{free_mb:.0f} MB are free"))
+    return checks
 
 
 def _check(part: str, good: bool, text: str) -> Check:
@@ -174,4 +174,4 @@ def _check(part: str, good: bool, text: str) -> Check:
 def as_json(checks: list[Check]) -> dict[str, Any]:
     """Return the checks for programs."""
     listed = [{"subject": c.part, "good": c.state == "good", "seen": c.text} for c in checks]
-    return {"schema": "acquire.check/1", "good": all(one["good"] for one in listed), "findings": listed}
+    return {"schema": "acquire.check/1", "good": all(row["good"] for row in listed), "findings": listed}

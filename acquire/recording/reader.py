@@ -70,23 +70,23 @@ class Inbox:
 
     def take(self, most: int) -> list[Arrival]:
         """Return what has arrived first, at least one arrival and not much more than so many bytes."""
-        found: list[Arrival] = []
+        arrivals: list[Arrival] = []
         with self._lock:
             while self._waiting and most > 0:
                 arrival = self._waiting.popleft()
-                found.append(arrival)
+                arrivals.append(arrival)
                 most -= len(arrival.data)
                 self._size -= len(arrival.data)
                 if self._unsaved and self._unsaved[0] is arrival:
                     self._unsaved.popleft()
-        return found
+        return arrivals
 
     def unsaved(self) -> list[Arrival]:
         """Return what waits and has not been returned by this before."""
         with self._lock:
-            found = [arrival for arrival in self._unsaved if arrival.data]
+            arrivals = [arrival for arrival in self._unsaved if arrival.data]
             self._unsaved.clear()
-        return found
+        return arrivals
 
     def __len__(self) -> int:
         return len(self._waiting)

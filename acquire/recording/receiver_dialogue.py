@@ -10,7 +10,7 @@ _PATIENCE_S, _ATTEMPTS, _LOSSES = 1.0, 4, 2
 
 
 @dataclass(frozen=True)
-class Said:
+class DialogueStep:
     """Bytes for the device and words for the person (an error when it is an alarm)."""
 
     frames: tuple[bytes, ...] = ()
@@ -34,7 +34,7 @@ class ReceiverDialogue:
         # Whether the configuration holds or was given up.
         self.finished = False
 
-    def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> Said:  # noqa: ARG002
+    def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> DialogueStep:  # noqa: ARG002
         """Take what was received and return what is to be said now."""
         notes: list[str] = []
         alarms: list[str] = []
@@ -55,7 +55,7 @@ class ReceiverDialogue:
                 self._attempts += 1
                 self._asked_s = steady_s
                 frames = (self._question(),)
-        return Said(frames, tuple(notes), tuple(alarms))
+        return DialogueStep(frames, tuple(notes), tuple(alarms))
 
     def _question(self) -> bytes:
         if self._steps is None:
@@ -78,10 +78,10 @@ class ReceiverDialogue:
             self._verifying = True
             self._attempts = 0
         elif self._verifying and kind in (configure.CFG_VALGET, configure.CFG_MSG, configure.CFG_RATE):
-            found = configure.read_settings(kind, payload)
-            if not found.keys() >= dict(current.expected).keys():
+            settings = configure.read_settings(kind, payload)
+            if not settings.keys() >= dict(current.expected).keys():
                 return
-            if any(found[key] != value for key, value in current.expected):
+            if any(settings[key] != value for key, value in current.expected):
                 # The acknowledgement may have been a late one of the request before: set it once more.
                 self._losses += 1
                 self._verifying, self._attempts = False, 0

@@ -16,7 +16,7 @@ from acquire.log.writer import LogWriter
 from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, FloodWatch, SilenceWatch, write_alarms
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import Configuration, Link
-from acquire.recording.files import Limits, LogFiles, Told, WholeWrites, new_file, unclosed
+from acquire.recording.files import Limits, LogFiles, Notice, WholeWrites, new_file, unclosed
 from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.reader import Inbox, left_behind, start_readers
 from acquire.transports.ntrip import NtripSource, ntrip_address
@@ -141,8 +141,8 @@ def sources_of(
 
     raises ConfigurationError: when an address cannot be meant or a password is missing.
     """
-    told = {name: position.now(clock_ns) for name, position in positions.items()}
-    return {link.name: source_of_link(link, position=told.get(link.name)) for link in configuration.link}
+    sentences = {name: position.now(clock_ns) for name, position in positions.items()}
+    return {link.name: source_of_link(link, position=sentences.get(link.name)) for link in configuration.link}
 
 
 class _Flight:
@@ -168,7 +168,7 @@ class _Flight:
         self._silence = SilenceWatch({link.name: link.silent_s for link in configuration.link}, now)
         self._safe_at = now + self._recording.flush_s
         self._disk_at = now
-        self._disk_told = False
+        self._disk_announced = False
 
     def step(self, inboxes: dict[str, Inbox]) -> bool:
         """Take of each link what the budget allows and do what is due; tell whether something is left."""
@@ -243,13 +243,13 @@ class _Flight:
         except OSError:
             return []
         low = free_mb < self._recording.least_free_mb
-        told, self._disk_told = self._disk_told, low
-        if not low or told:
+        was_low, self._disk_announced = self._disk_announced, low
+        if not low or was_low:
             return []
         return [Alarm("disk_low", "", f"only {free_mb:.0f} MB are left on the disk", self._host.clock_ns())]
 
-    def _report(self, told: list[Told], *, final: bool = False) -> None:
-        alarms = [Alarm(kind, "", text, self._host.clock_ns()) for kind, text in told]
+    def _report(self, notices: list[Notice], *, final: bool = False) -> None:
+        alarms = [Alarm(kind, "", text, self._host.clock_ns()) for kind, text in notices]
         self._raise(alarms, logged=not final)
 
     def _raise(self, alarms: list[Alarm], *, logged: bool = True) -> None:
@@ -263,13 +263,13 @@ class _Flight:
 
 
 def _attachments(configuration: Configuration, base: Path) -> list[tuple[str, bytes]]:
-    found = []
+    attachments = []
     for path in configuration.site.files():
         try:
-            found.append((path.name, (base / path).read_bytes()))
+            attachments.append((path.name, (base / path).read_bytes()))
         except OSError as refusal:
             reason = (refusal.strerror or str(refusal)).lower()
             raise InputNotFoundError(
                 f"cannot be attached ({reason})", "check the name in [site]", where=base / path
             ) from refusal
-    return found
+    return attachments

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from acquire.recording.receiver_dialogue import Said
+from acquire.recording.receiver_dialogue import DialogueStep
 from drivers.frames import Batch
 from drivers.mavlink.decode import FRAGMENT_BYTES, FRAGMENTS, autopilots, decode, encode, fragments
 from drivers.mavlink.dialect import Dialect
@@ -49,7 +49,7 @@ class VehicleDialogue:
         self._carried = 0
         self._too_long: set[int] = set()
 
-    def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> Said:
+    def step(self, batch: Batch | None, steady_s: float, clock_ns: int) -> DialogueStep:
         """Take what was received and return what is to be said now."""
         notes: list[str] = []
         alarms: list[str] = []
@@ -60,13 +60,13 @@ class VehicleDialogue:
                     notes.append(f"has an autopilot: system {self._target[0]}, component {self._target[1]}")
             self._take_answers(batch, notes, alarms)
         if self._target is None:
-            return Said((), tuple(notes), tuple(alarms))
+            return DialogueStep((), tuple(notes), tuple(alarms))
         frames = [*self._answer_timesync(batch, clock_ns), *self._ask(steady_s, alarms)]
         frames += self._read_parameters(batch, steady_s, notes)
         if self._timesync_every_s and steady_s >= self._timesync_due_s:
             self._timesync_due_s = steady_s + self._timesync_every_s
             frames.append(self.frame("TIMESYNC", {"tc1": 0, "ts1": clock_ns}))
-        return Said(tuple(frames), tuple(notes), tuple(alarms))
+        return DialogueStep(tuple(frames), tuple(notes), tuple(alarms))
 
     def frame(self, name: str, values: Mapping[str, object]) -> bytes:
         """Return the frame of a message from us, numbered."""
@@ -83,21 +83,21 @@ class VehicleDialogue:
         if pieces:
             self._carried += 1
             return [self.frame("GPS_RTCM_DATA", piece) for piece in pieces], ""
-        told = kind in self._too_long
+        mentioned = kind in self._too_long
         self._too_long.add(kind)
         limit = FRAGMENT_BYTES * FRAGMENTS
         words = f"does not get RTCM {kind}: {len(message)} bytes, at most {limit} can be carried"
-        return [], "" if told else words
+        return [], "" if mentioned else words
 
     def _answer_timesync(self, batch: Batch | None, clock_ns: int) -> list[bytes]:
         """Tell an autopilot that asks the time of our clock; what it asks of others is theirs."""
         if batch is None or not self._timesync_every_s:
             return []
         asked = decode(batch, self._dialect.number("TIMESYNC"), self._dialect)
-        own = (asked.system == (self._target or (0, 0))[0]) & (asked.fields["tc1"] == 0)
+        to_us = (asked.system == (self._target or (0, 0))[0]) & (asked.fields["tc1"] == 0)
         if "target_system" in (asked.fields.dtype.names or ()):
-            own &= np.isin(asked.fields["target_system"], (0, SYSTEM))
-        questions = asked.fields["ts1"][own].tolist()
+            to_us &= np.isin(asked.fields["target_system"], (0, SYSTEM))
+        questions = asked.fields["ts1"][to_us].tolist()
         return [self.frame("TIMESYNC", {"tc1": clock_ns, "ts1": question}) for question in questions]
 
     def _ask(self, steady_s: float, alarms: list[str]) -> list[bytes]:
@@ -123,8 +123,8 @@ class VehicleDialogue:
     def _read_parameters(self, batch: Batch | None, steady_s: float, notes: list[str]) -> list[bytes]:
         """Ask for the next parameter that was not told yet."""
         if batch is not None:
-            told = decode(batch, self._dialect.number("PARAM_VALUE"), self._dialect)
-            self._read |= {name.decode("latin-1") for name in told.fields["param_id"].tolist()}
+            answers = decode(batch, self._dialect.number("PARAM_VALUE"), self._dialect)
+            self._read |= {name.decode("latin-1") for name in answers.fields["param_id"].tolist()}
         if self._open or self._unread is None or steady_s < self._parameter_due_s:
             return []
         self._parameter_due_s = steady_s + _PARAMETER_EVERY_S

@@ -237,8 +237,8 @@ class FlownAutopilot(Autopilot):
 def _periods(line: Wire, kinds: list[int]) -> dict[int, float]:
     """Give how often each message comes."""
     table = np.array(kinds)
-    found = {}
+    periods = {}
     for kind in np.unique(table[table >= 0]).tolist():
         times = line.arrival_s[table == kind]
-        found[kind] = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    return found
+        periods[kind] = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    return periods

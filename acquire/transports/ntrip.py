@@ -197,11 +197,11 @@ def _head(line: socket.socket, patience: Patience) -> tuple[bytes, bytes]:
     data = b""
     while True:
         # A caster of version 1 ends its head with one line, or with an empty one after it.
-        first, found, rest = data.partition(b"\r\n")
-        if found and first.startswith(b"ICY 200"):
+        first, separator, rest = data.partition(b"\r\n")
+        if separator and first.startswith(b"ICY 200"):
             return first, rest.removeprefix(b"\r\n")
-        head, found, rest = data.partition(b"\r\n\r\n")
-        if found:
+        head, separator, rest = data.partition(b"\r\n\r\n")
+        if separator:
             return head, rest
         if first.startswith(b"ERROR") and b"\n" in data:
             return first, b""

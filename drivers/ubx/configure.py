@@ -83,14 +83,14 @@ def steps(generation: int, port: str, messages: tuple[str, ...], rate_ms: int) -
 def read_settings(kind: int, payload: bytes) -> dict[int, int]:
     """Read the answer to a poll of CFG-VALGET, CFG-MSG or CFG-RATE, see `Step.expected`."""
     if kind == CFG_VALGET:
-        found, at = {}, 4
+        settings, at = {}, 4
         while at + 5 <= len(payload):
             (key,) = struct.unpack_from("<I", payload, at)
             # Bits 28 to 30 of a key tell the size of its value.
             width = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8}.get(key >> 28 & 7, 1)
-            found[key] = int.from_bytes(payload[at + 4 : at + 4 + width], "little")
+            settings[key] = int.from_bytes(payload[at + 4 : at + 4 + width], "little")
             at += 4 + width
-        return found
+        return settings
     if kind == CFG_MSG and len(payload) == 8:
         return {int.from_bytes(payload[:2], "big"): max(payload[2:])}
     if kind == CFG_RATE and len(payload) == 6:

@@ -170,10 +170,10 @@ class RawObservations:
 
 def decode_rawx(batch: Batch) -> RawObservations:
     """Decode all RXM-RAWX messages whose length agrees with their number of signals."""
-    found, signal = decode(batch, RXM_RAWX), signal_layout()
-    count = found.fields["numMeas"].astype(np.int64)
-    whole = batch.length[found.index] == 24 + signal.itemsize * count
-    epochs = Messages(found.index[whole], found.fields[whole])
+    messages, signal = decode(batch, RXM_RAWX), signal_layout()
+    count = messages.fields["numMeas"].astype(np.int64)
+    whole = batch.length[messages.index] == 24 + signal.itemsize * count
+    epochs = Messages(messages.index[whole], messages.fields[whole])
     count = count[whole]
     epoch = np.repeat(np.arange(len(count)), count)
     within = np.arange(len(epoch)) - (np.cumsum(count) - count)[epoch]

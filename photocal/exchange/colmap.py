@@ -362,10 +362,10 @@ def write_colmap(
     place[order] = np.arange(len(order)) - bounds[given.image[order]]
     shots = []
     for k, name in enumerate(given.image_names):
-        own = order[bounds[k] : bounds[k + 1]]
+        rays = order[bounds[k] : bounds[k + 1]]
         pose = tuple(quaternion[k].tolist()), tuple(translation[k].tolist())
-        marks = given.pixels[own] + 0.5
-        shots.append(Shot(k + 1, *pose, int(given.image_camera[k]) + 1, name, marks, keys[given.point[own]]))
+        marks = given.pixels[rays] + 0.5
+        shots.append(Shot(k + 1, *pose, int(given.image_camera[k]) + 1, name, marks, keys[given.point[rays]]))
     by_point = np.argsort(given.point, kind="stable")
     tracks = np.split(
         np.column_stack([given.image + 1, place])[by_point],
@@ -398,11 +398,11 @@ def _camera(lens: Lens, place: object) -> Camera:
         **{k: value.get(k, 0.0) for k in ("k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6")},
         fisheye=lens.model.endswith("FISHEYE"),
     )
-    own = from_pinhole(pinhole, str(lens.key), place)
+    camera = from_pinhole(pinhole, str(lens.key), place)
     free = {"c", "x0", "y0"}.union(*(ours for theirs, ours in _FREES.items() if theirs in value))
     # Without k4 to k6 a FULL_OPENCV lens is Brown's, whose K4 is another.
-    free &= set(own.lens.names) - ({"K4"} if own.model == "brown-ideal" else set())
-    return replace(own, estimated=np.array([parameter in free for parameter in PARAMETERS]))
+    free &= set(camera.lens.names) - ({"K4"} if camera.model == "brown-ideal" else set())
+    return replace(camera, estimated=np.array([parameter in free for parameter in PARAMETERS]))
 
 
 def export_binary(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:

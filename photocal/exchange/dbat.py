@@ -108,11 +108,11 @@ class _Tables:
 
     def files(self, section: str) -> Iterator[tuple[Path, Element]]:
         for element in self.given.iterfind(f"{section}/file"):
-            found = beside(self.path.parent, (element.text or "").strip(), self.path)
-            digest = fingerprint(found)
+            file = beside(self.path.parent, (element.text or "").strip(), self.path)
+            digest = fingerprint(file)
             if digest not in self.read:
                 self.read.append(digest)
-            yield found, element
+            yield file, element
 
     def rows(self, section: str, allowed: tuple[str, ...]) -> Iterator[Row]:
         for path, element in self.files(section):
@@ -161,14 +161,14 @@ def _used_cameras(root: Element, given: Element, path: Path) -> Iterator[DbatCam
 
 def _estimated_interior(root: Element, path: Path) -> set[str]:
     """Which of DBAT's interior parameters the set-up estimates."""
-    found = root.find("operations/operation/set_bundle_estimate_params/io")
-    if found is None:
+    interior = root.find("operations/operation/set_bundle_estimate_params/io")
+    if interior is None:
         return set()
     switches: dict[str, bool] = dict.fromkeys(NAMES, False)
-    plain = (found.text or "").strip()
+    plain = (interior.text or "").strip()
     if plain:
         switches = dict.fromkeys(NAMES, _truth(plain, path))
-    for element in found:
+    for element in interior:
         value = _truth((element.text or "").strip(), path)
         names = NAMES if element.tag == "all" else _GROUPS.get(element.tag, (element.tag,))
         unknown = [name for name in names if name not in NAMES]
@@ -361,13 +361,13 @@ def _count(camera: Camera, key: str) -> int:
 
 
 def _surveyed(points: ObjectPoints, rows: Integers) -> list[parts.Row]:
-    found: list[parts.Row] = []
+    table: list[parts.Row] = []
     for k in rows:
         if not np.isfinite(points.sigma[k]).all() and points.of_role("control")[k]:
             raise InputMalformedError(f"control point {points.names[k]} has coordinates without sigma")
         sigma = np.where(np.isfinite(points.sigma[k]), points.sigma[k], 0.0)
-        found.append([points.names[k], *points.values[k].tolist(), *sigma.tolist()])
-    return found
+        table.append([points.names[k], *points.values[k].tolist(), *sigma.tolist()])
+    return table
 
 
 def _write_camera(element: Element, camera: Camera) -> None:

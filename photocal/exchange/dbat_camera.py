@@ -137,7 +137,7 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
         "B2": value["sk"],
     } | {name: -value[name] for name in ("K1", "K2", "K3", "K4", "P1", "P2")}
     model, affinity = MODELS[number]
-    found = camera(
+    calibrated = camera(
         camera_id,
         model,
         "mm",
@@ -147,15 +147,15 @@ def from_dbat(described: DbatCamera, camera_id: str, place: object) -> Camera:
         estimate=tuple(OURS[NAMES.index(name)] for name in estimate),
         affinity=affinity,
     )
-    return replace(found, distortion_at="measured")
+    return replace(calibrated, distortion_at="measured")
 
 
-def to_dbat(own: Camera, lens_model: int) -> dict[str, float]:
+def to_dbat(camera: Camera, lens_model: int) -> dict[str, float]:
     """Turn a camera's parameters into DBAT's."""
-    width, height = np.array(own.size_px) * own.pitch
+    width, height = np.array(camera.size_px) * camera.pitch
     index = [PARAMETERS.index(name) for name in OURS]
     sign = np.array([1.0, 1, -1, 1, 1, -1, -1, -1, -1, -1, -1])
-    vector = own.values[index] * sign
+    vector = camera.values[index] * sign
     vector[1] += width / 2
     vector[2] += height / 2
     if lens_model == 5:

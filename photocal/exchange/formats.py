@@ -80,10 +80,10 @@ class Format:
 
 def _loaded(name: str) -> Callable[..., Any]:
     module, _, function = name.partition(":")
-    found: Callable[..., Any] = getattr(
+    entry: Callable[..., Any] = getattr(
         import_module(module if "." in module else f"photocal.exchange.{module}"), function
     )
-    return found
+    return entry
 
 
 FORMATS: tuple[Format, ...] = (
@@ -150,10 +150,10 @@ def exported() -> tuple[str, ...]:
 
 def named(name: str) -> Format:
     """Find a format that can be written; raises ConfigurationError when it is not known."""
-    found = next((form for form in FORMATS if form.name == name and form.writes), None)
-    if found is None:
+    chosen = next((form for form in FORMATS if form.name == name and form.writes), None)
+    if chosen is None:
         raise ConfigurationError(f"format {name!r} is not known", f"use {', '.join(exported())}")
-    return found
+    return chosen
 
 
 def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
@@ -189,7 +189,7 @@ def read_foreign_block(path: Path) -> Block:
         raise InputNotFoundError("does not exist", "check the path", where=path)
     form = next((form for form in FORMATS if form.takes(path)), None)
     if form is None:
-        known = "; ".join(f"{one.title}: {', '.join(one.opens)}" for one in FORMATS if one.opens)
+        known = "; ".join(f"{form.title}: {', '.join(form.opens)}" for form in FORMATS if form.opens)
         raise InputMalformedError(
             "holds no block that is known",
             f"name a block folder, or a file of another program ({known})",

@@ -86,10 +86,10 @@ def footprints(given: Reconstruction, height_m: float) -> Floats:
     rotation, _ = to_vision(given.poses)
     corners = np.full((len(given.poses), 4, 3), np.nan)
     for k, pose in enumerate(given.poses):
-        own = given.cameras[given.image_camera[k]]
-        half = np.array(own.size_px) * own.pitch / 2
+        camera = given.cameras[given.image_camera[k]]
+        half = np.array(camera.size_px) * camera.pitch / 2
         edge = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]) * half
-        rays = undistorted(own, edge) / own.value("c") * [1.0, -1.0]
+        rays = undistorted(camera, edge) / camera.value("c") * [1.0, -1.0]
         direction = np.column_stack([rays, np.ones(4)]) @ rotation[k]
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = (height_m - pose[5]) / direction[:, 2]
@@ -126,9 +126,9 @@ def features(
     points = to_geographic(given.xyz)
     for k, name in enumerate(given.point_names):
         known = {"rays": int(seen[k]), **_sigma(given.xyz_sigma[k])}
-        own = given.residuals_px[given.point == k]
-        if len(own) and np.isfinite(own).all():
-            known["residual_rms_px"] = float(np.sqrt(np.mean(own**2)))
+        residuals = given.residuals_px[given.point == k]
+        if len(residuals) and np.isfinite(residuals).all():
+            known["residual_rms_px"] = float(np.sqrt(np.mean(residuals**2)))
         yield _point(points[k]), {"kind": given.roles[k] if given.roles else "point", "name": name, **known}
 
 
@@ -200,7 +200,7 @@ def write_geopackage(
     """Write a GeoPackage; `to_geographic`: from `geographic.topocentric`; None keeps local coordinates."""
     system = LOCAL if to_geographic is None else wgs84()
     layers: dict[str, tuple[Layer, list[Feature]]] = {
-        one.name: (one, []) for one in (_EXPOSURES, _FOOTPRINTS, _POINTS)
+        layer.name: (layer, []) for layer in (_EXPOSURES, _FOOTPRINTS, _POINTS)
     }
     for geometry, properties in features(given, to_geographic or np.array):
         layer = _KINDS.get(properties["kind"], _POINTS)
@@ -213,8 +213,8 @@ def write_geopackage(
         (given.image_names[i], given.point_names[j], *xy, *v) for i, j, xy, v in zip(*columns, strict=True)
     )
     with geopackage(path, system) as database:
-        for layer, found in layers.values():
-            add_layer(database, layer, system, found, changed_utc)
+        for layer, layer_features in layers.values():
+            add_layer(database, layer, system, layer_features, changed_utc)
         add_table(database, "image_residuals", _RESIDUALS, rows, changed_utc)
 
 

@@ -160,8 +160,8 @@ def _to_map(crs: str, x: Floats, y: Floats) -> Floats:
     lon, lat = way.transform(x, y)
     north_x, north_y = way.transform(lon, lat + _NORTH_DEG, direction="INVERSE")
     convergence = np.arctan2(north_x - x, north_y - y)
-    s, c, zero, one = np.sin(convergence), np.cos(convergence), np.zeros_like(x), np.ones_like(x)
-    turn = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]])
+    s, c, zeros, ones = np.sin(convergence), np.cos(convergence), np.zeros_like(x), np.ones_like(x)
+    turn = np.array([[c, s, zeros], [-s, c, zeros], [zeros, zeros, ones]])
     return np.asarray(np.moveaxis(turn, -1, 0))
 
 

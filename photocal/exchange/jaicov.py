@@ -46,14 +46,14 @@ def read_jaicov(path: Path, sigma_mm: float | None = None) -> Block:
     files = {suffix: path.with_suffix(suffix) for suffix in SUFFIXES}
     sigma = _a_priori(path.with_suffix(".htm")) if sigma_mm is None else sigma_mm
     cameras = _cameras(read_lines(files[".ior"]), files[".ior"])
-    names, which, poses = _orientations(read_lines(files[".eor"]), [own.id for own in cameras])
+    names, which, poses = _orientations(read_lines(files[".eor"]), [camera.id for camera in cameras])
     points, xyz = _objects(read_lines(files[".obc"]))
     marks = _marks(read_lines(files[".phc"]), set(names), set(points), sigma)
     bars = files[".phc"].with_suffix(".scale")
     scale = read_scale_bars(bars) if bars.exists() else ()
     # The report is an input where it tells the standard deviation.
-    told = [path.with_suffix(".htm")] if sigma_mm is None else []
-    read = [*files.values(), *([bars] if bars.exists() else []), *told]
+    report = [path.with_suffix(".htm")] if sigma_mm is None else []
+    read = [*files.values(), *([bars] if bars.exists() else []), *report]
     entries = [parts.PointEntry(name, "tie", row) for name, row in zip(points, xyz, strict=True)]
     return parts.block(
         path.stem,
@@ -75,25 +75,25 @@ def read_scale_bars(path: Path) -> tuple[Bar, ...]:
         row = re.fullmatch(r'\s*\S+\s+"[^"]*"\s+(\S+)\s+(\S+)\s+(\S+)\s+(\S+)\s+([01])\s*', line.text)
         if row is None:
             raise line.malformed("is no row of a scale bar", "is the file cut?")
-        one, other, length, sigma, on = row.groups()
+        first, second, length, sigma, on = row.groups()
         if on == "1":
             sizes = number(length, line.place, "length") * MM, number(sigma, line.place, "sigma") * MM
-            bars.append((one, other, *sizes))
+            bars.append((first, second, *sizes))
     return tuple(bars)
 
 
 def _distances(bars: tuple[Bar, ...], points: list[str], place: Path) -> Relations:
     position = {name: k for k, name in enumerate(points)}
-    for one, other, length, sigma in bars:
-        lost = [name for name in (one, other) if name not in position]
+    for first, second, length, sigma in bars:
+        lost = [name for name in (first, second) if name not in position]
         if lost:
             raise InputMalformedError(f"a scale bar ends at the unknown point {lost[0]}", where=place)
         if not (length > 0 and sigma > 0):
             raise InputMalformedError("a scale bar has no length or no sigma", where=place)
     return Relations(
         np.full(len(bars), list(RELATIONS).index("distance")),
-        np.array([position[one] for one, _, _, _ in bars], dtype=np.int64),
-        np.array([position[other] for _, other, _, _ in bars], dtype=np.int64),
+        np.array([position[first] for first, _, _, _ in bars], dtype=np.int64),
+        np.array([position[second] for _, second, _, _ in bars], dtype=np.int64),
         np.array([length for _, _, length, _ in bars]),
         np.array([sigma for _, _, _, sigma in bars]),
     )
@@ -102,9 +102,9 @@ def _distances(bars: tuple[Bar, ...], points: list[str], place: Path) -> Relatio
 def _a_priori(report: Path) -> float:
     if report.is_file():
         require_readable(report)
-        found = _A_PRIORI.search(report.read_bytes())
-        if found:
-            return number(found.group(1).decode(), report, "S0 a priori")
+        match = _A_PRIORI.search(report.read_bytes())
+        if match:
+            return number(match.group(1).decode(), report, "S0 a priori")
     raise ConfigurationError(
         "nothing tells the a priori standard deviation of the image coordinates",
         f"put the report {report.name} beside it",
@@ -224,9 +224,9 @@ def _interior(name: str, camera: Camera) -> list[Row]:
 
 
 def _mark_rows(given: Reconstruction, images: list[str], points: list[str]) -> list[Row]:
-    own = given.image_camera[given.image]
-    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[own]
-    pitch = np.array([camera.pitch for camera in given.cameras])[own]
+    camera_of = given.image_camera[given.image]
+    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[camera_of]
+    pitch = np.array([camera.pitch for camera in given.cameras])[camera_of]
     plane = pixel_to_plane(size, pitch, given.pixels)
     residuals = np.nan_to_num(given.residuals_px * pitch * [1.0, -1.0])
     return [

@@ -111,17 +111,17 @@ def chunk_of(root: Element, path: Path) -> Chunk:
 def _matrices(chunk: Element, path: Path) -> dict[str, Floats]:
     """From camera to chunk axes of each aligned image; one without its own is where its master has it."""
     cameras = list(chunk.iterfind("cameras/camera"))
-    sensors = {one.get("id"): one for one in chunk.iterfind("sensors/sensor")}
-    found = {
+    sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors/sensor")}
+    matrices = {
         shot.get("id", ""): np.array(_numbers(child(shot, "transform", path), path, 16)).reshape(4, 4)
         for shot in cameras
         if shot.find("transform") is not None
     }
     for shot in cameras:
-        master, sensor = found.get(shot.get("master_id", "")), sensors.get(shot.get("sensor_id"))
-        if shot.get("id", "") not in found and master is not None and sensor is not None:
-            found[shot.get("id", "")] = master @ slave_in_master(sensor, path)
-    return found
+        master, sensor = matrices.get(shot.get("master_id", "")), sensors.get(shot.get("sensor_id"))
+        if shot.get("id", "") not in matrices and master is not None and sensor is not None:
+            matrices[shot.get("id", "")] = master @ slave_in_master(sensor, path)
+    return matrices
 
 
 def _camera(sensor: Element, path: Path) -> Camera:
@@ -177,29 +177,29 @@ def _poses(matrices: Floats, to_world: Floats) -> Floats:
 
 def markers(chunk: Element, path: Path) -> dict[str, PointEntry]:
     """Markers by their number: tie points without coordinates, NaN where an accuracy is not given."""
-    found = {}
+    entries = {}
     for element in chunk.iterfind("markers//marker"):
         given = element.find("reference")
         xyz = sigma = UNKNOWN
         if given is not None and given.get("x"):
-            one, two, three = (number(given.get(key, ""), path, f"marker {key}") for key in "xyz")
-            xyz = one, two, three
+            x, y, z = (number(given.get(key, ""), path, f"marker {key}") for key in "xyz")
+            xyz = x, y, z
             sigma = _accuracy(given, path)
         enabled = given is not None and given.get("enabled", "true").lower() in ("true", "1")
         name = element.get("label") or element.get("id") or ""
         role: Role = "tie" if np.isnan(xyz).any() else "control" if enabled else "check"
-        found[element.get("id", "")] = PointEntry(name, role, xyz, sigma)
-    return found
+        entries[element.get("id", "")] = PointEntry(name, role, xyz, sigma)
+    return entries
 
 
 def _accuracy(given: Element, path: Path) -> tuple[float, float, float]:
     """Standard deviations: one for all, one for X and Y, or one each; NaN when not given."""
-    found = []
+    sigma = []
     for axis in "xyz":
         keys = ["s" + axis, "sxyz"] + (["sxy"] if axis != "z" else [])
         text = next((given.get(key) for key in keys if given.get(key)), None)
-        found.append(float("nan") if text is None else number(text, path, "marker accuracy"))
-    return found[0], found[1], found[2]
+        sigma.append(float("nan") if text is None else number(text, path, "marker accuracy"))
+    return sigma[0], sigma[1], sigma[2]
 
 
 def _numbers(element: Element, path: Path, count: int) -> list[float]:
@@ -235,18 +235,15 @@ def write_metashape(path: Path, given: Reconstruction, _: Choices | None = None)
     root = Element("document", version="1.5.0")
     chunk = SubElement(root, "chunk", label="photocal", enabled="true")
     sensors = SubElement(chunk, "sensors", next_id=str(len(given.cameras)))
-    made = []
-    for k, own in enumerate(given.cameras):
-        conversion = to_metashape(own)
-        made.append(conversion)
-        sensor = SubElement(sensors, "sensor", id=str(k), label=own.id, type="frame")
-        width, height = (str(side) for side in own.size_px)
+    made = tuple(to_metashape(camera) for camera in given.cameras)
+    for k, written in enumerate(conversion.camera for conversion in made):
+        sensor = SubElement(sensors, "sensor", id=str(k), label=written.id, type="frame")
+        width, height = (str(side) for side in written.size_px)
         SubElement(sensor, "resolution", width=width, height=height)
         calibration = SubElement(sensor, "calibration", {"type": "frame", "class": "adjusted"})
         SubElement(calibration, "resolution", width=width, height=height)
-        written, f = conversion.camera, conversion.camera.value("c")
         for key, (name, sign, power) in TERMS.items():
-            value = sign * written.value(name) * f**power
+            value = sign * written.value(name) * written.value("c") ** power
             if value or key in ("f", "cx", "cy"):
                 SubElement(calibration, key).text = repr(value)
     rotation, translation = to_vision(given.poses)
@@ -263,16 +260,16 @@ def write_metashape(path: Path, given: Reconstruction, _: Choices | None = None)
     crs = 'LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["metre",1]]'
     SubElement(chunk, "reference").text = crs
     write_xml(path, root)
-    return tuple(made)
+    return made
 
 
-def to_metashape(own: Camera) -> Conversion:
+def to_metashape(camera: Camera) -> Conversion:
     """Express a camera in Metashape's model, still with our signs, in px."""
-    flat = in_pixels(own)
+    flat = in_pixels(camera)
     terms = ["K1", "K2", "K3", "K4", "P1", "P2"]
     if flat.value("B1") or flat.value("B2"):
         terms += ["B1", "B2"]
-    if own.model == "brown-ideal":
+    if camera.model == "brown-ideal":
         # In a fit P3 and P4 would stand on P1 and P2, which are nearly zero.
         terms += ["P3", "P4"]
     return converted(flat, "brown-ideal", "after", terms)

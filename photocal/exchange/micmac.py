@@ -117,20 +117,20 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
     marks = read_measures(measures)
     names = list(dict.fromkeys(mark.image for mark in marks))
     files = {name: orientations / f"Orientation-{name}.xml" for name in names}
-    found = {name: read_orientation(path) for name, path in files.items() if path.exists()}
-    if not found:
+    oriented = {name: read_orientation(path) for name, path in files.items() if path.exists()}
+    if not oriented:
         raise InputMalformedError("has no orientation of a measured image", where=orientations)
-    calibrations = list(dict.fromkeys(name for _, name in found.values()))
+    calibrations = list(dict.fromkeys(name for _, name in oriented.values()))
     cameras = tuple(read_calibration(orientations / name) for name in calibrations)
-    used = [mark for mark in marks if mark.image in found]
+    used = [mark for mark in marks if mark.image in oriented]
     read = [
         points,
         measures,
-        *(files[name] for name in found),
+        *(files[name] for name in oriented),
         *(orientations / name for name in calibrations),
     ]
-    which = [calibrations.index(name) for _, name in found.values()]
-    shots = Images(tuple(found), np.array(which), np.array([pose for pose, _ in found.values()]))
+    which = [calibrations.index(name) for _, name in oriented.values()]
+    shots = Images(tuple(oriented), np.array(which), np.array([pose for pose, _ in oriented.values()]))
     return parts.block(points.stem, cameras, shots, ground, used, [fingerprint(path) for path in read])
 
 
@@ -145,9 +145,9 @@ def _vector(element: Element, path_in: str, path: Path, count: int) -> list[floa
 
 
 def _require_convention(element: Element, path: Path) -> None:
-    found = text_of(element, "KnownConv", path)
-    if found != CONVENTION:
-        raise InputMalformedError(f"has the convention {found}", f"convert it to {CONVENTION}", where=path)
+    name = text_of(element, "KnownConv", path)
+    if name != CONVENTION:
+        raise InputMalformedError(f"has the convention {name}", f"convert it to {CONVENTION}", where=path)
 
 
 def _distortion(given: Element, place: list[float], path: Path) -> dict[str, float]:
@@ -179,9 +179,9 @@ def _distortion(given: Element, place: list[float], path: Path) -> dict[str, flo
 
 def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write a project."""
-    for name in (*given.image_names, *(own.id for own in given.cameras)):
+    made = tuple(converted(in_pixels(camera), "brown-ideal", "additive", TERMS) for camera in given.cameras)
+    for name in (*given.image_names, *(conversion.camera.id for conversion in made)):
         require_file_name(name)
-    made = tuple(converted(in_pixels(own), "brown-ideal", "additive", TERMS) for own in given.cameras)
     (folder / FOLDER).mkdir()
     for conversion in made:
         write_xml(folder / FOLDER / _calibration_name(conversion.camera), _calibration(conversion.camera))
@@ -192,31 +192,31 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
         root = _orientation(rotation[k].T, given.poses[k, 3:], ground, f"{FOLDER}/{calibration}")
         write_xml(folder / FOLDER / f"Orientation-{name}.xml", root)
     for role, file in (("control", "Ground-Pts3D.xml"), ("check", "Check-Pts3D.xml")):
-        chosen = [j for j, own in enumerate(given.roles) if own == role]
+        chosen = [j for j in range(len(given.roles)) if given.roles[j] == role]
         if chosen:
             write_xml(folder / file, _points(given, chosen))
     write_xml(folder / "GroundMeasure.xml", _measures(given))
     return made
 
 
-def _calibration_name(own: Camera) -> str:
-    return f"AutoCal_{own.id}.xml"
+def _calibration_name(camera: Camera) -> str:
+    return f"AutoCal_{camera.id}.xml"
 
 
-def _calibration(own: Camera) -> Element:
+def _calibration(camera: Camera) -> Element:
     root = Element("ExportAPERO")
     inner = SubElement(root, "CalibrationInternConique")
-    width, height = own.size_px
-    centre = digits([own.value("x0") + (width - 1) / 2, (height - 1) / 2 - own.value("y0")])
-    _leaves(inner, ("KnownConv", CONVENTION), ("PP", centre), ("F", repr(own.value("c"))))
+    width, height = camera.size_px
+    centre = digits([camera.value("x0") + (width - 1) / 2, (height - 1) / 2 - camera.value("y0")])
+    _leaves(inner, ("KnownConv", CONVENTION), ("PP", centre), ("F", repr(camera.value("c"))))
     SubElement(inner, "SzIm").text = f"{width} {height}"
     model = SubElement(SubElement(inner, "CalibDistortion"), "ModPhgrStd")
     radial = SubElement(model, "RadialePart")
-    _leaves(radial, ("CDist", centre), *(("CoeffDist", repr(own.value(f"K{n}"))) for n in (1, 2, 3, 4)))
+    _leaves(radial, ("CDist", centre), *(("CoeffDist", repr(camera.value(f"K{n}"))) for n in (1, 2, 3, 4)))
     SubElement(radial, "PPaEqPPs").text = "true"
     # y runs down there: P2 and b2 change their sign.
-    terms = {"P1": own.value("P1"), "P2": -own.value("P2"), "b1": own.value("B1"), "b2": -own.value("B2")}
-    _leaves(model, *((key, repr(value)) for key, value in terms.items()))
+    for name, sign in (("P1", 1), ("P2", -1), ("B1", 1), ("B2", -1)):
+        SubElement(model, name.replace("B", "b")).text = repr(sign * camera.value(name))
     return root
 
 

@@ -55,16 +55,16 @@ def read_opencv(path: Path) -> Camera:
     focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     size = image_size(width, height, path)
     pinhole = Pinhole(size, *focal_and_centre, **values, fisheye=fisheye)
-    own = from_pinhole(pinhole, path.stem, path)
-    free = {"c", "x0", "y0", "B1", *(own.lens.terms if own.lens.relative else _TERMS)}
-    return replace(own, estimated=among(*free))
+    camera = from_pinhole(pinhole, path.stem, path)
+    free = {"c", "x0", "y0", "B1", *(camera.lens.terms if camera.lens.relative else _TERMS)}
+    return replace(camera, estimated=among(*free))
 
 
-def write_opencv(path: Path, own: Camera) -> Conversion:
+def write_opencv(path: Path, camera: Camera) -> Conversion:
     """Write a calibration."""
     import cv2
 
-    pinhole, conversion = to_pinhole(own, "OpenCV", _OTHERS)
+    pinhole, conversion = to_pinhole(camera, "OpenCV", _OTHERS)
     rational = conversion.camera.model == "rational"
     names = _OF_FISHEYE if pinhole.fisheye else _COEFFICIENTS if rational else _COEFFICIENTS[:5]
     matrix = np.array([[pinhole.fx, 0, pinhole.cx], [0, pinhole.fy, pinhole.cy], [0, 0, 1]], dtype=float)
@@ -73,7 +73,7 @@ def write_opencv(path: Path, own: Camera) -> Conversion:
     storage = cv2.FileStorage(path.suffix, cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY | kind)
     storage.write("image_width", pinhole.size_px[0])
     storage.write("image_height", pinhole.size_px[1])
-    storage.write("camera_name", own.id)
+    storage.write("camera_name", camera.id)
     storage.write("camera_matrix", matrix)
     name = "equidistant" if pinhole.fisheye else "rational_polynomial" if rational else "plumb_bob"
     storage.write("distortion_model", name)

@@ -62,9 +62,9 @@ def read_reconstruction(path: Path) -> Reconstruction:
             np.empty((0, 2)),
         )
 
-    found = of_opensfm(structured(path, _WHAT, made), path)
+    reconstruction = of_opensfm(structured(path, _WHAT, made), path)
     tracks = tracks_beside(path)
-    return _with_tracks(found, tracks) if tracks.is_file() else found
+    return _with_tracks(reconstruction, tracks) if tracks.is_file() else reconstruction
 
 
 def tracks_beside(path: Path) -> Path:
@@ -72,9 +72,9 @@ def tracks_beside(path: Path) -> Path:
     return path.with_name(path.stem.replace("reconstruction", "tracks", 1) + ".csv")
 
 
-def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:
-    image = {name: k for k, name in enumerate(found.image_names)}
-    point = {name: k for k, name in enumerate(found.point_names)}
+def _with_tracks(given: Reconstruction, path: Path) -> Reconstruction:
+    image = {name: k for k, name in enumerate(given.image_names)}
+    point = {name: k for k, name in enumerate(given.point_names)}
     rays = []
     for line in read_lines(path, comment=""):
         cells = line.text.split("\t")
@@ -89,9 +89,9 @@ def _with_tracks(found: Reconstruction, path: Path) -> Reconstruction:
             rays.append((image[cells[0]], point[cells[1]], x, y))
     table = np.array(rays, dtype=float).reshape(-1, 4)
     which = table[:, 0].astype(np.int64)
-    size = np.array([camera.size_px for camera in found.cameras], dtype=float)[found.image_camera[which]]
+    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[given.image_camera[which]]
     pixels = table[:, 2:] * size.max(axis=1, initial=1.0, keepdims=True) + size / 2 - 0.5
-    return replace(found, image=which, point=table[:, 1].astype(np.int64), pixels=pixels)
+    return replace(given, image=which, point=table[:, 1].astype(np.int64), pixels=pixels)
 
 
 def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:

@@ -231,8 +231,8 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
     """Write project.opf and the files that it names."""
     made = [to_pinhole(camera, "OPF") for camera in given.cameras]
     pinholes = [pinhole for pinhole, _ in made]
-    for own, pinhole in zip(given.cameras, pinholes, strict=True):
-        require_one_focal_length(pinhole, own.id, "an OPF project")
+    for camera, pinhole in zip(given.cameras, pinholes, strict=True):
+        require_one_focal_length(pinhole, camera.id, "an OPF project")
     contents: dict[str, dict[str, Any]] = {
         "scene-reference-frame": {
             "crs": {"definition": LOCAL_CRS},
@@ -367,8 +367,8 @@ def _place(given: Reconstruction, j: int) -> dict[str, list[float]]:
 def _calibrated(given: Reconstruction, pinholes: list[Pinhole]) -> dict[str, Any]:
     angles = np.degrees(given.poses[:, :3]).tolist()
     cameras = [
-        {"id": k + 1, "sensor_id": _sensor_id(given, own), "orientation_deg": angles[k], "position": place}
-        for k, (own, place) in enumerate(
+        {"id": k + 1, "sensor_id": _sensor_id(given, sensor), "orientation_deg": angles[k], "position": place}
+        for k, (sensor, place) in enumerate(
             zip(given.image_camera.tolist(), given.poses[:, 3:].tolist(), strict=True)
         )
     ]

@@ -96,10 +96,10 @@ def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
 
 def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write cameras and photos of a project."""
-    for own in given.cameras:
-        if own.unit != "mm":
+    for camera in given.cameras:
+        if camera.unit != "mm":
             raise InputMalformedError(
-                f"camera {own.id} is in px, but the format has the principal distance in mm",
+                f"camera {camera.id} is in px, but the format has the principal distance in mm",
                 "give the camera in mm with its pixel pitch",
             )
     made = tuple(_without_distortion(camera) for camera in given.cameras)
@@ -108,10 +108,10 @@ def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> 
     for name, which, pose, matrix in zip(
         given.image_names, given.image_camera, given.poses, rotation, strict=True
     ):
-        own = given.cameras[which]
-        rows = [digits([own.value("c"), *pose[3:]]), *(digits(row) for row in matrix)]
+        camera = given.cameras[which]
+        rows = [digits([camera.value("c"), *pose[3:]]), *(digits(row) for row in matrix)]
         body = "\n".join(f"    {row}" for row in rows)
-        head = f"$PHOTO\n  $PHOTO_NUM : {name}\n  $PHOTO_FILE : {name}\n  $CAMERA_ID : {own.id}\n"
+        head = f"$PHOTO\n  $PHOTO_NUM : {name}\n  $PHOTO_FILE : {name}\n  $CAMERA_ID : {camera.id}\n"
         blocks.append(f"{head}  $EXT_ORI :\n{body}\n$END\n")
     path.write_text("".join(blocks), encoding="utf-8", newline="\n")
     return made

@@ -246,16 +246,16 @@ def _shift(export: Export, control: dict[str, tuple[Floats, Floats]], place: str
     return np.asarray(np.mean([control[name][0] - export.control[name] for name in common], axis=0))
 
 
-def _camera(export: Export, own: tuple[float, ...], name: str, place: str) -> Camera:
+def _camera(export: Export, interior: tuple[float, ...], name: str, place: str) -> Camera:
     # The photos' c and principal point are printed to 1 um, their coefficients to five decimals; the head has
     # the same values with more digits.
     rounding = [0.51e-3] * 3 + [0.51e-5] * 7
-    same = all(abs(a - b) <= most for a, b, most in zip(own, export.interior, rounding, strict=True))
+    same = all(abs(a - b) <= most for a, b, most in zip(interior, export.interior, rounding, strict=True))
     only = len({photo.interior for photo in export.photos}) == 1
-    c, px, py, width, height, k1, k2, k3, p1, p2 = export.interior if same and only else own
+    c, px, py, width, height, k1, k2, k3, p1, p2 = export.interior if same and only else interior
     if not (c > 0 and width > 0 and height > 0):
         raise InputMalformedError("principal distance or format is not positive", where=place)
-    found = camera(
+    calibrated = camera(
         name,
         "brown-observed",
         "mm",
@@ -264,20 +264,20 @@ def _camera(export: Export, own: tuple[float, ...], name: str, place: str) -> Ca
         {"c": c, "x0": px - width / 2, "y0": height / 2 - py}
         | {"K1": -k1, "K2": -k2, "K3": -k3, "P1": -p1, "P2": -p2},
     )
-    return replace(found, distortion_at="measured")
+    return replace(calibrated, distortion_at="measured")
 
 
 def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write an export, and `NAME-control.txt` beside it where there is control."""
-    sizes = {own.size_px for own in given.cameras}
-    if len(sizes) != 1 or any(own.unit != "mm" for own in given.cameras):
+    sizes = {camera.size_px for camera in given.cameras}
+    if len(sizes) != 1 or any(camera.unit != "mm" for camera in given.cameras):
         raise InputMalformedError(
             "a PhotoModeler export has images of one size, and cameras in mm",
             "give the pixel pitch, and export cameras of other sizes apart",
         )
     for name in given.image_names:
         require_file_name(name)
-    made = tuple(_converted(own) for own in given.cameras)
+    made = tuple(_converted(camera) for camera in given.cameras)
     interiors = [_interior(conversion.camera) for conversion in made]
     numbers = whole_numbers(given.point_names)
     order = sorted(range(len(numbers)), key=lambda j: int(numbers[j]))
@@ -308,23 +308,23 @@ def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = No
     return made
 
 
-def _converted(own: Camera) -> Conversion:
+def _converted(camera: Camera) -> Conversion:
     """A camera that corrects measurements, with its affinity in the width of the pixels."""
-    if own.value("B2"):
+    if camera.value("B2"):
         raise InputMalformedError(
-            f"camera {own.id} has a skew (B2), which PhotoModeler cannot hold", "adjust without B2"
+            f"camera {camera.id} has a skew (B2), which PhotoModeler cannot hold", "adjust without B2"
         )
-    terms = _TERMS if own.value("B1") else _TERMS[:-1]
-    return converted(own, "brown-observed", "before", terms)
+    terms = _TERMS if camera.value("B1") else _TERMS[:-1]
+    return converted(camera, "brown-observed", "before", terms)
 
 
-def _interior(own: Camera) -> list[float]:
+def _interior(camera: Camera) -> list[float]:
     """Principal distance, principal point, format, K1, K2, K3, P1, P2."""
-    stretch = 1 + own.value("B1")
-    width, height = own.size_px[0] * own.pitch[0] * stretch, own.size_px[1] * own.pitch[1]
-    point = [own.value("x0") * stretch + width / 2, height / 2 - own.value("y0")]
-    terms = [-own.value(name) for name in ("K1", "K2", "K3", "P1", "P2")]
-    return [own.value("c"), *point, width, height, *terms]
+    stretch = 1 + camera.value("B1")
+    width, height = camera.size_px[0] * camera.pitch[0] * stretch, camera.size_px[1] * camera.pitch[1]
+    point = [camera.value("x0") * stretch + width / 2, height / 2 - camera.value("y0")]
+    terms = [-camera.value(name) for name in ("K1", "K2", "K3", "P1", "P2")]
+    return [camera.value("c"), *point, width, height, *terms]
 
 
 def _photo_lines(k: int, name: str, given: Reconstruction, interior: Sequence[float]) -> list[str]:

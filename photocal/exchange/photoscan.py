@@ -85,9 +85,9 @@ def _block(archive: zipfile.ZipFile, path: Path) -> Block:
 def _marker(marker: parts.PointEntry, settings: dict[str, float], path: Path) -> parts.PointEntry:
     if marker.role != "control":
         return parts.PointEntry(marker.name, marker.role, marker.xyz)
-    own = np.array(marker.sigma)
-    common = _setting(settings, "accuracy_markers", path) if np.isnan(own).any() else 0.0
-    return parts.PointEntry(marker.name, "control", marker.xyz, np.where(np.isnan(own), common, own))
+    sigma = np.array(marker.sigma)
+    common = _setting(settings, "accuracy_markers", path) if np.isnan(sigma).any() else 0.0
+    return parts.PointEntry(marker.name, "control", marker.xyz, np.where(np.isnan(sigma), common, sigma))
 
 
 def _setting(settings: dict[str, float], key: str, path: Path) -> float:
@@ -144,10 +144,10 @@ def _member(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes
 def _ply(archive: zipfile.ZipFile, name: str, wanted: tuple[str, ...], path: Path) -> NDArray[Any]:
     """Vertices of a binary PLY table."""
     content = _member(archive, name, path, _MAX_MEMBER)
-    head, found, body = content.partition(b"end_header\n")
+    head, separator, body = content.partition(b"end_header\n")
     lines = head.decode("ascii", errors="replace").split("\n")
     malformed = InputMalformedError.at(path)
-    if not found or lines[0] != "ply" or "format binary_little_endian 1.0" not in lines:
+    if not separator or lines[0] != "ply" or "format binary_little_endian 1.0" not in lines:
         raise malformed(f"its {name!r} is no binary PLY table")
     words = [line.split() for line in lines]
     count = [row[2] for row in words if row[:2] == ["element", "vertex"] and len(row) == 3]

@@ -92,11 +92,11 @@ def require_credible(focal_px: Sequence[float], others: Sequence[float], place: 
 
 
 def to_pinhole(
-    own: Camera, program: str, others: Mapping[Model, tuple[str, ...]] | None = None
+    camera: Camera, program: str, others: Mapping[Model, tuple[str, ...]] | None = None
 ) -> tuple[Pinhole, Conversion]:
     """Turn a camera into pinhole intrinsics."""
-    require_no_skew(own, program)
-    flat, others = in_pixels(own), others or {}
+    require_no_skew(camera, program)
+    flat, others = in_pixels(camera), others or {}
     model: Model = "equidistant" if flat.lens.angular else flat.model
     terms = others.get(model, tuple(_SHARED))
     # A camera without affinity keeps fx = fy.

@@ -135,8 +135,8 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
 
 
 def _file(folder: Path, ending: str) -> Path | None:
-    found = [p for p in sorted(folder.iterdir()) if p.name == ending or p.name.endswith(f"_{ending}")]
-    return min(found, key=lambda one: len(one.name), default=None)
+    paths = [p for p in sorted(folder.iterdir()) if p.name == ending or p.name.endswith(f"_{ending}")]
+    return min(paths, key=lambda path: len(path.name), default=None)
 
 
 def _shots(path: Path) -> list[_Shot]:
@@ -214,7 +214,7 @@ def _control(
             continue
         sigma = values[3:6]
         # Weight and number of images may stand there: accuracies are three, below a metre.
-        stated = len(values) == 6 and all(0 < one < 1 for one in sigma)
+        stated = len(values) == 6 and all(0 < accuracy < 1 for accuracy in sigma)
         bare += [] if stated else [name]
         control[name] = ("control", values[:3], sigma if stated else list(ASSUMED_M))
     remarks = []
@@ -251,36 +251,36 @@ def _measurements(
                 continue
             name = " ".join(cells[:-2])
             # Control has a prefix that no other table has.
-            name = next((own for own in (name, name.removeprefix("GCP_")) if own in control), name)
+            bare = name.removeprefix("GCP_")
+            name = bare if bare in control and name not in control else name
             x, y = number(cells[-2], line.place, "x"), number(cells[-1], line.place, "y")
             rays.setdefault((image, name), (middle[0] + x / pitch[0], middle[1] - y / pitch[1]))
         else:
-            title = " ".join(cells[:-1]) if len(cells) > 1 else cells[0]
-            found = whole.get(title.casefold(), stems.get(Path(title).stem.casefold(), -1))
-            image = stems.get(title.casefold(), found) if found < 0 else found
+            title = (" ".join(cells[:-1]) if len(cells) > 1 else cells[0]).casefold()
+            image = whole.get(title, stems.get(Path(title).stem, stems.get(title, -1)))
             unknown += image < 0
             if image >= 0:
-                own = cameras[member[image]]
-                pitch = _pitch(cells[-1], own, sensors, line)
-                middle = (own.size_px[0] - 1) / 2, (own.size_px[1] - 1) / 2
+                camera = cameras[member[image]]
+                pitch = _pitch(cells[-1], camera.size_px, sensors, line)
+                middle = (camera.size_px[0] - 1) / 2, (camera.size_px[1] - 1) / 2
     if not rays:
         raise InputMalformedError("has no measurement of a calibrated image", where=path)
     return [(i, name, x, y) for (i, name), (x, y) in rays.items()], unknown
 
 
 def _pitch(
-    camera: str, own: Camera, sensors: Sequence[tuple[float, float]], line: Line
+    name: str, size_px: tuple[int, int], sensors: Sequence[tuple[float, float]], line: Line
 ) -> tuple[float, float]:
     """Size of a pixel, mm: the camera's name ends with width and height of the sensor, or a .cam has them."""
-    sides = re.search(r"_(\d+(?:\.\d+)?)[_x](\d+(?:\.\d+)?)\D*$", camera)
+    sides = re.search(r"_(\d+(?:\.\d+)?)[_x](\d+(?:\.\d+)?)\D*$", name)
     stated = [] if sides is None else [(float(sides[1]), float(sides[2]))]
     for width, height in (*stated, *sensors):
-        pitch = (width / own.size_px[0], height / own.size_px[1])
+        pitch = (width / size_px[0], height / size_px[1])
         # A sensor is named in mm; what is larger are pixels.
         if 0 < pitch[0] < 0.1 and abs(pitch[0] / pitch[1] - 1) < 0.01:
             return pitch
     raise line.malformed(
-        f"no sensor width in mm is known that fits the images of camera {camera!r}",
+        f"no sensor width in mm is known that fits the images of camera {name!r}",
         "put the .cam files into the folder",
     )
 

@@ -39,7 +39,7 @@ def read_foreign_project(path: Path) -> ForeignProject:
         raise InputNotFoundError("does not exist", "name the folder of a project", where=path)
     refusal: PhotocalError | None = None
     for pattern, read in (
-        (f"*{CAMERAS}", lambda found: read_pix4d_project(found.parent)),
+        (f"*{CAMERAS}", lambda file: read_pix4d_project(file.parent)),
         ("*.psz", _of_file),
         ("project.opf", _of_file),
         ("*.opf", _of_file),
@@ -52,9 +52,9 @@ def read_foreign_project(path: Path) -> ForeignProject:
         ("*.txt", _of_file),
     ):
         # What lies least deep is the project, what lies deeper its parts.
-        for found in sorted(path.rglob(pattern), key=lambda one: (len(one.parts), one.name)):
+        for file in sorted(path.rglob(pattern), key=lambda candidate: (len(candidate.parts), candidate.name)):
             try:
-                return read(found)
+                return read(file)
             except PhotocalError as failure:
                 refusal = refusal or (failure if pattern != "*.txt" else None)
     if refusal is not None:
@@ -85,18 +85,18 @@ def _dbat_results(path: Path, block: Block) -> tuple[Camera, ...]:
     """Cameras that the program wrote below its set-up, by their names."""
     names = {camera.id for camera in block.cameras}
     cameras: dict[str, Camera] = {}
-    for one in sorted(path.parent.glob("result*/*.xml")):
+    for file in sorted(path.parent.glob("result*/*.xml")):
         try:
-            cameras |= {own.name: from_dbat(own, own.name, one) for own in read_dbat_cameras(one)}
+            cameras |= {given.name: from_dbat(given, given.name, file) for given in read_dbat_cameras(file)}
         except PhotocalError:
             continue
-    return tuple(own for name, own in cameras.items() if name in names)
+    return tuple(camera for name, camera in cameras.items() if name in names)
 
 
 def _micmac(path: Path) -> ForeignProject:
     tables: dict[str, Path] = {}
-    for one in sorted(path.parent.parent.glob("*.xml")):
-        tables.setdefault(read_xml(one).tag, one)
+    for file in sorted(path.parent.parent.glob("*.xml")):
+        tables.setdefault(read_xml(file).tag, file)
     missing = [tag for tag in ("DicoAppuisFlottant", "SetOfMesureAppuisFlottants") if tag not in tables]
     if missing:
         raise InputNotFoundError(f"has no {missing[0]}", "put it there", where=path.parent.parent)
@@ -115,19 +115,19 @@ def _micmac(path: Path) -> ForeignProject:
 
 def _metashape_sigmas(path: Path, block: Block) -> dict[str, dict[str, float]]:
     """Standard deviations of the adjusted calibration, where the XML has their covariance."""
-    found: dict[str, dict[str, float]] = {}
+    sigmas: dict[str, dict[str, float]] = {}
     for sensor in read_xml(path).iter("sensor"):
         name = sensor.get("label") or sensor.get("id") or "camera"
-        own = next((camera for camera in block.cameras if camera.id == name), None)
+        camera = next((camera for camera in block.cameras if camera.id == name), None)
         names = (sensor.findtext("covariance/params") or "").split()
         matrix = numbers(sensor.findtext("covariance/coeffs") or "", path, "covariance")
-        if own is None or not names or len(matrix) != len(names) ** 2:
+        if camera is None or not names or len(matrix) != len(names) ** 2:
             continue
         sigma = np.sqrt(np.diag(np.reshape(matrix, (len(names), len(names)))))
-        c = own.value("c")
-        found[name] = {
+        c = camera.value("c")
+        sigmas[name] = {
             TERMS[key][0]: float(s) / c ** TERMS[key][2]
             for key, s in zip(names, sigma, strict=True)
             if key in TERMS
         }
-    return found
+    return sigmas

@@ -94,7 +94,7 @@ def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[In
     """Make a block of a reconstruction: orientations and points as start values."""
     count = len(given.point_names)
     roles = given.roles or ("tie",) * count
-    role = np.array([ROLES.index(own) for own in roles], dtype=np.int64)
+    role = np.array([ROLES.index(word) for word in roles], dtype=np.int64)
     sigma = np.full((count, 3), np.inf)
     surveyed = (role != ROLES.index("tie")) & np.isfinite(given.xyz).all(axis=1)
     known = surveyed & np.isfinite(given.xyz_sigma).all(axis=1)
@@ -148,15 +148,15 @@ def of_result(result: Result) -> Reconstruction:
 
     raises ConfigurationError: for a lens that varies from image to image or with the distance.
     """
-    for own in result.cameras.values():
-        if own.photo_variant or own.focus_m:
+    for camera in result.cameras.values():
+        if camera.photo_variant or camera.focus_m:
             what = (
-                f"{', '.join(own.photo_variant)} from image to image"
-                if own.photo_variant
+                f"{', '.join(camera.photo_variant)} from image to image"
+                if camera.photo_variant
                 else "distortion with the distance"
             )
             raise ConfigurationError(
-                f"camera {own.id} varies its {what}: other programs' formats hold one lens for all",
+                f"camera {camera.id} varies its {what}: other programs' formats hold one lens for all",
                 "adjust with a lens that does not vary, then export that run",
             )
     images, points, rays = result.images, result.points, result.residuals.accepted

@@ -33,7 +33,7 @@ def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
     header = [cell.strip().lower() for cell in next(csv.reader(io.StringIO(lines[0][1])))]
     places = [_column(header, names, path) for names in _COORDINATES]
     accuracies = _accuracy_columns(header)
-    found = []
+    entries = []
     for k, line in lines[1:]:
         if line.startswith("#"):
             continue
@@ -56,9 +56,9 @@ def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
             number(cells[column], place, "accuracy") if column >= 0 and cells[column] else float("nan")
             for column in accuracies
         )
-        found.append(PointEntry(cells[0], xyz=(x, y, z), sigma=(sx, sy, sz)))
-    require_unique([row.name for row in found], "label", path)
-    return crs, tuple(found)
+        entries.append(PointEntry(cells[0], xyz=(x, y, z), sigma=(sx, sy, sz)))
+    require_unique([row.name for row in entries], "label", path)
+    return crs, tuple(entries)
 
 
 def write_references(path: Path, crs: str, references: Iterable[PointEntry]) -> None:

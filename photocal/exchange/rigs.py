@@ -43,45 +43,45 @@ def with_rig(
     used = [name for name in sensors if name in head]
     if len(used) < 2:
         return given
-    cameras, camera = list(given.cameras), given.image_camera.copy()
-    names = {own.id for own in cameras}
+    cameras, camera_of = list(given.cameras), given.image_camera.copy()
+    names = {camera.id for camera in cameras}
     ids, taken = dict[str, str](), set[int]()
     for name in used:
-        mine = np.array([one == name for one in head])
-        first = int(camera[mine][0])
-        if first in taken or (camera[~mine] == first).any():
-            own = next(n for n in (f"{given.cameras[first].id}-{name}", name) if n not in names)
-            names.add(own)
-            cameras.append(replace(given.cameras[first], id=own))
+        in_head = np.array([of_image == name for of_image in head])
+        first = int(camera_of[in_head][0])
+        if first in taken or (camera_of[~in_head] == first).any():
+            camera_id = next(n for n in (f"{given.cameras[first].id}-{name}", name) if n not in names)
+            names.add(camera_id)
+            cameras.append(replace(given.cameras[first], id=camera_id))
             first = len(cameras) - 1
-        camera[mine] = first
+        camera_of[in_head] = first
         taken.add(first)
         ids[name] = cameras[first].id
-    left = np.unique(camera[camera >= 0])
+    left = np.unique(camera_of[camera_of >= 0])
     place = np.full(len(cameras), -1)
     place[left] = np.arange(len(left))
     return replace(
         given,
         cameras=tuple(cameras[k] for k in left),
-        image_camera=np.where(camera >= 0, place[camera], -1),
+        image_camera=np.where(camera_of >= 0, place[camera_of], -1),
         heads=(*given.heads, *(_head(name, used[0], ids, sensors) for name in used)),
         exposure=tuple(
-            one if name in used else before
-            for one, name, before in zip(exposure, head, given.exposure or ("",) * len(head), strict=True)
+            key if name in used else before
+            for key, name, before in zip(exposure, head, given.exposure or ("",) * len(head), strict=True)
         ),
     )
 
 
 def _head(name: str, base: str, ids: Mapping[str, str], sensors: Mapping[str, Sensor]) -> Head:
     values, sigma = np.zeros(len(OF_HEAD)), np.zeros(len(OF_HEAD))
-    first, own = sensors[base], sensors[name]
+    first, sensor = sensors[base], sensors[name]
     if name == base:
         return Head(ids[name], ids[base], np.zeros(3), values, sigma)
     sigma[TURN], sigma[CENTRE] = np.inf, np.inf
-    if first is None or own is None:
+    if first is None or sensor is None:
         return Head(ids[name], ids[base], None, values, sigma)
-    between = FLIP @ own[0] @ first[0].T @ FLIP
-    centres = [-rotation.T @ translation for rotation, translation in (first, own)]
+    between = FLIP @ sensor[0] @ first[0].T @ FLIP
+    centres = [-rotation.T @ translation for rotation, translation in (first, sensor)]
     values[CENTRE] = FLIP @ first[0] @ (centres[1] - centres[0])
     return Head(ids[name], ids[base], Rotation.from_matrix(between).as_rotvec(), values, sigma)
 
@@ -104,7 +104,7 @@ def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
     def members() -> dict[str, tuple[str, str]]:
         content = read_json(assigned)
         instances = content if isinstance(content, dict) else dict(enumerate(content))
-        return {str(image): (str(own), str(key)) for key, shots in instances.items() for image, own in shots}
+        return {str(image): (str(head), str(key)) for key, rows in instances.items() for image, head in rows}
 
     of = structured(assigned, "a file of OpenSfM's rigs", members)
     known = structured(poses, "a file of OpenSfM's rigs", sensors)
@@ -116,8 +116,8 @@ def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> R
     """Give a COLMAP model its rigs: of the model, else of a rig_config.json in its folder or above."""
     if (folder / "rigs.txt").is_file() and (folder / "frames.txt").is_file():
         return _of_model(given, folder, keys)
-    paths = (one / "rig_config.json" for one in (folder, *folder.parents[:2]))
-    path = next((one for one in paths if one.is_file()), None)
+    paths = (parent / "rig_config.json" for parent in (folder, *folder.parents[:2]))
+    path = next((path for path in paths if path.is_file()), None)
     if path is None:
         return given
 
@@ -125,11 +125,11 @@ def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> R
         return [[_prefixed(camera, path) for camera in rig["cameras"]] for rig in read_json(path)]
 
     for k, rig in enumerate(structured(path, "a rig_config.json of COLMAP", rigs)):
-        sensors = {prefix: sensor for prefix, _, sensor in sorted(rig, key=lambda one: not one[1])}
+        sensors = {prefix: sensor for prefix, _, sensor in sorted(rig, key=lambda entry: not entry[1])}
         head = [
             next((sensor for sensor in sensors if name.startswith(sensor)), "") for name in given.image_names
         ]
-        exposure = [f"{k}/{n[len(own) :]}" for n, own in zip(given.image_names, head, strict=True)]
+        exposure = [f"{k}/{n[len(prefix) :]}" for n, prefix in zip(given.image_names, head, strict=True)]
         given = with_rig(given, head, exposure, sensors)
     return given
 
@@ -155,9 +155,9 @@ def _of_model(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> R
             image = keys.get(int(cells[at + 2]) if cells[at + 2].isdecimal() else -1, "")
             member[image] = cells[1], " ".join(cells[at : at + 2]), cells[0]
     for rig, sensors in rigs.items():
-        mine = [member.get(name, ("", "", "")) for name in given.image_names]
-        head = [own if of == rig else "" for of, own, _ in mine]
-        given = with_rig(given, head, [frame for _, _, frame in mine], sensors)
+        members = [member.get(name, ("", "", "")) for name in given.image_names]
+        head = [sensor if of == rig else "" for of, sensor, _ in members]
+        given = with_rig(given, head, [frame for _, _, frame in members], sensors)
     return given
 
 
@@ -185,12 +185,12 @@ def of_metashape(
 ) -> Reconstruction:
     """Give a Metashape chunk its multi-camera system: sensors with a master, images with a `master_id`."""
     sensors = dict[str, Sensor]()
-    for one in chunk.iterfind("sensors/sensor"):
-        if one.get("master_id") is not None:
-            sensors.setdefault(one.get("master_id", ""), (np.eye(3), np.zeros(3)))
-            matrix = slave_in_master(one, path)
+    for sensor in chunk.iterfind("sensors/sensor"):
+        if sensor.get("master_id") is not None:
+            sensors.setdefault(sensor.get("master_id", ""), (np.eye(3), np.zeros(3)))
+            matrix = slave_in_master(sensor, path)
             rotation = matrix[:3, :3].T
-            sensors[one.get("id", "")] = rotation, -rotation @ matrix[:3, 3]
+            sensors[sensor.get("id", "")] = rotation, -rotation @ matrix[:3, 3]
     head = [shot.get("sensor_id", "") for shot in shots]
     exposure = [shot.get("master_id", shot.get("id", "")) for shot in shots]
     return with_rig(given, head, exposure, sensors) if sensors else given

@@ -247,12 +247,12 @@ def parse_xml(content: bytes, path: object) -> Element:
 
 def child(element: Element, path: str, place: object) -> Element:
     """Find an element that must be there."""
-    found = element.find(path)
-    if found is None:
+    inner = element.find(path)
+    if inner is None:
         raise InputMalformedError(
             f"<{element.tag}> has no <{path}>", "is it the right kind of file?", where=place
         )
-    return found
+    return inner
 
 
 def text_of(element: Element, path: str, place: object) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from acquire.log.records import Channel, Payloads
 from acquire.recording.configuration import read_configuration
-from acquire.recording.files import LogFiles, Told, WholeWrites
+from acquire.recording.files import LogFiles, Notice, WholeWrites
 from acquire.recording.recorder import Host, record
 
 # Delays are counted by the tenth of a millisecond: so the measuring needs no memory.
@@ -78,7 +78,7 @@ class WatchedFiles(LogFiles):
         if channel.topic.endswith("/raw") and len(log_ns):
             self.watch.written(log_ns)
 
-    def make_safe(self) -> list[Told]:
+    def make_safe(self) -> list[Notice]:
         """Make everything safe."""
         self.watch.in_file()
         return super().make_safe()

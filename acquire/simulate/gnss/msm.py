@@ -38,11 +38,11 @@ def observation_messages(observations: Observations) -> Iterator[tuple[int, byte
         here = rows[first:after]
         present = [system for system in _NUMBER if (systems[here["satellite"]] == system).any()]
         for place, system in enumerate(present):
-            mine = here[systems[here["satellite"]] == system]
+            of_system = here[systems[here["satellite"]] == system]
             more = place + 1 < len(present)
             tow_ms = int(clock.tag_gps_ns[epoch]) % (WEEK_S * SECOND_NS) // 1_000_000
             head = joined([(_NUMBER[system], 12), (_STATION, 12), (tow_ms, 30), (int(more), 1), (0, 18)])
-            yield int(true_ns[epoch]) + _LATENCY_NS, octets(head + _body(mine, observations))
+            yield int(true_ns[epoch]) + _LATENCY_NS, octets(head + _body(of_system, observations))
 
 
 def _body(rows: NDArray[np.void], observations: Observations) -> str:

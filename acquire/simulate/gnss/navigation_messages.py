@@ -159,10 +159,9 @@ def _ionosphere_and_utc(week: int, sky: SkySettings) -> list[str]:
 
 def _almanac(number: int, almanacs: Sequence[Ephemeris]) -> list[str]:
     """Return the reduced orbit of one satellite (IS-GPS-200N, table 20-VI), or a dummy page."""
-    found = [e for e in almanacs if e.number == number]
-    if not found:
+    e = next((e for e in almanacs if e.number == number), None)
+    if e is None:
         return _split(_page(0) + "10" * 91)
-    e = found[0]
     toa = round(e.value("toe")) // 4096 * 4096
     passed = toa - e.value("toe")
     motion = (3.986005e14**0.5) / e.value("sqrt_a") ** 3
@@ -270,17 +269,17 @@ def almanac_word(second: bool, tow: int, almanacs: Sequence[Ephemeris]) -> str:
     """Return word 7 or 9 (first of its subframe) or 8 or 10 (second), 128 bits."""
     count = tow // _SUBFRAME_S
     first = 3 * (count // 2) % len(almanacs)
-    one, two, three = (almanacs[(first + k) % len(almanacs)] for k in range(3))
-    reference = [((one.week - GST_BEHIND_WEEKS) % 4, 2), (round(one.value("toe")) // 600, 10)]
+    sv1, sv2, sv3 = (almanacs[(first + k) % len(almanacs)] for k in range(3))
+    reference = [((sv1.week - GST_BEHIND_WEEKS) % 4, 2), (round(sv1.value("toe")) // 600, 10)]
     if count % 2 == 0:
         if not second:
-            return joined([(7, 6), _ISSUE, *reference, *_shape(one), *_node(one), _angle(one, "m0"), (0, 6)])
-        return joined([(8, 6), _ISSUE, *_clock(one), *_shape(two), *_node(two), (0, 1)])
+            return joined([(7, 6), _ISSUE, *reference, *_shape(sv1), *_node(sv1), _angle(sv1, "m0"), (0, 6)])
+        return joined([(8, 6), _ISSUE, *_clock(sv1), *_shape(sv2), *_node(sv2), (0, 1)])
     if not second:
-        return joined([(9, 6), _ISSUE, *reference, _angle(two, "m0"), *_clock(two), *_shape(three)])
+        return joined([(9, 6), _ISSUE, *reference, _angle(sv2, "m0"), *_clock(sv2), *_shape(sv3)])
     # The difference to GPS time is zero here.
     offset = [(0, 16), (0, 12), (0, 8), (0, 6)]
-    return joined([(10, 6), _ISSUE, *_node(three), _angle(three, "m0"), *_clock(three), *offset])
+    return joined([(10, 6), _ISSUE, *_node(sv3), _angle(sv3, "m0"), *_clock(sv3), *offset])
 
 
 def _shape(e: Ephemeris) -> Bits:

@@ -105,8 +105,8 @@ def base_ubx(session: Session) -> Stream:
 
 def _raw(session: Session, receiver: Observations) -> list[list[Timed]]:
     """Return what a receiver measured, and what the satellites told it."""
-    told = navigation_messages.messages(receiver, session.span_gps_ns, session.sky)
-    return [_ubx(KIND, messages(receiver, session.sky.leap_s)), _ubx(navigation_messages.KIND, told)]
+    broadcast = navigation_messages.messages(receiver, session.span_gps_ns, session.sky)
+    return [_ubx(KIND, messages(receiver, session.sky.leap_s)), _ubx(navigation_messages.KIND, broadcast)]
 
 
 def base_rtcm(session: Session) -> Stream:

@@ -54,22 +54,23 @@ class Leg:
 def strips(plan: configuration.Plan, camera: Camera) -> tuple[Strip, ...]:
     """Lay strips over the area, pass after pass, each next to the one before and flown the other way."""
     area = np.array(plan.area_m)
-    found: list[Strip] = []
-    for number, one in enumerate(plan.passes):
-        course = np.radians(one.course_deg)
+    lines: list[Strip] = []
+    for number, pass_ in enumerate(plan.passes):
+        course = np.radians(pass_.course_deg)
         along = np.array([np.sin(course), np.cos(course)])
         right = np.array([along[1], -along[0]])
-        width, height = (side * camera.pitch_mm / camera.nominal_mm * one.height_m for side in camera.size_px)
+        height_m = pass_.height_m
+        width, height = (side * camera.pitch_mm / camera.nominal_mm * height_m for side in camera.size_px)
         low, high = (area @ right).min(), (area @ right).max()
-        count = max(2, int(np.ceil((high - low) / (width * (1 - one.side_overlap)))))
+        count = max(2, int(np.ceil((high - low) / (width * (1 - pass_.side_overlap)))))
         for index in range(count):
             across = low + (high - low) * (index + 0.5) / count
             first, last = _crossing(area, right, along, across)
-            shots = max(2, int(np.ceil((last - first) / (height * (1 - one.forward_overlap)))) + 1)
-            ends = [np.append(across * right + at * along, one.height_m) for at in (first, last)]
+            shots = max(2, int(np.ceil((last - first) / (height * (1 - pass_.forward_overlap)))) + 1)
+            ends = [np.append(across * right + at * along, height_m) for at in (first, last)]
             begin, end = ends if index % 2 == 0 else ends[::-1]
-            found.append(Strip(number, begin, end, shots, one.speed_m_s))
-    return tuple(found)
+            lines.append(Strip(number, begin, end, shots, pass_.speed_m_s))
+    return tuple(lines)
 
 
 def _crossing(area: Floats, right: Floats, along: Floats, across: float) -> tuple[float, float]:

@@ -71,17 +71,17 @@ def _exif(world: World, stamp: dt.datetime, place: Floats, size: tuple[int, int]
     exif = Image.Exif()
     exif[0x010E] = LABEL
     exif[0x010F], exif[0x0110], exif[0x0132], exif[0x0112] = MAKER, camera.id, taken, 1
-    own = exif.get_ifd(_EXIF)
-    own[0x9003] = own[0x9004] = taken
+    photo = exif.get_ifd(_EXIF)
+    photo[0x9003] = photo[0x9004] = taken
     if world.configuration.pictures.subseconds:
-        own[0x9291] = own[0x9292] = f"{stamp.microsecond // 1000:03d}"
-    own[0x829A] = IFDRational(round(camera.exposure_s * 1e6), 1_000_000)
-    own[0x829D], own[0x8827] = IFDRational(28, 10), 100
-    own[0x920A] = IFDRational(round(camera.nominal_mm * 1000), 1000)
+        photo[0x9291] = photo[0x9292] = f"{stamp.microsecond // 1000:03d}"
+    photo[0x829A] = IFDRational(round(camera.exposure_s * 1e6), 1_000_000)
+    photo[0x829D], photo[0x8827] = IFDRational(28, 10), 100
+    photo[0x920A] = IFDRational(round(camera.nominal_mm * 1000), 1000)
     wide = camera.size_px[0] * camera.pitch_mm
-    own[0xA405] = round(camera.nominal_mm * 36 / wide)
-    own[0xA002], own[0xA003] = size
-    own[0xA431] = f"{world.configuration.seed:04d}"
+    photo[0xA405] = round(camera.nominal_mm * 36 / wide)
+    photo[0xA002], photo[0xA003] = size
+    photo[0xA431] = f"{world.configuration.seed:04d}"
     gps = exif.get_ifd(_GPS)
     latitude, longitude = np.degrees(place[:2]).tolist()
     gps[1], gps[2] = "S" if latitude < 0 else "N", _sexagesimal(abs(latitude))

@@ -167,10 +167,10 @@ class Plate:
         """Give what rays see of it, NaN where they pass beside it, shape (n,)."""
         along = (self.centre_m[2] - start_m[..., 2]) / direction[..., 2]
         place = start_m[..., :2] + along[..., None] * direction[..., :2] - self.centre_m[:2]
-        own = place @ self._axes.T / self.cell_m
+        in_cells = place @ self._axes.T / self.cell_m
         count = self.cells.shape[0]
-        column = np.floor(own[..., 0] + count / 2).astype(np.int64)
-        row = np.floor(count / 2 - own[..., 1]).astype(np.int64)
+        column = np.floor(in_cells[..., 0] + count / 2).astype(np.int64)
+        row = np.floor(count / 2 - in_cells[..., 1]).astype(np.int64)
         inside = (column >= 0) & (column < count) & (row >= 0) & (row < count)
         greys = self.cells[np.clip(row, 0, count - 1), np.clip(column, 0, count - 1)]
         return np.asarray(np.where(inside, greys, np.nan))
@@ -215,11 +215,11 @@ class Scene:
     @cached_property
     def directions(self) -> dict[Camera, Floats]:
         """Directions of the grid of rays of each camera, OpenCV's axes, shape (rows, columns, 3)."""
-        found = {}
+        directions = {}
         for camera in dict.fromkeys(self.world.exposures.cameras):
             rows, columns = np.meshgrid(_grid(camera.height), _grid(camera.width), indexing="ij")
-            found[camera] = camera.directions(np.stack([columns, rows], axis=-1))
-        return found
+            directions[camera] = camera.directions(np.stack([columns, rows], axis=-1))
+        return directions
 
 
 def make_scene(world: World) -> Scene:
@@ -232,7 +232,7 @@ def make_scene(world: World) -> Scene:
         )
     )
     ground = paint(world.terrain, _reach(world), given.pictures.texel_m, world.random("texture"))
-    sizes = [one.height_m * given.camera.pitch_mm / given.camera.nominal_mm for one in given.plan.passes]
+    sizes = [pass_.height_m * given.camera.pitch_mm / given.camera.nominal_mm for pass_ in given.plan.passes]
     return Scene(world, plates, tuple(ground.softened(size) for size in sizes))
 
 

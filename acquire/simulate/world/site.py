@@ -10,7 +10,7 @@ from acquire.simulate.world import block_folder
 from acquire.simulate.world.configuration import Configuration, Level
 from acquire.simulate.world.observations import kept_images, observe
 from acquire.simulate.world.streams import Wire, make_streams, telemetry_log
-from acquire.simulate.world.truth import told, write_truth
+from acquire.simulate.world.truth import conditions, write_truth
 from acquire.simulate.world.world import World, make_world, picture_stamps
 
 Advance = Callable[[float], None]
@@ -180,7 +180,7 @@ def summary(world: World) -> dict[str, Any]:
     """Give what a flight consists of."""
     roles = world.targets.roles
     return {
-        **told(world.configuration),
+        **conditions(world.configuration),
         "images": len(world.exposures),
         "control": roles.count("control"),
         "check": roles.count("check"),

@@ -61,21 +61,21 @@ class Terrain:
         way = (below - above) * np.hypot(direction[:, 0], direction[:, 1])
         count = int(np.ceil(way.max() / (STEP_M / 2)))
         step = (below - above) / count
-        found = np.full(len(above), count)
+        first_under = np.full(len(above), count)
         left = np.arange(len(above))
         for k in range(1, count):
             here = above[left] + k * step[left]
             under = self._miss(start_m[left], direction[left], here) < 0
-            found[left[under]] = k
+            first_under[left[under]] = k
             left = left[~under]
             if not len(left):
                 break
-        return above + (found - 1) * step, above + found * step
+        return above + (first_under - 1) * step, above + first_under * step
 
     def _between(self, start_m: Floats, direction: Floats, above: Floats, below: Floats) -> Floats:
         """Find the root between two places by false position (Dowell and Jarratt 1971, "Illinois")."""
         a, b = above.copy(), below.copy()
-        of_a, of_b = (self._miss(start_m, direction, one) for one in (a, b))
+        of_a, of_b = (self._miss(start_m, direction, end) for end in (a, b))
         root = a
         for _ in range(_MOST_STEPS):
             root = b - of_b * (b - a) / np.where(of_b == of_a, 1.0, of_b - of_a)

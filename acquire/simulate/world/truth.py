@@ -34,7 +34,7 @@ def _figures(world: World) -> dict[str, object]:
     }
     return {
         "schema": "acquire.simulate.truth/1",
-        **told(world.configuration),
+        **conditions(world.configuration),
         "mistyped_control": take_notes(world, world.targets.surveyed_m).mistyped,
         "missing_images": np.array(world.exposures.names)[~kept_images(world)].tolist(),
         "camera": {
@@ -72,7 +72,7 @@ def _figures(world: World) -> dict[str, object]:
     }
 
 
-def told(given: Configuration) -> dict[str, object]:
+def conditions(given: Configuration) -> dict[str, object]:
     """Give what names a flight."""
     named = {"name": given.name, "seed": given.seed, "level": given.level.value}
     return {**named, "faults": sorted(fault.value for fault in given.faults)}

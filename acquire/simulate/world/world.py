@@ -161,7 +161,7 @@ def generator(configuration: Configuration, part: str) -> np.random.Generator:
 def make_world(configuration: Configuration) -> World:
     """Draw a world and fly through it."""
     area = np.array(configuration.plan.area_m)
-    far = np.abs(area).max() + 1.3 * max(one.height_m for one in configuration.plan.passes)
+    far = np.abs(area).max() + 1.3 * max(pass_.height_m for pass_ in configuration.plan.passes)
     half = max(float(far), float(np.abs(configuration.gnss.base_m).max()) + 5.0)
     terrain = make_terrain(configuration.terrain, half, generator(configuration, "terrain"))
     _require_room(configuration, terrain)
@@ -178,7 +178,7 @@ def make_world(configuration: Configuration) -> World:
     passes = configuration.plan.passes
     zoomed = camera.zoomed(configuration.fault_sizes.zoom) if Fault.ZOOM in configuration.faults else camera
     cameras = (camera, *[zoomed] * (len(passes) - 1))
-    spreads = tuple(one.spacing_spread for one in passes)
+    spreads = tuple(pass_.spacing_spread for pass_ in passes)
     exposures = make_exposures(motion, rig, lines, spreads, cameras, generator(configuration, "exposures"))
     base = np.array([*configuration.gnss.base_m, 0.0])
     base[2] = float(terrain.height(base[:1], base[1:2])[0])
@@ -203,7 +203,7 @@ def _require_room(configuration: Configuration, terrain: Terrain) -> None:
     area = np.array(configuration.plan.area_m)
     reach = np.linspace(1.3 * area.min(axis=0), 1.3 * area.max(axis=0), 40)
     top = float(terrain.height(*(axis.ravel() for axis in np.meshgrid(*reach.T))).max())
-    lowest = min(one.height_m for one in configuration.plan.passes)
+    lowest = min(pass_.height_m for pass_ in configuration.plan.passes)
     if lowest < top + LEAST_ABOVE_GROUND_M:
         raise ConfigurationError(
             f"a pass at {lowest:g} m is too low: the ground reaches {top:.1f} m",
@@ -217,8 +217,8 @@ def picture_stamps(world: World) -> list[dt.datetime]:
     given, random = world.configuration.pictures, world.random("pictures")
     event = world.exposures.event_s
     jitter = np.abs(random.standard_normal(len(event))) * given.clock_jitter_s
-    told = event * (1 + given.clock_drift_ppm * 1e-6) + given.clock_offset_s + jitter
+    written_s = event * (1 + given.clock_drift_ppm * 1e-6) + given.clock_offset_s + jitter
     unit_s = 1e-3 if given.subseconds else 1.0
     start = world.configuration.place.start_utc.astimezone(dt.UTC).replace(tzinfo=None)
-    whole = np.floor(told / unit_s).astype(int).tolist()
+    whole = np.floor(written_s / unit_s).astype(int).tolist()
     return [start + dt.timedelta(seconds=count * unit_s) for count in whole]
