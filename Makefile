@@ -36,6 +36,7 @@ setup: $(READY)
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "photocal needs Python 3.11 or newer; run: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(call INSTALL,python3-venv)
+	@[ ! -L $(VENV) ] || { echo "$(VENV) is a link, and what it points to would be emptied; remove the link"; exit 1; }
 	$(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/python -m pip install $(PIP) --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install $(PIP) --no-deps --no-build-isolation -e .

@@ -16,8 +16,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from photocal.debrief.verdict import debrief
 from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.geometry.camera import Camera
 from photocal.project import read_project
+from photocal.tasks.progress import quiet
 from tests.photocal.debrief.conftest import (
     BOTH,
     FOCAL_MM,
@@ -176,12 +176,6 @@ FAULTS = (
     Fault("positions float (slips every five seconds)", frozenset({"positions-not-fixed"}), _slipped),
     Fault("the base did not run", frozenset({"no-ppk"}), _no_base),
 )
-
-
-@contextmanager
-def quiet(_: str, __: float | None) -> Iterator[Any]:
-    """Show no progress."""
-    yield lambda _: None
 
 
 def judged(fault: Fault, site: Path, slipped: Path) -> str:
