@@ -283,12 +283,10 @@ def _value_class(value: classes.ValueClass) -> list[Finding]:
     if missing:
         listed.append(Finding("survey-accuracy-missing", "doubtful", standard.id, {"axes": missing}))
     share = standard.survey_share_of_target.value
-    for kind in value.survey_too_coarse:
-        figures_of_survey = {"axis": kind, "share": share}
-        listed.append(Finding("survey-too-coarse", "doubtful", standard.id, figures_of_survey))
+    shared = ({"axis": kind, "share": share} for kind in value.survey_too_coarse)
+    listed += [Finding("survey-too-coarse", "doubtful", standard.id, figures) for figures in shared]
     if value.systematic:
-        limit = standard.mean_share_of_target.value
-        shares = {"components": value.systematic, "share": limit}
+        shares = {"components": value.systematic, "share": standard.mean_share_of_target.value}
         listed.append(Finding("systematic", "doubtful", standard.id, shares))
     if value.blunders:
         blunders = tuple(f"{point} {component}" for point, component in value.blunders)

@@ -153,8 +153,8 @@ class ValueClass:
     @property
     def counts(self) -> tuple[int, ...]:
         """Number of points of each test that was made: horizontal, open and vegetated ground."""
-        own = (self.points_horizontal, self.points_vertical, self.points_vegetated)
-        return tuple(count for count in own if count)
+        counts = (self.points_horizontal, self.points_vertical, self.points_vegetated)
+        return tuple(count for count in counts if count)
 
     @property
     def enough_points(self) -> bool:

@@ -44,9 +44,9 @@ class Discrepancies:
     def of_ground(self, ground: Literal["open", "vegetated"]) -> "Discrepancies":
         """Give the points in open, or in vegetated ground."""
         grown = np.zeros(len(self.points), dtype=np.bool_) if self.vegetated is None else self.vegetated
-        own = grown if ground == "vegetated" else ~grown
-        names = tuple(name for name, has in zip(self.points, own.tolist(), strict=True) if has)
-        return Discrepancies(names, self.d_m[own])
+        chosen = grown if ground == "vegetated" else ~grown
+        names = tuple(name for name, has in zip(self.points, chosen.tolist(), strict=True) if has)
+        return Discrepancies(names, self.d_m[chosen])
 
     @property
     def correction_m(self) -> Floats:

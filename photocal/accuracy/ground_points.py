@@ -67,12 +67,13 @@ def control_in_few_images(
 ) -> tuple[Finding, ...]:
     """Find ground points that are measured in one image only, or in none: too few to be control or check."""
     images = Counter(point for _, point in set(observations))
-    one = tuple(name for name in names if images[name] == 1)
+    single = tuple(name for name in names if images[name] == 1)
     none = tuple(name for name in names if images[name] == 0)
     listed = []
-    if one:
+    if single:
         cause = "control-in-one-image" if role == "control" else "check-in-one-image"
-        listed.append(Finding("one-image-only", "doubtful", role, {"role": role, "points": one}, cause=cause))
+        figures = {"role": role, "points": single}
+        listed.append(Finding("one-image-only", "doubtful", role, figures, cause=cause))
     if none:
         listed.append(Finding("no-image", "doubtful", role, {"role": role, "points": none}))
     return tuple(listed)

@@ -46,7 +46,7 @@ def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, A
             "rmse_left_m": similarity.rmse_left_m,
         },
         "standards": [*map(_standard_record, assessment.tables), *map(_value, assessment.values)],
-        "findings": [finding_json(one, say or catalogue("en")) for one in findings(assessment)],
+        "findings": [finding_json(finding, say or catalogue("en")) for finding in findings(assessment)],
     }
 
 

@@ -132,9 +132,8 @@ def within_gsd(lengths_m: Floats, gsd_m: float) -> tuple[int, int]:
 
 def counted_error(lengths_m: Floats, share: float) -> float:
     """Give the smallest length that at least a share of the points does not exceed."""
-    n = len(lengths_m)
-    # A share times n that is whole up to rounding (0.9 * 30) must not be rounded up.
-    rank = max(1, math.ceil(share * n - 1e-9))
+    # A share of the points that is whole up to rounding (0.9 * 30) must not be rounded up.
+    rank = max(1, math.ceil(share * len(lengths_m) - 1e-9))
     return float(np.sort(lengths_m)[rank - 1])
 
 
@@ -280,7 +279,7 @@ def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
         return ()
     rows = np.arange(len(values_m))
     removed: list[int] = []
-    found = 0
+    count = 0
     for _ in range(min(max(1, len(values_m) // 4), MOST_TESTED)):
         rest = values_m[rows]
         deviation = np.abs(rest - np.mean(rest))
@@ -292,9 +291,9 @@ def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
         # The number of outliers is the last step that passes, not the first that fails: two outliers
         # side by side hide each other in the first step.
         if float(deviation[worst]) / std > critical_deviate(len(rest), confidence):
-            found = len(removed)
+            count = len(removed)
         rows = np.delete(rows, worst)
-    return tuple(removed[:found])
+    return tuple(removed[:count])
 
 
 def critical_deviate(n: int, confidence: float) -> float:
@@ -320,8 +319,7 @@ class SimilarityTrend:
 
 def rmse_after_trend_removal(component: Moments, confidence: float) -> float:
     """Give the RMSE after the mean has been subtracted where it is significant."""
-    biased = bias_test(component, confidence).significant
-    return component.rmse_without_mean_m if biased else component.rmse_m
+    return component.rmse_without_mean_m if bias_test(component, confidence).significant else component.rmse_m
 
 
 def similarity_trend(positions_m: Floats, discrepancies_m: Floats) -> SimilarityTrend:

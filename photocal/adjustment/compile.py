@@ -59,8 +59,7 @@ def compile_usual() -> None:
 def compile_other_lenses() -> None:
     """Compile what lenses that are not Brown's need, and the test of a readout."""
     # Cameras without a rolling shutter share lenses of any model.
-    other = camera("c", "rational", "mm", (100, 100), (0.1, 0.1), {"c": 20.0})
-    adjust(replace(_network(), cameras=(other,)))
+    adjust(replace(_network(), cameras=(camera("c", "rational", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}),)))
 
 
 def compile_unusual() -> None:

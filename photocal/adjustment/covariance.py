@@ -44,10 +44,10 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
         groups.append(Group(name, len(variance), equations.chi_squared(), checked))
     observations = sum(group.observations for group in groups)
     camera_covariance = _camera_covariance(problem, inverse)
-    own = blocks(problem.layout.image_columns, structure, inverse)
+    image_covariance = blocks(problem.layout.image_columns, structure, inverse)
     datum, columns = at.datum, problem.layout.image_columns
     if datum is not None:
-        own = datum.applied(own, datum.moves[columns], datum.spread[columns])
+        image_covariance = datum.applied(image_covariance, datum.moves[columns], datum.spread[columns])
         point_covariance = datum.applied(point_covariance, datum.point_moves, datum.point_spread)
     require_determined(problem, state, point_covariance, camera_covariance)
     angles = angles_from_matrix(state.rotation)
@@ -61,7 +61,7 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
         state.cameras,
         camera_covariance,
         np.hstack([angles, state.centre]),
-        _exposure_covariance(problem, state, own, angles),
+        _exposure_covariance(problem, state, image_covariance, angles),
         state.points,
         point_covariance,
         residuals,
@@ -144,8 +144,8 @@ def add_covariance(
     for group in range(len(result)):
         for i in range(together):
             for j in range(together):
-                one, other = together * group + i, together * group + j
-                for a in range(start[one], start[one + 1]):
+                row, other = together * group + i, together * group + j
+                for a in range(start[row], start[row + 1]):
                     for b in range(start[other], start[other + 1]):
                         high, low = max(column[a], column[b]), min(column[a], column[b])
                         q = inverse[element_address(structure, high, low)]
@@ -171,8 +171,8 @@ def blocks(columns: Integers, structure: Structure, inverse: Floats) -> Floats:
 
 def _camera_covariance(problem: Problem, inverse: Floats) -> Floats:
     covariance = np.zeros((len(problem.network.cameras), len(PARAMETERS), len(PARAMETERS)))
-    for own, (active, columns) in zip(covariance, problem.layout.camera_columns, strict=True):
-        own[np.ix_(active, active)] = blocks(columns[None, :], problem.structure, inverse)[0]
+    for block, (active, columns) in zip(covariance, problem.layout.camera_columns, strict=True):
+        block[np.ix_(active, active)] = blocks(columns[None, :], problem.structure, inverse)[0]
     return covariance
 
 
@@ -181,16 +181,15 @@ def _common_covariance(problem: Problem, inverse: Floats) -> Floats:
     unknown = np.flatnonzero(columns >= 0)
     covariance = np.zeros((len(columns), len(columns)))
     if len(unknown):
-        own = blocks(columns[unknown][None, :], problem.structure, inverse)[0]
-        covariance[np.ix_(unknown, unknown)] = own
+        covariance[np.ix_(unknown, unknown)] = blocks(columns[unknown][None], problem.structure, inverse)[0]
     return covariance
 
 
 def _photo_variant(problem: Problem, state: State, inverse: Floats) -> PhotoVariant:
     """Values of the images' own parameters: that of the camera or the given movement, and the deviation."""
-    network, own = problem.network, own_parameters(problem.network)
-    image, place = np.nonzero(own >= 0)
-    camera, parameter = network.exposures.camera[image], own[image, place]
+    network, parameters = problem.network, own_parameters(problem.network)
+    image, place = np.nonzero(parameters >= 0)
+    camera, parameter = network.exposures.camera[image], parameters[image, place]
     column = problem.layout.own_columns[image, place]
     deviation = blocks(column[:, None], problem.structure, inverse)[:, 0, 0]
     common = np.full((len(network.cameras), len(OWN)), -1)
@@ -211,13 +210,12 @@ def _photo_variant(problem: Problem, state: State, inverse: Floats) -> PhotoVari
     )
 
 
-def _exposure_covariance(problem: Problem, state: State, own: Floats, angles: Floats) -> Floats:
+def _exposure_covariance(problem: Problem, state: State, pose_covariance: Floats, angles: Floats) -> Floats:
     """Covariance of the angles and coordinates from that of the rotation unknowns and coordinates."""
     free = problem.network.exposures.sigma != 0
-    own = own * free[:, :, None] * free[:, None, :]
-    jacobian = np.broadcast_to(np.eye(6), own.shape).copy()
-    basis = turn_basis(problem.network, state)
-    jacobian[:, :3, :3] = np.linalg.solve(turn_per_angle(angles), basis)
-    covariance = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
+    pose_covariance = pose_covariance * free[:, :, None] * free[:, None, :]
+    jacobian = np.broadcast_to(np.eye(6), pose_covariance.shape).copy()
+    jacobian[:, :3, :3] = np.linalg.solve(turn_per_angle(angles), turn_basis(problem.network, state))
+    covariance = jacobian @ pose_covariance @ np.swapaxes(jacobian, 1, 2)
     # Rounding leaves traces where the transformation crosses a held angle.
     return np.asarray(covariance * free[:, :, None] * free[:, None, :])

@@ -35,7 +35,7 @@ class Correction:
         points.
     point_moves, point_spread (points, 3, d): the same for the points.
     inverse (d, d): (G'A)^-1.
-    own (d, d): G'QG.
+    cofactor (d, d): G'QG.
     """
 
     moves: Floats
@@ -43,13 +43,14 @@ class Correction:
     point_moves: Floats
     point_spread: Floats
     inverse: Floats
-    own: Floats
+    cofactor: Floats
 
     def applied(self, covariance: Floats, moves: Floats, spread: Floats) -> Floats:
         """Transform covariance blocks, shape (n, m, m), with their rows of A and Q G, shape (n, m, d)."""
         a = moves @ self.inverse
         mixed = a @ np.swapaxes(spread, 1, 2)
-        return np.asarray(covariance - mixed - np.swapaxes(mixed, 1, 2) + a @ self.own @ np.swapaxes(a, 1, 2))
+        of_datum = a @ self.cofactor @ np.swapaxes(a, 1, 2)
+        return np.asarray(covariance - mixed - np.swapaxes(mixed, 1, 2) + of_datum)
 
 
 def similarity_moves(problem: Problem, state: State) -> tuple[Floats, Floats]:
@@ -117,11 +118,11 @@ def inner_state(problem: Problem, normal: Normal, state: State, start: State) ->
     open_ones = _open_ones(problem, normal, similarity_moves(problem, state)[0])
     for _ in range(50):
         _, points = similarity_moves(problem, state)
-        own = (points @ open_ones)[chosen].reshape(-1, open_ones.shape[1])
+        datum_moves = (points @ open_ones)[chosen].reshape(-1, open_ones.shape[1])
         away = (start.points - state.points)[chosen].ravel()
-        change = open_ones @ np.linalg.lstsq(own, away, rcond=None)[0]
-        state = _transformed(state, change)
-        if np.abs(own @ np.linalg.lstsq(own, away, rcond=None)[0]).max() < 1e-12 * np.ptp(state.points):
+        change = np.linalg.lstsq(datum_moves, away, rcond=None)[0]
+        state = _transformed(state, open_ones @ change)
+        if np.abs(datum_moves @ change).max() < 1e-12 * np.ptp(state.points):
             break
     return state
 
@@ -232,8 +233,8 @@ def correction(problem: Problem, normal: Normal, bare_normal: Normal, state: Sta
     spread, point_spread = steps.T, np.moveaxis(moved, 0, 2)
     # Columns of held unknowns and unknowns that are kept stand in both parts; G counts each point once.
     constraint = np.einsum("nak,nal->kl", right, points)
-    own = np.einsum("nak,nal->kl", right, point_spread)
-    return Correction(reduced, spread, points, point_spread, np.linalg.inv(constraint), own)
+    cofactor = np.einsum("nak,nal->kl", right, point_spread)
+    return Correction(reduced, spread, points, point_spread, np.linalg.inv(constraint), cofactor)
 
 
 def full_solution(
@@ -243,11 +244,11 @@ def full_solution(
     layout, threads = problem.layout, len(problem.design.pieces) - 1
     right = np.ascontiguousarray(point_right).reshape(-1, len(problem.design.point_free), 3)
     reduced = np.array(reduced_right).reshape(len(right), -1)
-    for own, of_points in zip(reduced, right, strict=True):
+    for reduced_row, of_points in zip(reduced, right, strict=True):
         if of_points.any():
             taken = np.zeros((threads, layout.size))
             reduce_right(problem.design, problem.structure, of_points, normal.kept, taken)
-            own += taken.sum(axis=0)
+            reduced_row += taken.sum(axis=0)
     reduced[:, problem.held] = 0.0
     steps = np.ascontiguousarray(solve(layout.envelope, normal.matrix, reduced.T).T)
     points = np.zeros_like(right)

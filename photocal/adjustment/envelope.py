@@ -145,8 +145,7 @@ def _update_later(structure: Envelope, panels: list[Floats], j: int, below: Floa
 def _subtract(target: Floats, left: Floats, right: Floats) -> None:
     """Subtract left' right from the target: (m, n) -= (k, m)' (k, n)."""
     if target.shape[0] and target.shape[1]:
-        whole = target.base is not None and target.T.flags.f_contiguous
-        if whole:
+        if target.base is not None and target.T.flags.f_contiguous:
             blas.dgemm(-1.0, right, left, beta=1.0, c=target.T, trans_a=1, overwrite_c=1)
         else:
             target -= left.T @ right
@@ -263,12 +262,12 @@ def product(structure: Envelope, factor: Floats) -> Floats:
     values = structure.zeros()
     panels = structure.panels(values)
     with _one_thread():
-        for j, (own, panel) in enumerate(zip(structure.panels(factor), panels, strict=True)):
+        for j, (factor_panel, panel) in enumerate(zip(structure.panels(factor), panels, strict=True)):
             width = int(structure.width[j])
-            diagonal = np.tril(own[:width])
+            diagonal = np.tril(factor_panel[:width])
             panel[:width] -= diagonal @ diagonal.T
-            panel[width:] -= own[width:] @ diagonal.T
-            _update_later(structure, panels, j, own[width:].T)
+            panel[width:] -= factor_panel[width:] @ diagonal.T
+            _update_later(structure, panels, j, factor_panel[width:].T)
     return np.negative(values, out=values)
 
 

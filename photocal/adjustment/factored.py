@@ -36,7 +36,7 @@ class Factored:
     @cached_property
     def _of_cameras(self) -> tuple[Integers, Floats, Floats]:
         """Columns of all cameras' parameters, (k,), and those of the inverse: (k, size), (k, points, 3)."""
-        columns = np.concatenate([own for _, own in self.problem.layout.camera_columns])
+        columns = np.concatenate([of_camera for _, of_camera in self.problem.layout.camera_columns])
         right = np.zeros((len(columns), self.problem.layout.size))
         right[np.arange(len(columns)), columns] = 1.0
         points = np.zeros((len(columns), *self.state.points.shape))
@@ -95,7 +95,7 @@ def _in_datum(
     # Columns of S Q S' with S = I - A (G'A)^-1 G' (Baarda 1973).
     along = (reduced @ datum.moves + np.einsum("nak,...na->...k", datum.point_moves, points)) @ datum.inverse
     on_datum = reduced @ datum.spread + np.einsum("nak,...na->...k", datum.point_spread, points)
-    back = (on_datum - along @ datum.own) @ datum.inverse.T
+    back = (on_datum - along @ datum.cofactor) @ datum.inverse.T
     step = step - along @ datum.spread.T - back @ datum.moves.T
     for places, share in ((datum.point_spread, along), (datum.point_moves, back)):
         moved = moved - np.einsum("nak,...k->...na", places, share)

@@ -49,10 +49,11 @@ class GroupTest:
 
 def group_tests(network: Network, solution: Solution) -> tuple[GroupTest, ...]:
     """Test every group of observations that is checked by others."""
-    found = [replace(tested(group), of=camera) for camera, group in _rays(network, solution) if _has(group)]
+    rays = _rays(network, solution)
     groups = [*_control(network, solution)]
     groups += [group for group in solution.groups if group.name not in ("image", "control")]
-    return (*found, *(tested(group) for group in groups if _has(group)))
+    of_rays = (replace(tested(group), of=camera) for camera, group in rays if _has(group))
+    return (*of_rays, *(tested(group) for group in groups if _has(group)))
 
 
 def _has(group: Group) -> bool:
@@ -74,10 +75,10 @@ def _rays(network: Network, solution: Solution) -> list[tuple[str, Group]]:
     """Image observations by camera, and by whether their point is known on the ground."""
     weighted = np.diagonal(network.points.weight, axis1=1, axis2=2) > 0
     known = np.any(network.points.held | weighted, axis=1)
-    camera = network.exposures.camera[network.rays.image]
-    kind = 2 * camera + np.asarray(known)[network.rays.point]
+    camera_of_ray = network.exposures.camera[network.rays.image]
+    kind = 2 * camera_of_ray + np.asarray(known)[network.rays.point]
     groups = groups_of_rays(network, solution, RAYS * len(network.cameras), kind)
-    return list(zip((one.id for one in network.cameras for _ in RAYS), groups, strict=True))
+    return list(zip((camera.id for camera in network.cameras for _ in RAYS), groups, strict=True))
 
 
 def groups_of_rays(
@@ -95,15 +96,15 @@ def groups_of_rays(
 def _control(network: Network, solution: Solution) -> list[Group]:
     """Coordinates of control points by axis; correlated ones share v'Pv by the terms of each."""
     weight, off = network.points.weight, solution.points - network.points.values
-    own = np.diagonal(weight, axis1=1, axis2=2) > 0
+    observed = np.diagonal(weight, axis1=1, axis2=2) > 0
     parts = off * np.einsum("nab,nb->na", weight, off)
     taken = np.einsum("nab,nba->na", weight, solution.point_covariance)
     return [
         Group(
             name,
-            int(own[:, a].sum()),
-            float(parts[own[:, a], a].sum()),
-            float(np.sum(1.0 - taken[own[:, a], a])),
+            int(observed[:, a].sum()),
+            float(parts[observed[:, a], a].sum()),
+            float(np.sum(1.0 - taken[observed[:, a], a])),
         )
         for a, name in enumerate(CONTROL)
     ]
@@ -130,28 +131,29 @@ class Member:
 
 def member_tests(at: Factored, solution: Solution) -> tuple[Member, ...]:
     """Test every observed position and every control point as one, whatever correlates its coordinates."""
-    network, found = at.problem.network, list[Member]()
+    network, members = at.problem.network, list[Member]()
     positions, points = network.positions, network.points
     if len(positions.image):
         rows = other_equations(at.problem, at.state)["position"]
         taken = equation_covariance(rows, at.problem.structure, at.inverse, 3)
         residual = rows.residual.reshape(-1, 3)
         root = np.asarray(np.linalg.cholesky(positions.covariance), dtype=np.float64)
-        found += _members("position", positions.image, residual, taken, root, np.ones(residual.shape, bool))
+        members += _members("position", positions.image, residual, taken, root, np.ones(residual.shape, bool))
     observed = np.diagonal(points.weight, axis1=1, axis2=2) > 0
     control = np.flatnonzero(observed.any(axis=1))
     if len(control):
-        own = observed[control]
-        both = own[:, :, None] & own[:, None, :]
+        observed_axes = observed[control]
+        both = observed_axes[:, :, None] & observed_axes[:, None, :]
         # What is not observed has a variance of 1 here, and nothing checks it.
         variance = np.linalg.inv(np.where(both, points.weight[control], np.eye(3)))
         root = np.asarray(np.linalg.cholesky(variance), dtype=np.float64)
         back = np.linalg.inv(root)
-        off = np.where(own, solution.points[control] - points.values[control], 0.0)
+        off = np.where(observed_axes, solution.points[control] - points.values[control], 0.0)
         spread = np.where(both, solution.point_covariance[control], np.eye(3))
         taken = np.asarray(back @ spread @ np.swapaxes(back, 1, 2), dtype=np.float64)
-        found += _members("control", control, np.einsum("nab,nb->na", back, off), taken, root, own)
-    return tuple(found)
+        off = np.einsum("nab,nb->na", back, off)
+        members += _members("control", control, off, taken, root, observed_axes)
+    return tuple(members)
 
 
 def _members(
@@ -165,9 +167,9 @@ def _members(
     along, whole = np.einsum("nab,na->nb", axes, residual), root @ axes
     error = -np.einsum("nab,nb->na", whole, along * share)
     # What is not checked in one direction is not known in any that has part in it.
-    own = np.abs(root) * observed[:, :, None]
+    magnitude = np.abs(root) * observed[:, :, None]
     unchecked = np.abs(root - whole @ np.swapaxes(axes, 1, 2)).max(axis=2)
-    known = observed & (unchecked < CHECKED * own.max(axis=(1, 2))[:, None])
+    known = observed & (unchecked < CHECKED * magnitude.max(axis=(1, 2))[:, None])
     covariance = (whole * share[:, None, :]) @ np.swapaxes(whole, 1, 2)
     covariance[~(known[:, :, None] & known[:, None, :])] = np.inf
     statistic, dimensions = np.sum(along**2 * share, axis=1), checked.sum(axis=1)

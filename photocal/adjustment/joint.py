@@ -22,14 +22,14 @@ def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> tuple[t
     named, rows = list[Unknown](), list[tuple[Floats, Floats]]()
     columns = unknowns(at.problem)
     for kind, name in dict.fromkeys(chosen):
-        found = _functions(at, columns, kind, name)
-        if not found:
+        functions = _functions(at, columns, kind, name)
+        if not functions:
             raise ConfigurationError(
                 f"{kind} {name} is no unknown of this adjustment".replace("  ", " "),
                 "name image:NAME, camera:ID, head:CAMERA, point:NAME or mounting",
             )
-        named += [unknown for unknown, _, _ in found]
-        rows += [(reduced, points) for _, reduced, points in found]
+        named += [unknown for unknown, _, _ in functions]
+        rows += [(reduced, points) for _, reduced, points in functions]
     covariance = np.empty((len(rows), len(rows)))
     for k, (reduced, points) in enumerate(rows):
         step, moved = covariance_column(at, reduced, points)
@@ -42,20 +42,20 @@ def _functions(
 ) -> list[tuple[Unknown, Floats, Floats]]:
     """Unknowns of one thing as linear functions of the columns and of the eliminated points."""
     size, none = at.problem.layout.size, np.zeros_like(at.state.points)
-    mine = [
+    indices = [
         k
         for k, column in enumerate(columns)
         if column is not None and (column.kind, column.of) == (kind, name)
     ]
     result = []
-    turns = _angle_rows(at, name) if kind == "image" and mine else {}
-    for k in mine:
-        one = columns[k]
-        assert one is not None  # noqa: S101 - chosen above
+    turns = _angle_rows(at, name) if kind == "image" and indices else {}
+    for k in indices:
+        unknown = columns[k]
+        assert unknown is not None  # noqa: S101 - chosen above
         row = np.zeros(size)
         row[k] = 1.0
-        result.append((one, turns.get(one.parameter, row), none))
-    if kind == "point" and not mine and name in at.problem.network.point_names:
+        result.append((unknown, turns.get(unknown.parameter, row), none))
+    if kind == "point" and not indices and name in at.problem.network.point_names:
         j = at.problem.network.point_names.index(name)
         for a, axis in enumerate(XYZ):
             if not at.problem.network.points.held[j, a]:

@@ -60,11 +60,11 @@ def layout(network: Network, ray_start: Integers) -> Layout:
     rig = network.rig
     together[rig.first, rig.second] = together[rig.second, rig.first] = True
     position, last = order(csr_array(together), network.exposures.values[:, 3:])
-    own = own_parameters(network)
-    most = own.shape[1]
+    parameters = own_parameters(network)
+    most = parameters.shape[1]
     width = next(width for width in WIDTHS if width >= POSE + most)
     image_columns = width * position[:, None] + np.arange(POSE)
-    own_columns = np.where(own >= 0, width * position[:, None] + POSE + np.arange(most), -1)
+    own_columns = np.where(parameters >= 0, width * position[:, None] + POSE + np.arange(most), -1)
     camera_columns = []
     column = width * count
     for camera in network.cameras:
@@ -107,22 +107,22 @@ def order(together: csr_array, centre: Floats) -> tuple[Integers, Integers]:
     count = len(centre)
     if not count:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    one, other = together.nonzero()
+    image, other = together.nonzero()
     middle = np.nan_to_num(centre)
     middle = middle - middle.mean(axis=0)
     plane = middle @ np.linalg.svd(middle.T @ middle)[0][:, :2]
     turns = np.pi / DIRECTIONS * np.arange(DIRECTIONS)
     tried = [reverse_cuthill_mckee(together, symmetric_mode=True).astype(np.int64)]
     tried += [np.argsort(plane @ [np.cos(turn), np.sin(turn)], kind="stable") for turn in turns]
-    found = []
+    orders = []
     for images in tried:
         position = np.empty(count, dtype=np.int64)
         position[images] = np.arange(count)
         last = np.arange(count)
-        np.maximum.at(last, position[one], position[other])
+        np.maximum.at(last, position[image], position[other])
         last = np.maximum.accumulate(last)
-        found.append((float(np.sum((last - np.arange(count) + 1.0) ** 2)), position, last))
-    _, position, last = min(found, key=lambda each: each[0])
+        orders.append((float(np.sum((last - np.arange(count) + 1.0) ** 2)), position, last))
+    _, position, last = min(orders, key=lambda each: each[0])
     return position, last
 
 

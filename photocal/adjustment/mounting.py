@@ -198,9 +198,8 @@ def whitened(parts: list[tuple[Integers, Floats]], residual: Floats, covariance:
     coefficient, residual = root @ coefficient, np.einsum("nab,nb->na", root, residual)
     used = columns >= 0
     keep = np.repeat(used[:, None, :], 3, axis=1)
-    count = np.repeat(used.sum(axis=1), 3)
     return Equations(
-        np.concatenate([[0], np.cumsum(count)]),
+        np.concatenate([[0], np.cumsum(np.repeat(used.sum(axis=1), 3))]),
         np.repeat(columns[:, None, :], 3, axis=1)[keep],
         coefficient[keep],
         residual.ravel(),

@@ -76,19 +76,19 @@ class Removals:
 
         Where one step does not come near, the equations are set up again at the place that it led to.
         """
-        found, moved = self.stepped(out, near)
-        if found is None and moved is not None:
+        minimum, moved = self.stepped(out, near)
+        if minimum is None and moved is not None:
             with suppress(IllPosedError):
-                found, _ = Removals(factored(self._problem.network, moved)).stepped(out, near)
-        return found
+                minimum, _ = Removals(factored(self._problem.network, moved)).stepped(out, near)
+        return minimum
 
     def stepped(self, out: Flags, near: float) -> tuple[Near | None, State | None]:
         """Minimum without images, if it is near; and where the first step leads, if there is one."""
         problem, state = self._problem, self._state
         columns = np.zeros(problem.layout.size, dtype=np.bool_)
         columns[problem.layout.image_columns[out]] = True
-        own = problem.layout.own_columns[out]
-        columns[own[own >= 0]] = True
+        own_columns = problem.layout.own_columns[out]
+        columns[own_columns[own_columns >= 0]] = True
         if columns[problem.stiffened].any():
             return None, None
         with self._downdated(out) as (design, normal, singular, touched):
@@ -141,16 +141,16 @@ class Removals:
                       np.zeros((3, lenses)), np.zeros((3, lenses)))  # fmt: skip
         before = [whole[points] for whole in kept[1:]]
         try:
-            for whole, own in zip(kept[1:], left[1:], strict=True):
-                whole[points] = own
+            for whole, part in zip(kept[1:], left[1:], strict=True):
+                whole[points] = part
             design = design._replace(weight=np.where(stays[:, None], design.weight, 0.0))
             nothing = np.zeros(0, dtype=np.int64)
             touched = np.zeros(problem.layout.size, dtype=np.bool_)
             touched[design.image_column[design.ray_image[affected[point]]]] = True
             yield design, Normal(self._room, gradient, 0.0, nothing, kept), bool(singular.any()), touched
         finally:
-            for whole, own in zip(kept[1:], before, strict=True):
-                whole[points] = own
+            for whole, part in zip(kept[1:], before, strict=True):
+                whole[points] = part
 
 
 def _touched(rows: Equations, columns: Flags) -> Flags:

@@ -66,7 +66,7 @@ def prepare(network: Network) -> Problem:
     # Images share the lens of their camera, unless it varies from image to image.
     shared = not lens_by_image(network)
     camera_of = np.arange(cameras) if shared else exposures.camera
-    own = own_parameters(network)[: len(camera_of)]
+    parameters = own_parameters(network)[: len(camera_of)]
     lens = np.array([optics(camera) for camera in network.cameras])
     # As many axes as the place in `WIDTHS`: the first for Brown's lenses alone.
     plain = shared and bool((lens[:, 0] < OTHERS).all())
@@ -93,8 +93,8 @@ def prepare(network: Network) -> Problem:
         image_lens=exposures.camera if shared else np.arange(len(exposures.camera)),
         image_column=where.image_columns[:, 0],
         pose_free=(exposures.sigma != 0).astype(float),
-        own=np.maximum(own, 0),
-        own_count=(own >= 0).sum(axis=1),
+        variant=np.maximum(parameters, 0),
+        variant_count=(parameters >= 0).sum(axis=1),
         optics=np.hstack([lens[camera_of], motion]),
         active=active[camera_of],
         active_count=count[camera_of],
@@ -109,8 +109,10 @@ def prepare(network: Network) -> Problem:
         *(np.ascontiguousarray(a, dtype=np.int64 if a.dtype.kind == "i" else float) for a in arrays)
     )
     structure, strips = (
-        Structure(one.panel, one.last, one.width, one.offset, one.band, one.border, int(count.sum()))
-        for one in (where.envelope, where.strips)
+        Structure(
+            shape.panel, shape.last, shape.width, shape.offset, shape.band, shape.border, int(count.sum())
+        )
+        for shape in (where.envelope, where.strips)
     )
     held = np.zeros(where.size, dtype=np.bool_)
     held[: where.envelope.band] = True
@@ -140,9 +142,9 @@ def pieces_of(
         bounds[0], bounds[-1] = 0, len(seen)
     reach = np.zeros((count, 2), dtype=np.int64)
     for piece, (begin, end) in enumerate(itertools.pairwise(pieces)):
-        mine = order[begin:end][seen[order[begin:end]]]
-        if len(mine):
-            reach[piece] = first[mine].min(), last[mine].max()
+        points = order[begin:end][seen[order[begin:end]]]
+        if len(points):
+            reach[piece] = first[points].min(), last[points].max()
     return order, pieces, spans, reach
 
 
@@ -197,9 +199,9 @@ def add_rays(
     singular = np.zeros(len(design.point_free), dtype=np.bool_)
     accumulate(design, values, strips, damping, start, room, gradients, totals, kept, singular)
     join(design, strips, structure, start, room, matrix)
-    own = matrix[structure.offset[-2] :]
+    border = matrix[structure.offset[-2] :]
     for end in start[1:].tolist():
-        own += room[end - len(own) : end]
+        border += room[end - len(border) : end]
     return gradients.sum(axis=0), float(totals.sum()), singular
 
 

@@ -23,11 +23,11 @@ def camera_equations(network: Network, layout: Layout, state: State) -> Equation
         network.cameras, state.cameras, layout.camera_columns, strict=True
     ):
         weighted = np.isfinite(camera.prior_sigma[active])
-        own, sigma = column[weighted], camera.prior_sigma[active][weighted]
+        observed, sigma = column[weighted], camera.prior_sigma[active][weighted]
         residual = (values - camera.values)[active][weighted]
-        n = len(own)
+        n = len(observed)
         if camera.prior_correlation is None:
-            columns.append(own)
+            columns.append(observed)
             coefficients.append(np.ones(n))
             residuals.append(residual)
             weights.append(sigma**-2.0)
@@ -36,7 +36,7 @@ def camera_equations(network: Network, layout: Layout, state: State) -> Equation
         at = np.asarray(active)[weighted]
         factor = np.linalg.cholesky(camera.prior_correlation[np.ix_(at, at)])
         rows = np.linalg.inv(factor) / sigma
-        columns.append(np.tile(own, n))
+        columns.append(np.tile(observed, n))
         coefficients.append(rows.ravel())
         residuals.append(rows @ residual)
         weights.append(np.ones(n))
@@ -52,10 +52,11 @@ def camera_equations(network: Network, layout: Layout, state: State) -> Equation
 
 def deviation_equations(network: Network, layout: Layout, state: State) -> dict[str, Equations]:
     """Each image's deviations observed as zero: photo-variant parameters, and motion during the readout."""
-    own, result = own_parameters(network), {}
-    sigma = np.take_along_axis(own_sigma(network), np.maximum(own, 0), axis=1)
-    for name, chosen in (("photo-variant", own < len(PARAMETERS)), ("motion", own >= len(PARAMETERS))):
-        weighted = chosen & (own >= 0) & np.isfinite(sigma)
+    parameters, result = own_parameters(network), {}
+    sigma = np.take_along_axis(own_sigma(network), np.maximum(parameters, 0), axis=1)
+    of_lens = parameters < len(PARAMETERS)
+    for name, chosen in (("photo-variant", of_lens), ("motion", ~of_lens)):
+        weighted = chosen & (parameters >= 0) & np.isfinite(sigma)
         column, residual = layout.own_columns[weighted], state.deviations[weighted]
         ones = np.ones(len(column))
         result[name] = Equations(np.arange(len(column) + 1), column, ones, residual, sigma[weighted] ** -2.0)
@@ -94,21 +95,21 @@ def relation_equations(network: Network, layout: Layout, state: State) -> dict[s
     """Observations between points, by kind."""
     relations = network.relations
     result = {}
-    own = dict(relations.own)
+    functions = dict(relations.own)
     for code, kind in enumerate(relations.names):
-        mine = relations.kind == code
-        if not mine.any():
+        of_kind = relations.kind == code
+        if not of_kind.any():
             continue
-        count = 2 if kind in own else len(RELATIONS[kind])
-        ends = relations.ends[mine, :count]
+        count = 2 if kind in functions else len(RELATIONS[kind])
+        ends = relations.ends[of_kind, :count]
         points = state.points[ends]
         if count == 2:
             difference = points[:, 1] - points[:, 0]
-            value, by_second = own[kind](difference) if kind in own else related(kind, difference)
+            value, by_second = functions[kind](difference) if kind in functions else related(kind, difference)
             computed, by_end = value[:, None], np.stack([-by_second, by_second], axis=1)[:, None]
         else:
             computed, by_end = among_three(kind, points)
-        residual = computed - relations.values[mine, None]
+        residual = computed - relations.values[of_kind, None]
         if kind in ANGLES:
             residual = (residual + np.pi) % (2 * np.pi) - np.pi
         # A point across a line has two components, any other kind one value.
@@ -116,7 +117,7 @@ def relation_equations(network: Network, layout: Layout, state: State) -> dict[s
         columns = layout.point_columns[np.searchsorted(layout.kept_points, ends)].reshape(-1, 1, width)
         columns = np.broadcast_to(columns, (len(ends), residual.shape[1], width))
         coefficient = by_end * ~network.points.held[ends][:, None]
-        weight = np.repeat(relations.sigma[mine] ** -2.0, residual.shape[1])
+        weight = np.repeat(relations.sigma[of_kind] ** -2.0, residual.shape[1])
         start = width * np.arange(rows + 1)
         result[kind] = Equations(start, columns.ravel(), coefficient.ravel(), residual.ravel(), weight)
     return result
@@ -133,10 +134,10 @@ def mounting_equations(network: Network, layout: Layout, state: State) -> dict[s
     common, of_mounting = layout.common_columns, len(mounting.values)
     if len(rig.first):
         exposures, heads = network.exposures, head_values(network, state.common)
-        own = common[of_mounting:]
+        head_columns = common[of_mounting:]
         moving = exposures.camera, state.rotation, state.centre, exposures.motion
-        result["rig"] = rig_equations(rig, heads, *moving, columns, basis, own.reshape(heads.shape))
-        result["head"] = common_equations(rig.values.ravel(), rig.sigma.ravel(), heads.ravel(), own)
+        result["rig"] = rig_equations(rig, heads, *moving, columns, basis, head_columns.reshape(heads.shape))
+        result["head"] = common_equations(rig.values.ravel(), rig.sigma.ravel(), heads.ravel(), head_columns)
     if not mounted:
         return result
     return result | {

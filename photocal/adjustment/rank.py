@@ -137,8 +137,8 @@ def _parallel(problem: Problem, normal: Normal, limit: float) -> Integers:
     """Points whose rays come from one place: their own block is nearly singular."""
     eliminated = problem.design.point_column < 0
     eliminated[normal.singular] = False
-    own = np.linalg.inv(normal.kept.inverse[eliminated])
-    share = np.linalg.det(own) / np.prod(np.diagonal(own, axis1=1, axis2=2), axis=1)
+    point_normal = np.linalg.inv(normal.kept.inverse[eliminated])
+    share = np.linalg.det(point_normal) / np.prod(np.diagonal(point_normal, axis1=1, axis2=2), axis=1)
     weak = np.flatnonzero(eliminated)[share < limit]
     return np.union1d(normal.singular, weak)
 
@@ -156,8 +156,8 @@ def _datum_part(
     # The datum is open only if moving it alone costs hardly more than the null vector does: all heights
     # of a flat block move with c, but not without it.
     cost = np.einsum("nk,nk->k", nearest, scaled @ nearest) / np.maximum(size, np.finfo(float).tiny)
-    own = np.einsum("nk,nk->k", null, scaled @ null)
-    explained = (size > MOSTLY) & (cost < 100 * np.maximum(own, np.finfo(float).eps))
+    null_cost = np.einsum("nk,nk->k", null, scaled @ null)
+    explained = (size > MOSTLY) & (cost < 100 * np.maximum(null_cost, np.finfo(float).eps))
     strong = np.abs(weights) > 0.5 * np.abs(weights).max(axis=0)
     named = strong[:, explained].any(axis=1)
     return [name for name, hit in zip(DATUM_NAMES, named, strict=True) if hit], null[:, ~explained]
@@ -167,26 +167,27 @@ def _loaded(problem: Problem, named: Sequence[Unknown | None], null: Floats) -> 
     """Name the unknowns that take part in what is undetermined."""
     load = np.linalg.norm(null, axis=1)
     strong = load > 0.2 * load.max()
-    taking = [one for one, hit in zip(named, strong, strict=True) if one is not None and hit]
-    found = []
+    taking = [unknown for unknown, hit in zip(named, strong, strict=True) if unknown is not None and hit]
+    parts = []
     for camera in problem.network.cameras:
-        own = [one.parameter for one in taking if one.kind == "camera" and one.of == camera.id]
-        if own:
-            found.append(f"{', '.join(own)} of camera {camera.id}")
+        key = ("camera", camera.id)
+        of_camera = [unknown.parameter for unknown in taking if (unknown.kind, unknown.of) == key]
+        if of_camera:
+            parts.append(f"{', '.join(of_camera)} of camera {camera.id}")
     for kind, plural in (("image", "image(s)"), ("point", "point(s)"), ("head", "head(s)")):
-        parameters = list(dict.fromkeys(one.parameter for one in taking if one.kind == kind))
+        parameters = list(dict.fromkeys(unknown.parameter for unknown in taking if unknown.kind == kind))
         if parameters:
-            owners = list(dict.fromkeys(one.of for one in taking if one.kind == kind))
+            owners = list(dict.fromkeys(unknown.of for unknown in taking if unknown.kind == kind))
             which = ", ".join(owners[:5]) + (f" and {len(owners) - 5} more" if len(owners) > 5 else "")
-            found.append(f"{', '.join(parameters)} of {plural} {which}")
-    found += [one.parameter for one in taking if one.kind == "mounting"]
-    return " and ".join(found)
+            parts.append(f"{', '.join(parameters)} of {plural} {which}")
+    parts += [unknown.parameter for unknown in taking if unknown.kind == "mounting"]
+    return " and ".join(parts)
 
 
 def _null_vectors(named: Sequence[Unknown | None], null: Floats, scale: Floats) -> tuple[str, ...]:
     """Print what may change together without changing any observation, a line for each null vector."""
     # The basis is turned so that each vector moves one leading unknown by 1 and not those of the others.
-    loads = null * np.array([one is not None for one in named])[:, None]
+    loads = null * np.array([unknown is not None for unknown in named])[:, None]
     _, _, order = qr(loads.T, mode="economic", pivoting=True)
     leading = np.sort(order[: null.shape[1]])
     loads = loads @ np.linalg.inv(loads[leading])
@@ -202,9 +203,9 @@ def _null_vectors(named: Sequence[Unknown | None], null: Floats, scale: Floats) 
     return tuple(lines)
 
 
-def _part(one: Unknown | None, change: float, lead: Unknown | None, unit: float) -> str:
+def _part(unknown: Unknown | None, change: float, lead: Unknown | None, unit: float) -> str:
     """Print the change of an unknown per unit of the leading one."""
-    if one is None or lead is None:
+    if unknown is None or lead is None:
         return ""
-    figure = f"{change * one.scale / (unit * lead.scale):+.4g}"
-    return f"{figure} {one.unit} {one.name}" if one.unit else f"{figure} {one.name}"
+    figure = f"{change * unknown.scale / (unit * lead.scale):+.4g}"
+    return f"{figure} {unknown.unit} {unknown.name}" if unknown.unit else f"{figure} {unknown.name}"

@@ -109,11 +109,11 @@ def _control_reliability(network: Network, solution: Solution, delta0: float) ->
     """Minimal detectable bias and delta_bar of observed point coordinates with full weight matrices."""
     # With P the weights, a bias in coordinate i shifts the test by sqrt((P Qvv P)_ii) of it.
     weight = network.points.weight
-    own = np.diagonal(weight, axis1=1, axis2=2)
+    weights = np.diagonal(weight, axis1=1, axis2=2)
     adjusted = np.einsum("nab,nbc,ncd->nad", weight, solution.point_covariance, weight)
     through = np.diagonal(adjusted, axis1=1, axis2=2)
-    observed = own > 0
-    checked = np.where(own - through > UNCHECKED * own, own - through, 0.0)
+    observed = weights > 0
+    checked = np.where(weights - through > UNCHECKED * weights, weights - through, 0.0)
     bias = np.where(observed, delta0 / np.sqrt(checked), np.nan)
     external = np.where(checked > 0, bias * np.sqrt(np.maximum(through, 0.0)), np.inf)
     return bias, np.where(observed, external, np.nan)
@@ -155,5 +155,5 @@ def _on_own_points(at: Factored) -> Floats:
         return effect
     # S-transformation to inner constraints: what all datum points moved on the average is taken back.
     common = followed_by(at, datum.spread.T, np.moveaxis(datum.point_spread, 2, 0)) * design.weight
-    own = (datum.point_moves @ datum.inverse)[problem.network.rays.point]
-    return np.asarray(effect - np.einsum("nad,dnr->nra", own, common))
+    moves = (datum.point_moves @ datum.inverse)[problem.network.rays.point]
+    return np.asarray(effect - np.einsum("nad,dnr->nra", moves, common))

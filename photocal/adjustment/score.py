@@ -56,10 +56,10 @@ def score(at: Factored, residuals: Floats, fields: Floats) -> Score:
 def pulled(at: Factored, fields: Floats) -> tuple[Floats, Floats]:
     """Right-hand sides A'P d of the normal equations for changes d of all image coordinates."""
     problem, values = at.problem, values_of(at.problem, at.state)
-    own = np.zeros((len(problem.design.pieces) - 1, len(fields), problem.layout.size))
+    gradients = np.zeros((len(problem.design.pieces) - 1, len(fields), problem.layout.size))
     points = np.zeros((len(fields), *at.state.points.shape))
-    across(problem.design, values, problem.structure, np.ascontiguousarray(fields), own, points)
-    reduced = own.sum(axis=0)
+    across(problem.design, values, problem.structure, np.ascontiguousarray(fields), gradients, points)
+    reduced = gradients.sum(axis=0)
     reduced[:, problem.layout.point_columns] += points[:, problem.layout.kept_points]
     return reduced, points
 

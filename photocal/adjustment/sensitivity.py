@@ -40,9 +40,9 @@ def along_piece(
                     change[t, r, a] = total
 
 
-def _each(one: Floats) -> Floats:
+def _each(matrix: Floats) -> Floats:
     """View of one matrix, or of several along the first axis, as several."""
-    return one.reshape(-1, *one.shape[-2:])
+    return matrix.reshape(-1, *matrix.shape[-2:])
 
 
 def along(
@@ -172,7 +172,7 @@ def pulls(
 
 @compiled
 def ray_effect(
-    design: Design, r: int, at: int, first: int, own: Floats, spread: Floats, room: Scratch, effect: Floats
+    design: Design, r: int, at: int, first: int, block: Floats, spread: Floats, room: Scratch, effect: Floats
 ) -> None:
     """Effect of ray r, whose derivatives are in the scratch room, on its point."""
     i = design.ray_image[r]
@@ -181,7 +181,7 @@ def ray_effect(
         for d in range(3):
             total = 0.0
             for b in range(3):
-                total += own[d, b] * room.by_point[a, b]
+                total += block[d, b] * room.by_point[a, b]
             for b in range(columns(design)):
                 total -= spread[d, first + b] * room.by_image[a, b]
             for s in range(design.active_count[k]):
@@ -203,7 +203,7 @@ def point_effects_piece(
     mixed: Floats,
     spread: Floats,
     local: Floats,
-    own: Floats,
+    block: Floats,
 ) -> None:
     """Effects of one piece's rays, see `point_effects`."""
     for nth in range(design.pieces[piece], design.pieces[piece + 1]):
@@ -213,7 +213,7 @@ def point_effects_piece(
         eliminated_spread(design, structure, j, kept, local, m, mixed, spread)
         for a in range(3):
             for b in range(3):
-                own[a, b] = covariance[j, a, b]
+                block[a, b] = covariance[j, a, b]
             if design.point_free[j, a] == 0.0:
                 for c in range(m):
                     spread[a, c] = 0.0
@@ -221,7 +221,7 @@ def point_effects_piece(
             i = design.ray_image[r]
             ray_rows(design, values, r, i, j, room)
             at = columns(design) * (end - begin) + design.active_column[design.image_lens[i]]
-            ray_effect(design, r, at, columns(design) * (r - begin), own, spread, room, effect)
+            ray_effect(design, r, at, columns(design) * (r - begin), block, spread, room, effect)
 
 
 def point_effects(

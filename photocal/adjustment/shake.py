@@ -73,25 +73,25 @@ def with_shake(
         except (IllPosedError, NotConvergedError):
             # Few images do not bear the lens and so many unknowns: what they share stays.
             return given
-        found = {k: _estimated(network, solution, k) for k in sigmas}
-        change = [abs(a - b) > SETTLED * b for k in found for a, b in zip(found[k], sigmas[k], strict=True)]
+        latest = {k: _estimated(network, solution, k) for k in sigmas}
+        change = [abs(a - b) > SETTLED * b for k in latest for a, b in zip(latest[k], sigmas[k], strict=True)]
         if not any(change):
             break
-        sigmas = found
+        sigmas = latest
     least = SHOWS * float(np.median(network.rays.sigma))
-    still = all(not any(found[k]) or network.cameras[k].shaken < least for k in found)
+    still = all(not any(latest[k]) or network.cameras[k].shaken < least for k in latest)
     return given if still else (network, solution)
 
 
 def carried(before: Network, after: Network, state: State) -> State:
     """A state with the deviations that images of another network of the same images have."""
     whole = np.zeros((len(before.exposures.camera), len(OWN)))
-    own = own_parameters(before)
-    image, place = np.nonzero(own >= 0)
-    whole[image, own[image, place]] = state.deviations[image, place]
-    own = own_parameters(after)
-    taken = np.take_along_axis(whole, np.maximum(own, 0), axis=1)
-    return replace(state, deviations=np.where(own >= 0, taken, 0.0))
+    parameters = own_parameters(before)
+    image, place = np.nonzero(parameters >= 0)
+    whole[image, parameters[image, place]] = state.deviations[image, place]
+    parameters = own_parameters(after)
+    taken = np.take_along_axis(whole, np.maximum(parameters, 0), axis=1)
+    return replace(state, deviations=np.where(parameters >= 0, taken, 0.0))
 
 
 def _with(network: Network, sigmas: dict[int, Floats]) -> Network:
@@ -118,15 +118,15 @@ def _by_camera(network: Network, solution: Solution) -> dict[int, _Local]:
     of_images(problem.design, values, scratch(width), matrix, pull, squares)
     rays = np.bincount(network.rays.image, minlength=count)
     spare = np.bincount(network.rays.image, solution.redundancy.sum(axis=1), count).astype(float)
-    own = own_parameters(free)
+    parameters = own_parameters(free)
     enough = rays > RAYS_EACH * width
     locals_ = {}
     for k in rolling:
-        mine = np.flatnonzero((exposures.camera == k) & enough)
-        if len(mine) >= FEWEST:
-            shaking = np.pad(own[mine[0]] >= _FIRST, (POSE, width - POSE - own.shape[1]))
-            used = np.diagonal(matrix[mine], axis1=1, axis2=2).min(axis=0) > 0
-            locals_[k] = _local(matrix[mine], pull[mine], squares[mine], spare[mine], shaking, used)
+        images = np.flatnonzero((exposures.camera == k) & enough)
+        if len(images) >= FEWEST:
+            shaking = np.pad(parameters[images[0]] >= _FIRST, (POSE, width - POSE - parameters.shape[1]))
+            used = np.diagonal(matrix[images], axis1=1, axis2=2).min(axis=0) > 0
+            locals_[k] = _local(matrix[images], pull[images], squares[images], spare[images], shaking, used)
     return locals_
 
 
@@ -136,12 +136,12 @@ def _local(
     rest = used & ~shaking
     mixed = matrix[:, shaking][:, :, rest]
     taken = np.linalg.solve(matrix[:, rest][:, :, rest], np.swapaxes(mixed, 1, 2))
-    own = matrix[:, shaking][:, :, shaking] - mixed @ taken
+    normal = matrix[:, shaking][:, :, shaking] - mixed @ taken
     left = pull[:, shaking] - np.einsum("nab,na->nb", taken, pull[:, rest])
-    explained = np.einsum("na,na->n", left, np.linalg.solve(own, left[:, :, None])[:, :, 0])
+    explained = np.einsum("na,na->n", left, np.linalg.solve(normal, left[:, :, None])[:, :, 0])
     remaining = np.maximum(spare - left.shape[1], 1.0)
     noise = np.maximum(squares - explained, 1e-12) / remaining
-    return _Local(own / noise[:, None, None], left / noise[:, None], remaining)
+    return _Local(normal / noise[:, None, None], left / noise[:, None], remaining)
 
 
 def _shakes(local: _Local) -> float:
@@ -166,11 +166,11 @@ def _start(local: _Local) -> Floats:
 
 def _estimated(network: Network, solution: Solution, camera: int) -> Floats:
     """Sigmas of the degrees from the adjustment with those that it was given; zero where nothing shows."""
-    given, own = np.array(network.cameras[camera].shake[1:]), solution.photo_variant
-    mine = (network.exposures.camera[own.image] == camera) & (own.parameter >= _FIRST)
-    degree = (own.parameter[mine] - _FIRST) // 3
-    squares = np.bincount(degree, own.deviations[mine] ** 2, len(given))
-    share = (own.deviation_sigma[mine] / given[degree]) ** 2
+    given, photo_variant = np.array(network.cameras[camera].shake[1:]), solution.photo_variant
+    shaking = (network.exposures.camera[photo_variant.image] == camera) & (photo_variant.parameter >= _FIRST)
+    degree = (photo_variant.parameter[shaking] - _FIRST) // 3
+    squares = np.bincount(degree, photo_variant.deviations[shaking] ** 2, len(given))
+    share = (photo_variant.deviation_sigma[shaking] / given[degree]) ** 2
     redundancy = np.bincount(degree, 1.0 - share, len(given))
     return np.asarray(np.sqrt(np.where(redundancy > 1.0, squares / np.maximum(redundancy, 1.0), 0.0)))
 

@@ -70,9 +70,9 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
     accepted = fit < np.sqrt(special.chdtri(2, level)) * _scale(fit)
     for rounds in range(1, ROUNDS + 1):
         part, rays, points = subset(network, accepted)
-        own = replace(state, points=state.points[points])
-        problem = with_datum(prepare(part), own)
-        minimum = minimise(problem, own, report)
+        start = replace(state, points=state.points[points])
+        problem = with_datum(prepare(part), start)
+        minimum = minimise(problem, start, report)
         solution = complete(factorised(problem, minimum), minimum.iterations)
         moved = state.points.copy()
         moved[points] = solution.points
@@ -149,8 +149,7 @@ def ray_fit(problem: Problem, state: State) -> Floats:
     rays = problem.network.rays
     residuals, depth = np.empty(rays.plane.shape), np.empty(len(rays.image))
     evaluate(problem.design, values_of(problem, state), residuals, depth)
-    fit = np.linalg.norm(residuals / rays.sigma, axis=1)
-    return np.where(depth > 0, fit, np.inf)
+    return np.where(depth > 0, np.linalg.norm(residuals / rays.sigma, axis=1), np.inf)
 
 
 def worst_of_points(network: Network, solution: Solution, test: Test) -> Integers:

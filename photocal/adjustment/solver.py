@@ -240,10 +240,10 @@ def _others(problem: Problem, state: State) -> list[Equations]:
 
 def _tell(steps: list[Iteration], report: Callable[[Iteration], None] | None, made: list[Iteration]) -> None:
     """Record steps."""
-    for one in made:
-        steps.append(one)
+    for iteration in made:
+        steps.append(iteration)
         if report:
-            report(one)
+            report(iteration)
 
 
 def _by_chords(
@@ -258,13 +258,13 @@ def _by_chords(
     """Go the rest of the way, after a step, with its factor; None, and no steps, where that is slow."""
     made = [Iteration(len(steps) + 1, np.inf, decrement, 0.0)]
 
-    def told(chi_squared: float, length: float) -> None:
+    def progress(chi_squared: float, length: float) -> None:
         if len(made) == 1:
             made[0] = replace(made[0], chi_squared=chi_squared + length)
         made.append(Iteration(made[-1].number + 1, chi_squared, length, 0.0))
 
     try:
-        there = chords(problem, normal, state, SURER * near, decrement, told=told).state
+        there = chords(problem, normal, state, SURER * near, decrement, progress=progress).state
     except NotConvergedError:
         return None
     _tell(steps, report, made)
@@ -288,9 +288,10 @@ def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limit
     moving = ""
     if step is not None:
         named = unknowns(problem)
-        load = np.abs(step) * size * np.array([one is not None for one in named])
-        some = [one.name for k in np.argsort(-load)[:3] if (one := named[k]) is not None and load[k] > 0]
-        moving = f": {', '.join(some)} would still move" if some else ""
+        load = np.abs(step) * size * np.array([unknown is not None for unknown in named])
+        largest = (named[k] for k in np.argsort(-load)[:3] if load[k] > 0)
+        some = ", ".join(unknown.name for unknown in largest if unknown is not None)
+        moving = f": {some} would still move" if some else ""
     raise NotConvergedError(
         f"not converged after {len(steps)} iterations (last step {np.sqrt(decrement):.2g} sigma){moving}",
         "check the start values of images and points, their units and axes, for gross errors, and "
@@ -388,12 +389,12 @@ def chords(
     before: float,
     hold: tuple[int, Floats, Floats] | None = None,
     equations: Callable[[State], list[Equations]] | None = None,
-    told: Callable[[float, float], None] = lambda *_: None,
+    progress: Callable[[float, float], None] = lambda *_: None,
 ) -> Near:
     """Step to a minimum with a factor that is given, after a step of squared length `before`.
 
     equations: gives the observations beside the rays, where these are not all of the problem's.
-    told: gets v'Pv after each step, and the step's squared length.
+    progress: gets v'Pv after each step, and the step's squared length.
     raises NotConvergedError: when the steps do not come to an end soon.
 
     What the gradients tell of the curvature mends the factor (limited-memory BFGS, Nocedal 1980): along what
@@ -425,7 +426,7 @@ def chords(
         if not (0.0 <= length < FLATTER * before or length < ROUNDING):
             break
         state = moved_along(problem, state, step, moved)
-        told(chi_squared - length, length)
+        progress(chi_squared - length, length)
         # Steps shrink at a steady rate: the next one tells how far the minimum still is.
         left = length * min(1.0, length / before)
         # Steps this short that do not become shorter are rounding.
@@ -436,8 +437,8 @@ def chords(
     raise NotConvergedError("the minimum is not near", "adjust the changed network from its start values")
 
 
-def _times(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float:
-    return float(one[0] @ other[0] + np.vdot(one[1], other[1]))
+def _times(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> float:
+    return float(first[0] @ second[0] + np.vdot(first[1], second[1]))
 
 
 def _mended(

@@ -40,50 +40,50 @@ def unknowns(problem: Problem) -> list[Unknown | None]:
 
     returns: one entry for each column.
     """
-    network, layout, own = problem.network, problem.layout, own_parameters(problem.network)
-    found: list[Unknown | None] = [None] * layout.size
+    network, layout, parameters = problem.network, problem.layout, own_parameters(problem.network)
+    named: list[Unknown | None] = [None] * layout.size
     for i, image in enumerate(network.image_names):
         for column, parameter in zip(layout.image_columns[i], POSE_NAMES, strict=True):
             angle = parameter not in XYZ
-            found[column] = Unknown(
+            named[column] = Unknown(
                 "image", image, parameter, "deg" if angle else "m", np.degrees(1.0) if angle else 1.0
             )
         unit = network.cameras[network.exposures.camera[i]].unit
-        for column, k in zip(layout.own_columns[i], own[i], strict=True):
+        for column, k in zip(layout.own_columns[i], parameters[i], strict=True):
             if k >= 0:
-                found[column] = Unknown("image", image, OWN[k], *_unit(unit, OWN[k]))
+                named[column] = Unknown("image", image, OWN[k], *_unit(unit, OWN[k]))
     for camera, (active, columns) in zip(network.cameras, layout.camera_columns, strict=True):
         for k, column in zip(active, columns, strict=True):
-            found[column] = Unknown("camera", camera.id, PARAMETERS[k], *_unit(camera.unit, PARAMETERS[k]))
+            named[column] = Unknown("camera", camera.id, PARAMETERS[k], *_unit(camera.unit, PARAMETERS[k]))
     for column, common in zip(layout.common_columns, common_unknowns(network), strict=True):
         if column >= 0:
-            found[column] = common
+            named[column] = common
     for j, columns in zip(layout.kept_points, layout.point_columns, strict=True):
         for column, parameter in zip(columns, XYZ, strict=True):
-            found[column] = Unknown("point", network.point_names[j], parameter, "m")
-    return [None if held else one for one, held in zip(found, problem.held, strict=True)]
+            named[column] = Unknown("point", network.point_names[j], parameter, "m")
+    return [None if held else unknown for unknown, held in zip(named, problem.held, strict=True)]
 
 
 def common_unknowns(network: Network) -> list[Unknown]:
     """Name the common values of the mounting and of the heads of rigs, in their order."""
-    found = []
+    named = []
     for k in range(len(network.mounting.values)):
         if k < STRIPS:
             angle = BORESIGHT.start <= k < BORESIGHT.stop
             unit = {TIME: "s", HEIGHT_SCALE: ""}.get(k, "deg" if angle else "m")
             scale = np.degrees(1.0) if angle else 1.0
-            found.append(Unknown("mounting", "", COMMON[k], unit, scale))
+            named.append(Unknown("mounting", "", COMMON[k], unit, scale))
             continue
         strip, place = divmod(k - STRIPS, 6)
         what, unit = ("shift", "m") if place < 3 else ("drift", "m/s")
-        found.append(Unknown("mounting", "", f"{what}_{'xyz'[place % 3]}[{strip}]", unit))
+        named.append(Unknown("mounting", "", f"{what}_{'xyz'[place % 3]}[{strip}]", unit))
     for camera in network.rig.camera:
         units = np.array(["s"] * len(OF_HEAD), dtype=object)
         units[TURN], units[CENTRE] = "deg", "m"
         for name, unit in zip(OF_HEAD, units, strict=True):
             scale = np.degrees(1.0) if unit == "deg" else 1.0
-            found.append(Unknown("head", network.cameras[camera].id, name, unit, scale))
-    return found
+            named.append(Unknown("head", network.cameras[camera].id, name, unit, scale))
+    return named
 
 
 def _unit(unit: str, parameter: str) -> tuple[str, float]:

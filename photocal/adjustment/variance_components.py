@@ -111,8 +111,8 @@ def estimate_components(
         free = [g for g in groups if g.name not in hold and g.redundancy > FEWEST]
         change = {group.name: group.chi_squared / group.redundancy for group in free}
         if all(abs(share - 1) < settled for share in change.values()):
-            found = adjust(scaled, report, start)
-            return VarianceComponents(_components(groups, change, factors), scaled, found, rounds)
+            solution = adjust(scaled, report, start)
+            return VarianceComponents(_components(groups, change, factors), scaled, solution, rounds)
         for name, share in change.items():
             factors[name] = factors.get(name, 1.0) * float(np.sqrt(share))
             if factors[name] ** 2 < VANISHED:

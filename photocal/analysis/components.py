@@ -156,12 +156,11 @@ def _needed(step: RemovalStep) -> bool:
 
 
 def _round(step: RemovalStep) -> Finding:
-    share = float(step.components.percent[len(step.components.names) - step.negligible :].sum())
     figures: dict[str, Figure] = {
         "removed": step.removed,
         "crowd": step.crowd,
         "negligible": float(step.negligible),
-        "percent": share,
+        "percent": float(step.components.percent[len(step.components.names) - step.negligible :].sum()),
         "f": step.statistic,
     }
     clauses = ["pca-negligible" if step.negligible else "pca-none-negligible"]

@@ -52,13 +52,13 @@ class StrongCorrelation:
 def strong_correlations(estimates: Estimates, threshold: float = 0.8) -> tuple[StrongCorrelation, ...]:
     """List the pairs of parameters with a correlation over a threshold, strongest first."""
     r = estimates.correlation
-    found = [
+    strong = [
         StrongCorrelation(b, a, float(r[i, j]), cause(a, b))
         for i, a in enumerate(estimates.names)
         for j, b in enumerate(estimates.names[:i])
         if abs(r[i, j]) >= threshold
     ]
-    return tuple(sorted(found, key=lambda pair: -abs(pair.value)))
+    return tuple(sorted(strong, key=lambda pair: -abs(pair.value)))
 
 
 def cause(first: str, second: str) -> str:
@@ -135,7 +135,7 @@ def exterior_correlations(
     fit: Fit, camera: int, threshold: float, done: Callable[[], None] = lambda: None
 ) -> tuple[ExteriorCorrelation, ...]:
     """List camera parameters that are strongly correlated with exterior orientations."""
-    found = []
+    correlations = []
     for at in np.flatnonzero(fit.network.cameras[camera].estimated):
         r = correlation_with(fit, camera, int(at))
         for k, element in enumerate(ELEMENTS):
@@ -143,12 +143,10 @@ def exterior_correlations(
             if strong.any():
                 i = int(np.argmax(np.abs(r[:, k])))
                 name, image = PARAMETERS[at], fit.network.image_names[i]
-                why = cause(name, element)
-                found.append(
-                    ExteriorCorrelation(name, element, image, float(r[i, k]), int(strong.sum()), why)
-                )
+                figures = float(r[i, k]), int(strong.sum()), cause(name, element)
+                correlations.append(ExteriorCorrelation(name, element, image, *figures))
         done()
-    return tuple(sorted(found, key=lambda one: -abs(one.value)))
+    return tuple(sorted(correlations, key=lambda pair: -abs(pair.value)))
 
 
 def correlation_with(fit: Fit, camera: int, parameter: int) -> Floats:
@@ -161,6 +159,6 @@ def correlation_with(fit: Fit, camera: int, parameter: int) -> Floats:
     turns = np.einsum("nab,nb->na", turn_basis(fit.network, fit.state), covariance[:, :3])
     covariance[:, :3] = np.linalg.solve(angles, turns[:, :, None])[:, :, 0]
     sigma = np.sqrt(np.diagonal(fit.solution.exposure_covariance, axis1=1, axis2=2))
-    own = float(np.sqrt(fit.solution.camera_covariance[camera, parameter, parameter]))
-    r = np.divide(covariance, sigma * own, out=np.zeros_like(covariance), where=sigma > 0.0)
+    parameter_sigma = float(np.sqrt(fit.solution.camera_covariance[camera, parameter, parameter]))
+    r = np.divide(covariance, sigma * parameter_sigma, out=np.zeros_like(covariance), where=sigma > 0.0)
     return np.asarray(np.clip(r, -1.0, 1.0))

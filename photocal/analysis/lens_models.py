@@ -50,49 +50,49 @@ class LensFit:
 
 def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]) -> tuple[LensFit, ...]:
     """Fit every model to the rays of one camera; the one that it has comes first, then the better ones."""
-    own = fitted.network.cameras[camera].with_values(fitted.state.cameras[camera])
-    if not any(name in own.free for name in own.lens.terms) or own.focus_m or own.photo_variant:
+    interior = fitted.network.cameras[camera].with_values(fitted.state.cameras[camera])
+    if not set(interior.free) & set(interior.lens.terms) or interior.focus_m or interior.photo_variant:
         return ()
-    mine = np.flatnonzero(fitted.network.exposures.camera == camera)
-    groups = [group for group in np.array_split(mine, min(GROUPS, len(mine))) if len(group)]
+    images = np.flatnonzero(fitted.network.exposures.camera == camera)
+    groups = [group for group in np.array_split(images, min(GROUPS, len(images))) if len(group)]
     try:
-        fits = [_judged(fitted, camera, own, groups, checks)]
+        fits = [_judged(fitted, camera, interior, groups, checks)]
     except (IllPosedError, NotConvergedError):
         return ()
     for model in MODELS:
         try:
             cameras = list(fitted.network.cameras)
-            cameras[camera] = _alternative(own, model)
+            cameras[camera] = _alternative(interior, model)
             other = fit(replace(fitted.network, cameras=tuple(cameras)), fitted.state)
-            fits.append(_judged(other, camera, own, groups, checks, _nearby))
+            fits.append(_judged(other, camera, interior, groups, checks, _nearby))
         except (IllPosedError, NotConvergedError, InputMalformedError):
             continue
         finally:
             done()
-    return fits[0], *sorted(fits[1:], key=lambda one: one.chi_squared)
+    return fits[0], *sorted(fits[1:], key=lambda lens: lens.chi_squared)
 
 
 def better_lens(fits: tuple[LensFit, ...]) -> LensFit | None:
     """Give the model that v'Pv and left-out images prefer to that of a camera; None when there is none."""
     if not fits:
         return None
-    given = min((one for one in fits if one.model == fits[0].model), key=lambda one: one.left_out)
+    given = min((lens for lens in fits if lens.model == fits[0].model), key=lambda lens: lens.left_out)
 
-    def gain(one: LensFit) -> float:
-        return given.chi_squared - one.chi_squared - GAIN * max(len(one.terms) - len(given.terms), 1)
+    def gain(lens: LensFit) -> float:
+        return given.chi_squared - lens.chi_squared - GAIN * max(len(lens.terms) - len(given.terms), 1)
 
-    others = [one for one in fits if one.model != given.model]
-    better = [one for one in others if gain(one) > 0 and one.left_out < (1 - SHARE) * given.left_out]
+    others = [lens for lens in fits if lens.model != given.model]
+    better = [lens for lens in others if gain(lens) > 0 and lens.left_out < (1 - SHARE) * given.left_out]
     # Fewer coefficients win, and among as many the more usual model, where they predict as well.
-    best = min((one.left_out for one in better), default=np.inf)
-    alike = [one for one in better if one.left_out < (1 + SHARE) * best]
-    least = min((_akaike(one) for one in alike), default=np.inf)
-    nearly = [one for one in alike if _akaike(one) <= least + ALIKE]
-    return min(nearly, key=lambda one: list(MODELS).index(one.model), default=None)
+    best = min((lens.left_out for lens in better), default=np.inf)
+    alike = [lens for lens in better if lens.left_out < (1 + SHARE) * best]
+    least = min((_akaike(lens) for lens in alike), default=np.inf)
+    nearly = [lens for lens in alike if _akaike(lens) <= least + ALIKE]
+    return min(nearly, key=lambda lens: list(MODELS).index(lens.model), default=None)
 
 
-def _akaike(one: LensFit) -> float:
-    return one.chi_squared + 2 * len(one.terms)
+def _akaike(lens: LensFit) -> float:
+    return lens.chi_squared + 2 * len(lens.terms)
 
 
 def of_lenses(fitted: Fit, fits: tuple[tuple[LensFit, ...], ...]) -> list[Finding]:
@@ -119,15 +119,15 @@ def of_lenses(fitted: Fit, fits: tuple[tuple[LensFit, ...], ...]) -> list[Findin
     return listed
 
 
-def _alternative(own: Camera, model: Model) -> Camera:
+def _alternative(interior: Camera, model: Model) -> Camera:
     """The same lens as nearly as another model has it, its coefficients free."""
-    affinity = own.affinity if MODELS[model].relative == own.lens.relative else None
-    made = converted(own, model, affinity or ("after" if MODELS[model].relative else "additive")).camera
+    affinity = interior.affinity if MODELS[model].relative == interior.lens.relative else None
+    made = converted(interior, model, affinity or ("after" if MODELS[model].relative else "additive")).camera
     # A prism and powers beyond the fourth are asked for, never assumed.
     left = ("P3", "P4", "S1", "S2", "S3", "S4")
     terms = {name for name in MODELS[model].terms if name not in left}
-    kept = {name for name in own.free if name not in own.lens.terms}
-    prior = np.where(among("x0", "y0", "readout"), own.prior_sigma, np.inf)
+    kept = {name for name in interior.free if name not in interior.lens.terms}
+    prior = np.where(among("x0", "y0", "readout"), interior.prior_sigma, np.inf)
     return replace(made, estimated=among(*terms, *kept), prior_sigma=prior, prior_correlation=None)
 
 
@@ -142,12 +142,12 @@ def _nearby(_fitted: Fit, removals: Removals, out: Flags) -> State:
 def _judged(
     fitted: Fit,
     camera: int,
-    own: Camera,
+    interior: Camera,
     groups: list[Integers],
     checks: Checks,
     without: Callable[[Fit, Removals, Flags], State] = state_without,
 ) -> LensFit:
-    found = fitted.network.cameras[camera]
+    alternative = fitted.network.cameras[camera]
     squares, count = 0.0, 0
     removals = Removals(fitted.factored)
     for group in groups:
@@ -156,11 +156,11 @@ def _judged(
         squares, count = squares + chi_squared, count + redundancy
     rmse = checks.rmse(fitted.solution.points)
     return LensFit(
-        found.model,
-        tuple(name for name in found.free if name in found.lens.terms),
+        alternative.model,
+        tuple(name for name in alternative.free if name in alternative.lens.terms),
         fitted.solution.chi_squared,
         float(np.sqrt(squares / count)) if count > 0 else float("nan"),
-        float(fitted.state.cameras[camera, 0]) - own.value("c"),
+        float(fitted.state.cameras[camera, 0]) - interior.value("c"),
         None if rmse is None else (float(rmse[0]), float(rmse[1]), float(rmse[2])),
     )
 

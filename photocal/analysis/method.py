@@ -76,7 +76,7 @@ def shape(network: Network, state: State) -> Shape:
     distance = np.einsum("ni,ni->n", apart, axes[rays.image])
     order = np.argsort(rays.image, kind="stable")
     each = np.split(distance[order], np.flatnonzero(np.diff(rays.image[order])) + 1)
-    median = np.array([np.median(one) for one in each])
+    median = np.array([np.median(distances) for distances in each])
     known = network.points.held | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0.0)
     control = np.flatnonzero(known.any(axis=1))
     # All pairs of images, or those of 60 evenly chosen ones.
@@ -101,22 +101,22 @@ def shape(network: Network, state: State) -> Shape:
     )
 
 
-def check_method(method: str, found: Shape) -> MethodCheck:
+def check_method(method: str, geometry: Shape) -> MethodCheck:
     """Compare a network with what a method asks for.
 
     Requirements after Brown (1971, 1989) and Merchant (1972), as the Canon ELPH study lists them.
     """
-    photographs = _at_least("photographs", found.images, PHOTOGRAPHS)
-    datum = _at_least("datum", found.constraints, DATUM_CONSTRAINTS)
-    control = _at_least("control", found.control_points, CONTROL_POINTS)
-    quarters = {"quarters": float(found.quadrants), "share": found.control_share, "needed": COVERED}
-    spread = found.quadrants == 4 and found.control_share >= COVERED
+    photographs = _at_least("photographs", geometry.images, PHOTOGRAPHS)
+    datum = _at_least("datum", geometry.constraints, DATUM_CONSTRAINTS)
+    control = _at_least("control", geometry.control_points, CONTROL_POINTS)
+    quarters = {"quarters": float(geometry.quadrants), "share": geometry.control_share, "needed": COVERED}
+    spread = geometry.quadrants == 4 and geometry.control_share >= COVERED
     around = _needed("around", met=spread, figures=quarters)
     needed = {"needed_deg": CONVERGENCE_DEG}
-    tilted = _at_least("convergence", found.convergence_deg, CONVERGENCE_ENOUGH_DEG, needed)
-    mixed = _ranges(found)
-    rolled = {"found": 90.0 - found.roll_deg, "tolerance_deg": ROLL_ENOUGH_DEG}
-    roll = _needed("roll", met=found.roll_deg <= ROLL_ENOUGH_DEG, figures=rolled)
+    tilted = _at_least("convergence", geometry.convergence_deg, CONVERGENCE_ENOUGH_DEG, needed)
+    mixed = _ranges(geometry)
+    rolled = {"found": 90.0 - geometry.roll_deg, "tolerance_deg": ROLL_ENOUGH_DEG}
+    roll = _needed("roll", met=geometry.roll_deg <= ROLL_ENOUGH_DEG, figures=rolled)
     figures = {**tilted.figures, **mixed.figures}
     either = _needed("height-separated", met=_met(tilted) or _met(mixed), figures=figures)
     requirements = {
@@ -125,17 +125,17 @@ def check_method(method: str, found: Shape) -> MethodCheck:
         "self-calibration": (photographs, roll, datum, either),
         "on-the-job": (photographs, control, around, either),
     }[method]
-    return MethodCheck(method, requirements, all(_met(one) for one in requirements))
+    return MethodCheck(method, requirements, all(_met(requirement) for requirement in requirements))
 
 
-def _ranges(found: Shape) -> Finding:
+def _ranges(geometry: Shape) -> Finding:
     figures = {
-        "spread": found.range_spread,
-        "ratio": found.height_ratio,
+        "spread": geometry.range_spread,
+        "ratio": geometry.height_ratio,
         "needed_spread": RANGE_SPREAD,
         "needed_ratio": HEIGHT_RATIO,
     }
-    met = found.range_spread >= RANGE_SPREAD or found.height_ratio >= HEIGHT_RATIO
+    met = geometry.range_spread >= RANGE_SPREAD or geometry.height_ratio >= HEIGHT_RATIO
     return _needed("mixed-ranges", met=met, figures=figures)
 
 
@@ -147,9 +147,9 @@ def _met(need: Finding) -> bool:
     return need.severity == "passed"
 
 
-def _at_least(code: str, found: float, needed: float, figures: Mapping[str, float] | None = None) -> Finding:
-    both = {"found": float(found), "needed": float(needed)}
-    return _needed(code, met=found >= needed, figures={**both, **(figures or {})})
+def _at_least(code: str, value: float, needed: float, figures: Mapping[str, float] | None = None) -> Finding:
+    both = {"found": float(value), "needed": float(needed)}
+    return _needed(code, met=value >= needed, figures={**both, **(figures or {})})
 
 
 def _from_right_angle(between: Floats) -> Floats:

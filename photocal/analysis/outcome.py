@@ -133,13 +133,13 @@ def analyse_camera(
     # Never better than promised: see `hidden.camera_findings`.
     factor = max(1.0, fit.solution.variance_factor)
     judged = scaled(estimates, factor)
-    own = fit.network.cameras[camera].with_values(fit.state.cameras[camera])
-    mine = fit.network.exposures.camera[fit.network.rays.image] == camera
-    reach = float(np.linalg.norm(fit.network.rays.plane[mine], axis=1).max(initial=0.0))
+    interior = fit.network.cameras[camera].with_values(fit.state.cameras[camera])
+    of_camera = fit.network.exposures.camera[fit.network.rays.image] == camera
+    reach = float(np.linalg.norm(fit.network.rays.plane[of_camera], axis=1).max(initial=0.0))
     return CameraAnalysis(
         factor,
         significance(judged, fit.solution.degrees_of_freedom, alpha),
-        effects(own, judged, reach),
+        effects(interior, judged, reach),
         correlation.strong_correlations(judged, threshold),
         correlation.exterior_correlations(fit, camera, threshold, done),
         propose_removal(judged),
@@ -175,7 +175,7 @@ class Opinions:
     def others(self, parameter: str, formal: float) -> tuple[float | None, float | None]:
         """Sandwich and bootstrap where one of them differs from the formal one by more than a third."""
         pair = _known(self.sandwich, parameter), _known(self.bootstrap, parameter)
-        return pair if any(apart(formal, one) for one in pair) else (None, None)
+        return pair if any(apart(formal, sigma) for sigma in pair) else (None, None)
 
     def largest(self, parameter: str, formal: float) -> tuple[float, str]:
         """Largest opinion that is more than a third above the formal one, and whose it is; else "formal".
@@ -279,18 +279,19 @@ def analyse_network(
     drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), step) if draws else None
     # Lenses are compared where something is left that a lens may explain, when that is corrected which is
     # no matter of the lens.
-    of_others = takewhile(lambda one: one.parameter.candidate.kind not in _TERMS, searched.rounds)
-    base = next((one.after for one in reversed(list(of_others))), fitted)
+    base = fitted
+    for correction in takewhile(lambda taken: taken.parameter.candidate.kind not in _TERMS, searched.rounds):
+        base = correction.after
     listed = findings(searched)
-    suspected = {one.subject for one in listed if one.code in (*_TERMS, "residual-map")}
+    suspected = {finding.subject for finding in listed if finding.code in (*_TERMS, "residual-map")}
     fits = tuple(
         lens_fits(base, k, checks, step) if camera.id in suspected else ()
         for k, camera in enumerate(network.cameras)
     )
     of_lens = of_lenses(base, fits)
     # A lens that the model cannot hold is no missing term of it.
-    other = {one.subject for one in of_lens}
-    kept = [one for one in listed if one.code not in _TERMS or one.subject not in other]
+    other = {finding.subject for finding in of_lens}
+    kept = [finding for finding in listed if finding.code not in _TERMS or finding.subject not in other]
     names = [camera.id for camera in network.cameras]
     judged = [analyse_camera(fitted, k, checks, alpha, threshold, step) for k in range(len(names))]
     return Outcome(

@@ -95,7 +95,7 @@ def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
     """Check a calibration for contradictions with itself."""
     wrong = [name for name, sigma in record.sigmas.items() if not (np.isfinite(sigma) and sigma >= 0.0)]
     wrong += [name for name, value in record.values.items() if not np.isfinite(value)]
-    found = [
+    findings = [
         *correlation_findings(record.names, record.correlation, record.correlation_rounding),
         *(Finding("not_a_number", "refused", name) for name in wrong),
         *_units(record),
@@ -118,7 +118,7 @@ def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
         *_offsets("boresight", record.boresight_deg),
     ]
     order = {"refused": 0, "doubtful": 1, "note": 2}
-    return tuple(sorted(found, key=lambda finding: order[finding.severity]))
+    return tuple(sorted(findings, key=lambda finding: order[finding.severity]))
 
 
 def effective_unit(record: CalibrationRecord) -> Literal["mm", "px"]:
@@ -149,23 +149,23 @@ def _units(record: CalibrationRecord) -> list[Finding]:
 
 
 def _format(record: CalibrationRecord) -> list[Finding]:
-    found = []
+    findings = []
     if abs(record.pitch_ratio - 1.0) > SQUARE_TOLERANCE:
         figures = {"percent": 100.0 * abs(record.pitch_ratio - 1.0)}
-        found.append(Finding("pitch_not_square", "doubtful", "pitch", figures))
+        findings.append(Finding("pitch_not_square", "doubtful", "pitch", figures))
     if record.size_px is None or record.pitch_mm is None:
-        return found
+        return findings
     width, height = (n * record.pitch_mm for n in record.size_px)
     if record.sensor_mm is not None and not _fits(record.sensor_mm, width, height):
         figures = {"width_mm": width, "height_mm": height, "sensor_mm": max(record.sensor_mm)}
-        found.append(Finding("pitch_contradicts_sensor", "refused", "pitch", figures))
+        findings.append(Finding("pitch_contradicts_sensor", "refused", "pitch", figures))
     nominal = record.nominal_focal_mm
     if nominal is not None and effective_unit(record) == "px":
         implied = nominal / record.values["c"]
         if not _close(implied, record.pitch_mm, FOCAL_TOLERANCE):
             figures = {"pitch_um": 1e3 * record.pitch_mm, "implied_um": 1e3 * implied}
-            found.append(Finding("pitch_contradicts_focal_length", "refused", "pitch", figures))
-    return found
+            findings.append(Finding("pitch_contradicts_focal_length", "refused", "pitch", figures))
+    return findings
 
 
 def _fits(sensor: tuple[float, ...], width: float, height: float) -> bool:

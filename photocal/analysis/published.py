@@ -62,8 +62,8 @@ def analyse_published(
     chosen = sets if set_name is None else {set_name: sets[set_name]}
     if matrix is None:
         return tuple(
-            PublishedSet(name, own, freedom, tuple(_tests(own, freedom, alpha, ())), (), None)
-            for name, (own, freedom) in chosen.items()
+            PublishedSet(name, parameters, freedom, tuple(_tests(parameters, freedom, alpha, ())), (), None)
+            for name, (parameters, freedom) in chosen.items()
         )
     if len(chosen) > 1:
         raise wrong(f"holds {len(chosen)} sets, but the matrix is of one", "name it with --set")
@@ -109,12 +109,12 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, f
     answer = {}
     for k, name in enumerate(sets):
         rows = np.flatnonzero(of_set == k)
-        own = tuple(names[j] for j in which[rows])
-        if len(set(own)) < len(own):
+        parameters = tuple(names[j] for j in which[rows])
+        if len(set(parameters)) < len(parameters):
             raise malformed(
                 f"a parameter comes twice{f' in set {name}' if name else ''}", "give a column set"
             )
-        estimates = from_sigmas(own, values[rows].tolist(), sigmas[rows].tolist())
+        estimates = from_sigmas(parameters, values[rows].tolist(), sigmas[rows].tolist())
         answer[name] = (estimates, float(freedom[rows[0]]))
     return answer
 

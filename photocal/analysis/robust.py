@@ -127,10 +127,10 @@ def sandwich(fit: Fit) -> Floats:
         own_images = int(np.sum(fit.network.exposures.camera == camera))
         rest = own_images - len(parameters)
         few = np.sqrt(own_images / rest) if rest >= FEWEST else np.nan
-        found = [camera_covariance_column(fit.factored, int(column)) for column in columns]
-        if not found:
+        covariance_columns = [camera_covariance_column(fit.factored, int(column)) for column in columns]
+        if not covariance_columns:
             continue
-        steps, moves = (np.array(part) for part in zip(*found, strict=True))
+        steps, moves = (np.array(part) for part in zip(*covariance_columns, strict=True))
         changes = followed_by(fit.factored, steps, moves)
         for parameter, step, moved, change in zip(parameters, steps, moves, changes, strict=True):
             by_image = np.bincount(image, np.einsum("rk,rk->r", change, pull), images)
@@ -138,8 +138,8 @@ def sandwich(fit: Fit) -> Floats:
             parts.append(np.einsum("na,na->n", moved, off))
             for rows in others:
                 if len(rows.weight):
-                    own = np.add.reduceat(rows.coefficient * step[rows.column], rows.start[:-1])
-                    parts.append(own * rows.weight * rows.residual)
+                    effect = np.add.reduceat(rows.coefficient * step[rows.column], rows.start[:-1])
+                    parts.append(effect * rows.weight * rows.residual)
             sigma[camera, parameter] = few * np.sqrt(sum(float(part @ part) for part in parts))
     return sigma
 
@@ -155,7 +155,7 @@ def bootstrap(
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.
     """
     network, images = fit.network, len(fit.network.image_names)
-    found = []
+    cameras = []
     for _ in range(draws):
         times = rng.multinomial(images, np.full(images, 1.0 / images))
         rays = replace(
@@ -170,9 +170,9 @@ def bootstrap(
             drawn, state = without_images(
                 replace(network, rays=rays, positions=positions), fit.state, times == 0
             )
-            found.append(lowest(drawn, state, 1e-8).state.cameras)
+            cameras.append(lowest(drawn, state, 1e-8).state.cameras)
         except (IllPosedError, NotConvergedError):
             continue
         finally:
             done()
-    return np.std(found, axis=0, ddof=1) if len(found) > 1 else np.full_like(fit.state.cameras, np.nan)
+    return np.std(cameras, axis=0, ddof=1) if len(cameras) > 1 else np.full_like(fit.state.cameras, np.nan)

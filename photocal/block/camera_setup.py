@@ -127,7 +127,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
                 f"{name} is free in every image: its value for the camera is then none",
                 "take it out of estimate, or give photo_variant a standard deviation",
             )
-    own = _focused(
+    interior = _focused(
         keys,
         place,
         camera(
@@ -149,8 +149,8 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
             focus_m=0.0 if keys.focus is None else keys.focus.distance_m,
         ),
     )
-    own = _with_known_readout(keys, place, own)
-    rolling = own.rolling or "readout" in keys.parameters
+    interior = _with_known_readout(keys, place, interior)
+    rolling = interior.rolling or "readout" in keys.parameters
     varies = "readout" in keys.photo_variant
     if varies or (rolling and keys.shutter not in (None, "rolling")):
         what = "varies from image to image" if varies else f"has a {keys.shutter} shutter"
@@ -161,7 +161,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
             'add "readout" (s) to one of them, or give shutter = "unknown" to have it tested',
         )
     return replace(
-        own,
+        interior,
         guessed=keys.guessed,
         distortion_at=keys.distortion_at,
         shutter="rolling" if rolling else keys.shutter or "global",
@@ -170,10 +170,10 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
     )
 
 
-def _with_known_readout(keys: CameraKeys, place: str, own: Camera) -> Camera:
+def _with_known_readout(keys: CameraKeys, place: str, interior: Camera) -> Camera:
     """Take the readout of a known camera; estimated, it is an observation with the table's sigma."""
     if not keys.readout_from:
-        return own
+        return interior
     wrong = ConfigurationError.at(place)
     if "readout" in keys.parameters:
         raise wrong("readout_from stands beside a readout in parameters", "remove one of them")
@@ -182,11 +182,9 @@ def _with_known_readout(keys: CameraKeys, place: str, own: Camera) -> Camera:
     except ConfigurationError as refusal:
         raise wrong(refusal.what, refusal.remedy) from refusal
     at = among("readout")
-    return replace(
-        own,
-        values=np.where(at, known, own.values),
-        prior_sigma=np.where(at & own.estimated & np.isinf(own.prior_sigma), sigma, own.prior_sigma),
-    )
+    weighted = at & interior.estimated & np.isinf(interior.prior_sigma)
+    prior_sigma = np.where(weighted, sigma, interior.prior_sigma)
+    return replace(interior, values=np.where(at, known, interior.values), prior_sigma=prior_sigma)
 
 
 def known_readout(make_and_model: str, size_px: tuple[int, int]) -> tuple[float, float]:
@@ -203,27 +201,27 @@ def known_readout(make_and_model: str, size_px: tuple[int, int]) -> tuple[float,
     return known / 1e3, table["sigma_ms"] / 1e3
 
 
-def _focused(keys: CameraKeys, place: str, own: Camera) -> Camera:
+def _focused(keys: CameraKeys, place: str, interior: Camera) -> Camera:
     """Give a camera the distortion of its focus from calibrations at two others."""
     if keys.focus is None:
-        return own
+        return interior
     wrong = ConfigurationError.at(place)
-    if own.unit != "mm":
+    if interior.unit != "mm":
         raise wrong("distortion that varies with the distance needs c in mm", 'give unit = "mm"')
-    c = own.value("c") / MM
+    c = interior.value("c") / MM
     distances = [keys.focus.distance_m, *(calibration.distance_m for calibration in keys.focus.calibrations)]
     if min(distances) <= c:
         raise wrong(
             f"the focus distance {min(distances):g} m is not beyond c = {c:g} m", "give distances in metres"
         )
     if not keys.focus.calibrations:
-        return own
+        return interior
     if len(keys.focus.calibrations) != 2 or distances[1] == distances[2]:
         raise wrong("calibrations must be two, at different distances", "give distance_m and K1..")
     if any(name in RADIAL for name in keys.parameters):
         raise wrong("K1 to K4 stand in parameters and in calibrations", "remove one of them")
     near, far = (
-        replace(own.changed(K1=one.K1, K2=one.K2, K3=one.K3, K4=one.K4), focus_m=one.distance_m)
-        for one in sorted(keys.focus.calibrations, key=lambda one: one.distance_m)
+        replace(interior.changed(**{k: getattr(focus, k) for k in RADIAL}), focus_m=focus.distance_m)
+        for focus in sorted(keys.focus.calibrations, key=lambda calibration: calibration.distance_m)
     )
     return focused(near, far, keys.focus.distance_m)

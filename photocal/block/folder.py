@@ -56,7 +56,7 @@ def from_readings(
             where=folder / SETUP,
         )
     marks = read_table(folder / MARKS, ("camera", "fiducial", "x", "y"))
-    camera = known_rows(marks, "camera", tuple(own.id for own in cameras), SETUP)
+    camera = known_rows(marks, "camera", tuple(interior.id for interior in cameras), SETUP)
     index, fiducials = marks.names("fiducial")
     known = marks.matrix("xy")
     place = {(int(k), fiducials[n]): row for row, (k, n) in enumerate(zip(camera, index, strict=True))}
@@ -70,17 +70,17 @@ def from_readings(
     values = table.matrix("xy")
     plane, fits = observations.values.copy(), []
     for i, name in enumerate(images.names):
-        own, seen = image == i, observations.image == i
-        if not seen.any() and not own.any():
+        here, seen = image == i, observations.image == i
+        if not seen.any() and not here.any():
             continue
         try:
-            fit = interior_orientation(values[own], known[mark[own]], transformation, tuple(read[own]))
+            fit = interior_orientation(values[here], known[mark[here]], transformation, tuple(read[here]))
         except IllPosedError as refusal:
             raise IllPosedError(
                 refusal.what, refusal.remedy, where=f"{folder / READINGS}, image {name}"
             ) from refusal
         plane[seen] = fit.applied(observations.values[seen])
-        fits.append(FiducialFit(name, tuple(map(str, read[own])), fit.residuals, fit.redundancy, fit.sigma0))
+        fits.append(FiducialFit(name, tuple(map(str, read[here])), fit.residuals, fit.redundancy, fit.sigma0))
     return replace(observations, values=plane), tuple(fits)
 
 
@@ -232,8 +232,7 @@ def _cross(table: Table, sigma: Floats) -> Floats:
     remedy = "give sX, sY and sZ with covariances that fit them (m^2)"
     refuse(table, linked & ~whole, "a covariance stands beside a missing sigma", remedy)
     matrix = covariance_matrices(np.where(whole[:, None], sigma, 1.0), cross * whole[:, None])
-    bad = np.linalg.eigvalsh(matrix)[:, 0] <= 0
-    refuse(table, bad, "the covariance is not positive definite", remedy)
+    refuse(table, np.linalg.eigvalsh(matrix)[:, 0] <= 0, "the covariance is not positive definite", remedy)
     return cross
 
 

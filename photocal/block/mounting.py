@@ -34,8 +34,7 @@ def read_positions(path: Path, images: tuple[str, ...], from_m: float) -> mounti
     table = read_table(path, POSITION_COLUMNS, POSITION_EXTRAS)
     image = known_rows(table, "image", images, "images.csv")
     sigma = _sigmas(table, ("sX", "sY", "sZ"))
-    cross = table.matrix(("sXY", "sXZ", "sYZ"), empty=0.0)
-    covariance = covariance_matrices(sigma, cross)
+    covariance = covariance_matrices(sigma, table.matrix(("sXY", "sXZ", "sYZ"), empty=0.0))
     bad = np.linalg.eigvalsh(covariance)[:, 0] <= 0
     refuse(table, bad, "the covariance is not positive definite", "check sXY, sXZ and sYZ (m^2)")
     velocity = table.matrix(("vX", "vY", "vZ"), empty=0.0)

@@ -159,16 +159,16 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
 def read_wider_table(path: Path, required: tuple[str, ...]) -> Table:
     """Read a table that may have any further columns; errors as of `read_table`."""
     table = read_columns(path)
-    found = list(table.columns.column_names)
+    columns = list(table.columns.column_names)
     malformed = InputMalformedError.at(path)
     for name in required:
-        if name not in found:
+        if name not in columns:
             raise malformed(
-                f"column {name} is missing (found {', '.join(found)})",
+                f"column {name} is missing (found {', '.join(columns)})",
                 f"the header must have {', '.join(required)}",
             )
-    for name in found:
-        if found.count(name) > 1:
+    for name in columns:
+        if columns.count(name) > 1:
             raise malformed(f"column {name} comes twice", "give each column its own name")
     return table
 
@@ -243,14 +243,13 @@ def _head(path: Path) -> tuple[str, str]:
 
 def _cut(path: Path, message: str) -> InputMalformedError:
     """Say what the reader found wrong with the rows."""
-    found = re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+)", message)
-    if found:
-        row, expected, got = found.groups()
-        comma = int(got) > int(expected)
+    match = re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+)", message)
+    if match:
+        row, expected, got = match.groups()
         return InputMalformedError(
             f"has {got} cells where the header has {expected}",
             "are these decimal commas? Then separate the cells by semicolons"
-            if comma
+            if int(got) > int(expected)
             else "complete the row, or is the table cut?",
             where=f"{path}, row {row}",
         )

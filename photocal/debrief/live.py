@@ -79,7 +79,7 @@ def follow(
     project: Project,
     workers: int,
     stop: threading.Event,
-    told: Callable[[Debrief], None],
+    report: Callable[[Debrief], None],
     last: Sequence[Camera] = (),
 ) -> Debrief:
     """Judge the pictures of a project as they come, until `stop`; each is looked at once.
@@ -88,7 +88,7 @@ def follow(
     still being recorded. What all say together is judged anew in the background, and rests as long as that
     took, so that it never takes more than half of a core.
 
-    told: takes each verdict.
+    report: takes each verdict.
     last: of the last certificate, to hold the first calibration against.
     """
     with alone(project.output), _gently(workers) as (lookers, judge):
@@ -101,13 +101,13 @@ def follow(
         while True:
             for path, since in folder.at_rest():
                 pending[lookers.submit(look, (path, plan))] = (path, since)
-            for future in [one for one in pending if one.done()]:
+            for future in [*filter(Future.done, pending)]:
                 path, since = pending.pop(future)
-                found = future.result()
-                if found.facts is None and _lately(path):
+                result = future.result()
+                if result.facts is None and _lately(path):
                     folder.taken.pop(path)
                     continue
-                looks[path], lag_s, changed = found, time.monotonic() - since, True
+                looks[path], lag_s, changed = result, time.monotonic() - since, True
             # One that was stopped while it matched pictures has no verdict.
             if judging is not None and judging.done() and not stop.is_set():
                 together, run, took_s = judging.result()
@@ -121,7 +121,7 @@ def follow(
                 live = {"waiting": int(made.verdict.figures["waiting"]), "lag_s": lag_s}
                 with output_file(project.output / verdict.FILE) as aside:
                     write_json(aside, {**verdict.debrief_json(made), "live": live})
-                told(made)
+                report(made)
             if stop.wait(_POLL_S):
                 return made
 
@@ -174,7 +174,8 @@ def _together(
 
     begun = time.monotonic()
     try:
-        run = exposures_of_pictures([image_of(one.path, one.facts) for one in looks if one.facts is not None])
+        stated = ((picture.path, picture.facts) for picture in looks)
+        run = exposures_of_pictures([image_of(path, facts) for path, facts in stated if facts is not None])
     except PhotocalError:
         run = None
     together = verdict.judged_together(looks, run, Rig(), last, plan, until_stopped)
@@ -187,8 +188,8 @@ def _so_far(looks: dict[Path, Look], run: ExposureRun | None, together: Together
     figures = {
         "n": float(len(looks)),
         "waiting": float(waiting),
-        "again": float(sum(one.severity in verdict.AGAIN for one in findings)),
-        "look": float(sum(one.severity in verdict.LOOK for one in findings)),
+        "again": float(sum(finding.severity in verdict.AGAIN for finding in findings)),
+        "look": float(sum(finding.severity in verdict.LOOK for finding in findings)),
     }
     so_far = Finding("flight-so-far", "note", figures=figures)
     return Debrief(so_far, tuple(findings), tuple(ordered), run, together)

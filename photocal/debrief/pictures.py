@@ -113,45 +113,47 @@ def picture_findings(looks: Sequence[Look]) -> list[Finding]:
     groups = {
         "pictures-unreadable": [look for look in looks if look.facts is None],
         "pictures-blurred": _blurred(readable),
-        "pictures-too-bright": [one for one in readable if one.white > _SHARE],
+        "pictures-too-bright": [look for look in readable if look.white > _SHARE],
         "pictures-too-dark": [
-            one for one in readable if one.white <= _SHARE and (one.black > 0.5 or one.range < _RANGE)
+            look for look in readable if look.white <= _SHARE and (look.black > 0.5 or look.range < _RANGE)
         ],
     }
     findings = [_about(code, group, len(looks)) for code, group in groups.items() if group]
     alike = readable
     for code, stated in (("pictures-of-other-camera", _camera), ("lens-changed", _lens)):
-        every = [stated(one) for one in alike]
+        every = [stated(look) for look in alike]
         usual = max(every, key=every.count, default="")
-        others = [one for one in alike if stated(one) != usual]
-        alike = [one for one in alike if stated(one) == usual]
+        others = [look for look in alike if stated(look) != usual]
+        alike = [look for look in alike if stated(look) == usual]
         if others:
             findings.append(_about(code, others, len(looks), stated(others[0]), usual))
     return findings
 
 
-def _about(code: str, group: Sequence[Look], of: int, told: str = "", usual: str = "") -> Finding:
+def _about(code: str, group: Sequence[Look], of: int, stated: str = "", usual: str = "") -> Finding:
     names = tuple(look.path.name for look in group)
     reason = next((look.refusal for look in group if look.refusal), "")
     figures = {"n": float(len(names)), "all": float(of), "images": names, "reason": reason}
-    return Finding(code, "doubtful", figures={**figures, "told": told, "usual": usual})
+    return Finding(code, "doubtful", figures={**figures, "told": stated, "usual": usual})
 
 
 def _blurred(looks: Sequence[Look]) -> list[Look]:
-    softness = np.log([one.softness for one in looks])
+    softness = np.log([look.softness for look in looks])
     known = np.isfinite(softness)
     if known.sum() < 5:
         return []
     middle = float(np.median(softness[known]))
     spread = 1.4826 * float(np.median(np.abs(softness[known] - middle)))
     limit = middle + max(np.log(_SOFTER), _DEVIATIONS * spread)
-    return [one for one, own in zip(looks, softness, strict=True) if own > limit]
+    return [look for look, value in zip(looks, softness, strict=True) if value > limit]
 
 
 def _camera(look: Look) -> str:
     facts = look.facts
-    told = () if facts is None else (facts.make, facts.model, facts.serial, "x".join(map(str, facts.size_px)))
-    return " ".join(part for part in told if part)
+    if facts is None:
+        return ""
+    parts = facts.make, facts.model, facts.serial, "x".join(map(str, facts.size_px))
+    return " ".join(filter(None, parts))
 
 
 def _lens(look: Look) -> str:
@@ -247,24 +249,24 @@ def quick_findings(
     except PhotocalError as refusal:
         return None, [Finding("pictures-not-joined", "grave", figures={"reason": refusal.what})]
     findings = []
-    out = tuple(one["image"] for one in quick.left_out)
+    out = tuple(entry["image"] for entry in quick.left_out)
     if len(out) > _MAY_STAY * len(facts):
         figures = {"n": float(len(out)), "all": float(len(facts)), "images": out}
         findings.append(Finding("pictures-left-out", "doubtful", figures=figures))
     return quick, findings + [_since(camera, last) for camera in quick.cameras if last]
 
 
-def _since(found: dict[str, Any], last: Sequence[Camera]) -> Finding:
+def _since(quick_camera: dict[str, Any], last: Sequence[Camera]) -> Finding:
     """Principal distance since the last certificate, whose camera the pictures were oriented with."""
-    released, unit = found["released"], found["unit"]
+    released, unit = quick_camera["released"], quick_camera["unit"]
     if released is None or not released["credible"]:
-        return untested("c-changed", "c-not-determined", {"camera": found["camera"]})
+        return untested("c-changed", "c-not-determined", {"camera": quick_camera["camera"]})
     c = float(released["c"] / (1.0 + released["change"]))
     before = min(last, key=lambda camera: abs(camera.value("c") - c))
     both = float(np.hypot(before.sigma_of("c"), released["sigma"]))
     away = float(released["c"]) - c
     figures = {
-        "camera": found["camera"],
+        "camera": quick_camera["camera"],
         "c": float(released["c"]),
         "sigma": float(released["sigma"]),
         "before": c,
@@ -273,4 +275,4 @@ def _since(found: dict[str, Any], last: Sequence[Camera]) -> Finding:
         "sigmas": abs(away) / both,
     }
     changed = abs(away) > max(_CHANGED_SIGMAS * both, _CHANGED_SHARE * c)
-    return Finding("c-changed", "doubtful" if changed else "passed", str(found["camera"]), figures)
+    return Finding("c-changed", "doubtful" if changed else "passed", str(quick_camera["camera"]), figures)

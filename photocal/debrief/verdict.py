@@ -95,13 +95,13 @@ def coverage_findings(flown: Coverage, exposures: Exposures) -> list[Finding]:
     """Name strips that must be flown again, and holes."""
     findings, forward = [], flown.block.forward
     for strip in np.unique(flown.block.strip).tolist():
-        mine = np.flatnonzero((flown.block.strip == strip) & (forward < LEAST_OVERLAP))
-        if len(mine):
+        weak = np.flatnonzero((flown.block.strip == strip) & (forward < LEAST_OVERLAP))
+        if len(weak):
             figures = {
                 "strip": float(strip + 1),
-                "overlap_percent": 100.0 * float(forward[mine].min()),
+                "overlap_percent": 100.0 * float(forward[weak].min()),
                 "least_percent": 100.0 * LEAST_OVERLAP,
-                "events": tuple(str(n) for n in exposures.number[flown.rows[flown.good[mine]]]),
+                "events": tuple(str(n) for n in exposures.number[flown.rows[flown.good[weak]]]),
             }
             findings.append(Finding("strip-gap", "grave", str(strip + 1), figures))
     if flown.hole_m2 > _MAY_LACK * flown.area_m2:
@@ -165,8 +165,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
             findings.append(Finding("exposures-unknown", "grave", figures={"reason": str(refusal)}))
         with progress("looking at pictures", len(paths)) as done:
             # What was looked at before is kept by its content.
-            tasks = ((path, plan) for path in paths)
-            looks = list(run_tasks(pictures.look, tasks, processes, done))
+            looks = list(run_tasks(pictures.look, ((path, plan) for path in paths), processes, done))
         if run is not None:
             findings += _exposure_findings(run, len(paths))
         together = judged_together(looks, run, rig, last, plan, progress)
@@ -179,7 +178,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
 
 def in_order(findings: Sequence[Finding]) -> list[Finding]:
     """Findings, the worst first."""
-    return sorted(findings, key=lambda one: _ORDER.index(one.severity))
+    return sorted(findings, key=lambda finding: _ORDER.index(finding.severity))
 
 
 def judged_together(
@@ -195,21 +194,21 @@ def judged_together(
     good = [look for look in looks if look.path.name not in bad and look.facts is not None]
     findings, flown, quick = list[Finding](), None, None
     if len(good) >= 3:
-        facts = [one.facts for one in good if one.facts is not None]
+        facts = [look.facts for look in good if look.facts is not None]
         if run is not None:
             facts = pictures.with_positions(facts, run.exposures)
-        quick, findings = pictures.quick_findings(facts, [one.key for one in good], last, plan, progress)
+        quick, findings = pictures.quick_findings(facts, [look.key for look in good], last, plan, progress)
     if run is not None:
-        flown, told = _covered(run, rig, good, quick)
-        findings = [*findings, *told]
+        flown, uncovered = _covered(run, rig, good, quick)
+        findings = [*findings, *uncovered]
     return Together(tuple(findings), flown, quick)
 
 
 def _exposure_findings(run: ExposureRun, count: int) -> list[Finding]:
     """What the exposures say by themselves: partners, positions and their state, attitudes."""
-    findings = [one for one in findings_of(run.figures["findings"], Path(FILE)) if not one.small]
+    findings = [finding for finding in findings_of(run.figures["findings"], Path(FILE)) if not finding.small]
     strangers = [finding for finding in findings if finding.code == "images-without-event"]
-    lonely = sum(one.figures["n"] for one in strangers)
+    lonely = sum(finding.figures["n"] for finding in strangers)
     if lonely > _WRONG_CARD * count:
         figures = {"n": lonely, "all": float(count)}
         findings = [finding for finding in findings if finding not in strangers]
@@ -227,19 +226,18 @@ def _exposure_findings(run: ExposureRun, count: int) -> list[Finding]:
 def _covered(
     run: ExposureRun, rig: Rig, good: Sequence[Look], quick: Quick | None
 ) -> tuple[Coverage | None, list[Finding]]:
-    exposures, facts = run.exposures, next((one.facts for one in good if one.facts is not None), None)
+    exposures, facts = run.exposures, next((look.facts for look in good if look.facts is not None), None)
     ground = _ground(run)
     lowest = np.nanmin(exposures.placed.height_m, initial=np.inf)
     if ground is None and quick is not None and lowest - quick.ground_m > _LOW_M:
         ground = quick.ground_m
     if facts is None or ground is None or exposures.placed.placed.sum() < 3:
         return None, [untested("coverage-hole", "no-ground-height")]
-    names = {one.path.name for one in good}
-    usable = np.array([any(name in names for name in own.split()) for own in exposures.image])
+    names = {look.path.name for look in good}
+    usable = np.array([any(name in names for name in images.split()) for images in exposures.image])
     if usable.sum() < 2:
         return None, []
-    camera = stated_camera("", facts).camera
-    flown = coverage(exposures, usable, rig, camera, ground)
+    flown = coverage(exposures, usable, rig, stated_camera("", facts).camera, ground)
     return flown, coverage_findings(flown, exposures)
 
 
@@ -331,10 +329,10 @@ def _summary(made: Debrief, say: Catalogue) -> list[str]:
     lines = [say("debrief.pictures", n=readable, all=len(made.looks)) + joined]
     if flown is not None and len(overlap := 100.0 * _overlap(flown)):
         lines.append(say("debrief.overlap", median=np.median(overlap), least=overlap.min()))
-    for own in () if quick is None else quick.cameras:
-        if own["released"] is not None:
-            c, sigma = own["released"]["c"], own["released"]["sigma"]
-            lines.append(say("debrief.camera", camera=own["camera"], c=c, sigma=sigma, unit=own["unit"]))
+    for entry in () if quick is None else quick.cameras:
+        if (released := entry["released"]) is not None:
+            c, sigma, unit = released["c"], released["sigma"], entry["unit"]
+            lines.append(say("debrief.camera", camera=entry["camera"], c=c, sigma=sigma, unit=unit))
     return lines
 
 

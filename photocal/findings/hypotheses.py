@@ -88,4 +88,4 @@ FAULTS: tuple[Fault, ...] = (
 
 def fault(code: str, table: tuple[Fault, ...] = FAULTS) -> Fault | None:
     """Give the entry of a code; None for a finding that is no fault of the table."""
-    return next((one for one in table if one.code == code), None)
+    return next((entry for entry in table if entry.code == code), None)

@@ -145,12 +145,12 @@ def identity(finding: Finding) -> str:
     return json.dumps(as_plain(finding), sort_keys=True)
 
 
-def told(findings: Iterable[Finding]) -> dict[str, Any]:
+def as_record(findings: Iterable[Finding]) -> dict[str, Any]:
     """Give findings for a record: as JSON values, and as English sentences."""
     listed, say = tuple(findings), catalogue("en")
     return {
-        "findings": [finding_json(one, say) for one in listed],
-        "warnings": [finding_text(one, say, plain) for one in listed if not one.small],
+        "findings": [finding_json(finding, say) for finding in listed],
+        "warnings": [finding_text(finding, say, plain) for finding in listed if not finding.small],
     }
 
 
@@ -191,16 +191,16 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         return _term(value, say) if key in TERMS else name(value) if key in PARAMETERS else value
     if not isinstance(value, tuple | list):
         return Number(math.nan if value is None else float(value), say.mark)
-    texts = [str(one) for one in value]
+    texts = [str(element) for element in value]
     if key in PHRASES:
         joint = ", " if PHRASES[key] == "lever" else say("join.and")
-        return joint.join(_phrase(PHRASES[key], one, say, name) for one in texts)
+        return joint.join(_phrase(PHRASES[key], text, say, name) for text in texts)
     if key in TERMS:
-        return say("join.and").join(_term(one, say) for one in texts)
+        return say("join.and").join(_term(text, say) for text in texts)
     if key in PARAMETERS:
-        return " ".join(name(one) for one in texts)
+        return " ".join(name(text) for text in texts)
     if key in ("numbers", "stated", "difference"):
-        return ", ".join(_number(one, say) for one in texts)
+        return ", ".join(_number(text, say) for text in texts)
     more = say("join.more", count=len(texts) - _NAMED) if len(texts) > _NAMED else ""
     return ", ".join(texts[:_NAMED]) + more
 

@@ -52,13 +52,12 @@ def in_pixels(camera: Camera) -> Camera:
             values[_B] = [stretch * (1 + values[11]) - 1, stretch * values[12]]
         else:
             values[11] = (1 + values[11]) / stretch - 1
-    sigma = camera.prior_sigma * (1 / height) ** powers
     return replace(
         camera,
         unit="px",
         pitch=(1.0, 1.0),
         values=values,
-        prior_sigma=sigma,
+        prior_sigma=camera.prior_sigma * (1 / height) ** powers,
         reference_radius=camera.reference_radius / height,
         affinity=affinity,
     )

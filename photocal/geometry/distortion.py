@@ -52,9 +52,9 @@ def undistorted(camera: Camera, measured: Floats) -> Floats:
 def slopes_of(cameras: Sequence[Camera], camera: Integers, plane: Floats) -> Floats:
     """Slopes (u, v)/-w, shape (n, 2), of what several cameras have measured; `camera` (n,): which of them."""
     slopes = np.empty(plane.shape)
-    for k, own in enumerate(cameras):
-        mine = camera == k
-        slopes[mine] = undistorted(own, plane[mine]) / own.value("c")
+    for k, interior in enumerate(cameras):
+        of_camera = camera == k
+        slopes[of_camera] = undistorted(interior, plane[of_camera]) / interior.value("c")
     return slopes
 
 
@@ -104,7 +104,7 @@ def radial_profile_sigma(camera: Camera, radius: Floats) -> Floats:
     moved = np.zeros((len(radius), len(names)))
     for k, n in enumerate(names):
         ends = (camera.changed(**{n: camera.value(n) + side * camera.sigma_of(n)}) for side in (1, -1))
-        more, less = (radial_profile(one, radius) for one in ends)
+        more, less = (radial_profile(end, radius) for end in ends)
         moved[:, k] = (more - less) / 2
     variance = np.einsum("ni,ij,nj->n", moved, camera.correlation_of(names), moved)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

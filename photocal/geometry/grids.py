@@ -18,8 +18,8 @@ def grids_here() -> list[str]:
     from pyproj import datadir
 
     folders = {*datadir.get_data_dir().split(os.pathsep), _user_folder()}
-    found = (path for folder in folders for path in Path(folder).glob("*"))
-    return sorted({path.name for path in found if path.suffix in (".tif", ".gtx")})
+    paths = (path for folder in folders for path in Path(folder).glob("*"))
+    return sorted({path.name for path in paths if path.suffix in (".tif", ".gtx")})
 
 
 def _user_folder(*, create: bool = False) -> str:

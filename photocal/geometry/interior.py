@@ -124,10 +124,10 @@ def _conformal(readings: Floats, known: Floats, mirrored: bool) -> Floats:
 def _projective(readings: Floats, known: Floats) -> Floats:
     """Eight parameters: linear start, then Gauss-Newton on the residuals at the marks."""
     x, y = readings.T
-    one, zero = np.ones_like(x), np.zeros_like(x)
+    ones, zero = np.ones_like(x), np.zeros_like(x)
     rows = [
-        np.column_stack([x, y, one, zero, zero, zero, -known[:, 0] * x, -known[:, 0] * y, -known[:, 0]]),
-        np.column_stack([zero, zero, zero, x, y, one, -known[:, 1] * x, -known[:, 1] * y, -known[:, 1]]),
+        np.column_stack([x, y, ones, zero, zero, zero, -known[:, 0] * x, -known[:, 0] * y, -known[:, 0]]),
+        np.column_stack([zero, zero, zero, x, y, ones, -known[:, 1] * x, -known[:, 1] * y, -known[:, 1]]),
     ]
     _, singular, vectors = np.linalg.svd(np.vstack(rows))
     if singular[7] < DEGENERATE * singular[0]:
@@ -139,7 +139,7 @@ def _projective(readings: Floats, known: Floats) -> Floats:
     for _ in range(ITERATIONS):
         moved = _transform(matrix, readings)
         depth = readings @ matrix[2, :2] + 1.0
-        top = np.column_stack([x, y, one]) / depth[:, None]
+        top = np.column_stack([x, y, ones]) / depth[:, None]
         none = np.zeros_like(top)
         lens = np.column_stack([x, y]) / depth[:, None]
         design = np.vstack(

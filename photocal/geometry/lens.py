@@ -321,7 +321,7 @@ def image_residual(
 
 @inlined
 def recorded(
-    cameras: Floats, optics: Floats, k: int, u: float, v: float, w: float, room: Scratch, found: Floats
+    cameras: Floats, optics: Floats, k: int, u: float, v: float, w: float, room: Scratch, place: Floats
 ) -> bool:
     """Find where a camera records a point of camera axes (u, v, w); False where it does not."""
     by_camera = room.by_camera
@@ -341,14 +341,14 @@ def recorded(
         sx, sy = (e * vx - b * vy) / determinant, (a * vy - d * vx) / determinant
         x, y = x + sx, y + sy
         if sx * sx + sy * sy < _SOLVED * c * c:
-            found[0], found[1] = x, y
+            place[0], place[1] = x, y
             return bool(determinant > 0.0 and room.depth[0] > 0.0)
     return False
 
 
 @inlined
 def direction(
-    cameras: Floats, optics: Floats, k: int, angular: bool, x: float, y: float, room: Scratch, found: Floats
+    cameras: Floats, optics: Floats, k: int, angular: bool, x: float, y: float, room: Scratch, vector: Floats
 ) -> bool:
     """Find the direction in camera axes of what is recorded at (x, y); False where there is none.
 
@@ -381,8 +381,8 @@ def direction(
         s0, s1 = (e * vx - b * vy) / determinant, (a * vy - d * vx) / determinant
         e0, e1 = e0 - s0, e1 - s1
         if s0 * s0 + s1 * s1 < _SOLVED:
-            found[0], found[1] = u - t00 * s0 - t01 * s1, v - t01 * s0 - t11 * s1
-            found[2] = w - w0 * s0 - w1 * s1
+            vector[0], vector[1] = u - t00 * s0 - t01 * s1, v - t01 * s0 - t11 * s1
+            vector[2] = w - w0 * s0 - w1 * s1
             return bool(determinant > 0.0)
     return False
 
@@ -390,19 +390,19 @@ def direction(
 @allocating
 def all_recorded(cameras: Floats, optics: Floats, k: int, q: Floats, plane: Floats) -> None:
     """Find where camera k records points, NaN where it does not."""
-    room, found = kernel_scratch(0), np.zeros(2)
+    room, place = kernel_scratch(0), np.zeros(2)
     for n in range(len(q)):
-        seen = recorded(cameras, optics, k, q[n, 0], q[n, 1], q[n, 2], room, found)
+        seen = recorded(cameras, optics, k, q[n, 0], q[n, 1], q[n, 2], room, place)
         # One by one: for whole rows the compiler brings a check of shapes that takes it ten seconds.
         for a in range(2):
-            plane[n, a] = found[a] if seen else np.nan
+            plane[n, a] = place[a] if seen else np.nan
 
 
 @allocating
 def all_directions(cameras: Floats, optics: Floats, k: int, angular: bool, plane: Floats, q: Floats) -> None:
     """Find the directions in which camera k sees, NaN where there is none."""
-    room, found = kernel_scratch(0), np.zeros(3)
+    room, vector = kernel_scratch(0), np.zeros(3)
     for n in range(len(q)):
-        seen = direction(cameras, optics, k, angular, plane[n, 0], plane[n, 1], room, found)
+        seen = direction(cameras, optics, k, angular, plane[n, 0], plane[n, 1], room, vector)
         for a in range(3):
-            q[n, a] = found[a] if seen else np.nan
+            q[n, a] = vector[a] if seen else np.nan

@@ -165,9 +165,9 @@ class OrientedImages:
         """Columns and rows where images record points of camera axes, shape (m, 2)."""
         pixels = np.full((len(image), 2), np.nan)
         for k, camera in enumerate(self.cameras):
-            mine = np.flatnonzero(self.camera[image] == k)
-            if len(mine):
-                pixels[mine] = plane_to_pixel(camera.size_px, camera.pitch, projected(camera, q[mine]))
+            rows = np.flatnonzero(self.camera[image] == k)
+            if len(rows):
+                pixels[rows] = plane_to_pixel(camera.size_px, camera.pitch, projected(camera, q[rows]))
         return pixels
 
     def ideal(self, image: Integers, pixels: Floats) -> tuple[Floats, Floats]:
@@ -178,10 +178,10 @@ class OrientedImages:
         """
         plane, c = np.empty((len(image), 2)), np.empty(len(image))
         for k, camera in enumerate(self.cameras):
-            mine = np.flatnonzero(self.camera[image] == k)
-            if len(mine):
-                plane[mine] = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixels[mine]))
-                c[mine] = camera.value("c")
+            rows = np.flatnonzero(self.camera[image] == k)
+            if len(rows):
+                plane[rows] = undistorted(camera, pixel_to_plane(camera.size_px, camera.pitch, pixels[rows]))
+                c[rows] = camera.value("c")
         return plane, c
 
 
@@ -212,8 +212,7 @@ def local_poses(frame: Frame, given: Floats) -> Floats:
 
     Given angles refer to the given axes at each image.
     """
-    place = frame.to_local(given[:, 3:])
-    return np.hstack([_turned(frame, given[:, :3], given[:, 3:], back=False), place])
+    return np.hstack([_turned(frame, given[:, :3], given[:, 3:], back=False), frame.to_local(given[:, 3:])])
 
 
 def given_poses(frame: Frame, local: Floats) -> Floats:

@@ -45,18 +45,18 @@ def relative_orientations(first: Floats, second: Floats) -> list[RelativeOrienta
     import cv2
 
     a, b = (np.ascontiguousarray(rays * [1.0, -1.0]) for rays in (first, second))
-    found: list[tuple[Any, Any]] = []
+    poses: list[tuple[Any, Any]] = []
     essential, _ = cv2.findEssentialMat(a, b, np.eye(3), method=cv2.LMEDS, prob=0.9999)
     if essential is not None:
         # Five points alone give several matrices, one below the other.
         for matrix in essential.reshape(-1, 3, 3):
-            one, other, shift = cv2.decomposeEssentialMat(matrix)
-            found += [(turn, sign * shift) for turn in (one, other) for sign in (1, -1)]
+            first_turn, second_turn, shift = cv2.decomposeEssentialMat(matrix)
+            poses += [(turn, sign * shift) for turn in (first_turn, second_turn) for sign in (1, -1)]
     homography, _ = cv2.findHomography(a, b, cv2.LMEDS)
     if homography is not None:
         _, turns, shifts, _ = cv2.decomposeHomographyMat(homography, np.eye(3))
-        found += [(turn, sign * shift) for turn, shift in zip(turns, shifts, strict=True) for sign in (1, -1)]
-    candidates = [_candidate(turn, np.ravel(shift), first, second) for turn, shift in found]
+        poses += [(turn, sign * shift) for turn, shift in zip(turns, shifts, strict=True) for sign in (1, -1)]
+    candidates = [_candidate(turn, np.ravel(shift), first, second) for turn, shift in poses]
     return [candidate for candidate in candidates if candidate is not None]
 
 
@@ -67,18 +67,18 @@ def _candidate(turn: Floats, shift: Floats, first: Floats, second: Floats) -> Re
         return None
     rotation = FLIP @ turn @ FLIP
     base = -FLIP @ turn.T @ (shift / length)
-    one = np.column_stack([first, -np.ones(len(first))])
-    other = np.column_stack([second, -np.ones(len(second))]) @ rotation
+    left = np.column_stack([first, -np.ones(len(first))])
+    right = np.column_stack([second, -np.ones(len(second))]) @ rotation
     # Lengths s, t along both rays that bring s one and base + t other closest to each other.
-    aa, bb, ab = (np.sum(x * y, axis=1) for x, y in ((one, one), (other, other), (one, other)))
+    aa, bb, ab = (np.sum(x * y, axis=1) for x, y in ((left, left), (right, right), (left, right)))
     determinant = aa * bb - ab**2
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = (bb * (one @ base) - ab * (other @ base)) / determinant
-        t = (ab * (one @ base) - aa * (other @ base)) / determinant
+        s = (bb * (left @ base) - ab * (right @ base)) / determinant
+        t = (ab * (left @ base) - aa * (right @ base)) / determinant
     front = (s > 0) & (t > 0)
     if front.mean() < IN_FRONT:
         return None
-    points = (s[:, None] * one + base + t[:, None] * other) / 2
+    points = (s[:, None] * left + base + t[:, None] * right) / 2
     points[~front] = np.nan
     angle = np.arccos(np.clip(ab[front] / np.sqrt(aa * bb)[front], -1.0, 1.0))
     return RelativeOrientation(rotation, base, points, float(np.median(angle)))

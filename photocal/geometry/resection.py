@@ -87,8 +87,8 @@ def _misfit(residual: Floats) -> Floats:
 def _direct(world: Floats, rays: Floats) -> Resection | None:
     import cv2
 
-    found = _with_residuals(_poses(world, rays, cv2.SOLVEPNP_SQPNP, refine=True), world, rays)
-    return min(found, key=lambda pose: float(np.mean(pose.residual)), default=None)
+    poses = _with_residuals(_poses(world, rays, cv2.SOLVEPNP_SQPNP, refine=True), world, rays)
+    return min(poses, key=lambda pose: float(np.mean(pose.residual)), default=None)
 
 
 def _least_median(world: Floats, rays: Floats) -> Resection | None:

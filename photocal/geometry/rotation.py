@@ -57,8 +57,8 @@ def turn_per_angle(angles: Floats) -> Floats:
     """
     sp, sk = np.sin(angles[..., 1]), np.sin(angles[..., 2])
     cp, ck = np.cos(angles[..., 1]), np.cos(angles[..., 2])
-    zero, one = np.zeros_like(sp), np.ones_like(sp)
-    columns = [[-cp * ck, cp * sk, -sp], [-sk, -ck, zero], [zero, zero, -one]]
+    zero, ones = np.zeros_like(sp), np.ones_like(sp)
+    columns = [[-cp * ck, cp * sk, -sp], [-sk, -ck, zero], [zero, zero, -ones]]
     return np.moveaxis(np.array(columns, dtype=float), (0, 1), (-1, -2))
 
 
@@ -108,12 +108,12 @@ def object_to_body(angles: Floats) -> tuple[Floats, Floats]:
     """
     sin, cos = np.sin(angles), np.cos(angles)
     (sr, sp, sy), (cr, cp, cy) = sin.T, cos.T
-    zero, one = np.zeros_like(sr), np.ones_like(sr)
+    zero, ones = np.zeros_like(sr), np.ones_like(sr)
     rows = [
         [cp * cy, cp * sy, -sp],
         [sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp],
         [cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp],
     ]
     from_ned = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-    columns = [[one, zero, zero], [zero, cr, -sr], [-sp, sr * cp, cr * cp]]
+    columns = [[ones, zero, zero], [zero, cr, -sr], [-sp, sr * cp, cr * cp]]
     return from_ned @ TO_NED, np.moveaxis(np.array(columns), (0, 1), (-1, -2))

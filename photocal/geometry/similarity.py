@@ -65,10 +65,10 @@ def robust_similarity(source: Floats, target: Floats) -> tuple[Similarity, Flags
     choices = [np.arange(count)]
     if count > FEWEST:
         choices += [rng.choice(count, FEWEST, replace=False) for _ in range(SAMPLES)]
-    found = [move for chosen in choices if (move := similarity(source[chosen], target[chosen])) is not None]
-    if not found:
+    moves = [move for chosen in choices if (move := similarity(source[chosen], target[chosen])) is not None]
+    if not moves:
         return None
-    best = min(found, key=lambda move: float(misses_of(move, source, target).sum()))
+    best = min(moves, key=lambda move: float(misses_of(move, source, target).sum()))
     fits = np.ones(count, dtype=np.bool_)
     for _ in range(5):
         miss = misses_of(best, source, target)

@@ -47,7 +47,7 @@ class Judged:
     assessment: of the check points, by statistics and standards; None without check points.
     """
 
-    found: Georeferenced
+    result: Georeferenced
     control: Differences
     check: Differences
     assessment: Assessment | None
@@ -55,7 +55,7 @@ class Judged:
     @property
     def differences(self) -> tuple[Differences, ...]:
         """Those at check and at control points, where there are any."""
-        return tuple(found for found in (self.check, self.control) if found.names)
+        return tuple(group for group in (self.check, self.control) if group.names)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class BlockCheck:
 
     def of(self, method: Method) -> Judged | None:
         """Give one method's result; None where the block does not allow it."""
-        return next((one for one in self.judged if one.found.method == method), None)
+        return next((judged for judged in self.judged if judged.result.method == method), None)
 
 
 def check_block(
@@ -119,7 +119,7 @@ def check_block(
         wrong = "".join(f"; control point {point.point} contradicts the others" for point in mistyped)
         message = _with_findings(f"no method can be computed: {reasons}{wrong}", plausibility)
         raise IllPosedError(message, where=block.name)
-    by_method = {one.found.method: one.found.exposures for one in judged}
+    by_method = {entry.result.method: entry.result.exposures for entry in judged}
     both = "direct" in by_method and "indirect" in by_method
     systematic, apart = _calibration(sound)
     done("systematic errors")
@@ -137,7 +137,7 @@ def check_block(
 
 def _sound(block: Block, typed: Block, judged: list[Judged]) -> tuple[Block, tuple[Mistyped, ...]]:
     """The block without control points that contradict the others, where any point is suspected at all."""
-    if judged and not any(one.control.suspected for one in judged):
+    if judged and not any(entry.control.suspected for entry in judged):
         return block, ()
     place = (lambda local: local) if typed.frame == "local" else block_frame(typed).to_given
     return mistyped_control(without_weak_images(block)[0], typed.points.values, place, typed.frame)
@@ -150,31 +150,30 @@ def _with_findings(message: str, findings: tuple[Finding, ...]) -> str:
 
 
 def _judge(
-    block: Block, places: Floats, found: Georeferenced, standards: tuple[Standard, ...], question: Question
+    block: Block, places: Floats, result: Georeferenced, standards: tuple[Standard, ...], question: Question
 ) -> Judged:
     """Judge one method; maps show the points at their places as given."""
     index = {name: k for k, name in enumerate(block.points.names)}
 
     def at_given_places(role: Role) -> Differences:
-        one = differences(block, found, role)
-        rows = np.array([index[name] for name in one.names], dtype=np.int64)
-        return replace(one, xyz=places[rows])
+        group = differences(block, result, role)
+        return replace(group, xyz=places[np.array([index[name] for name in group.names], dtype=np.int64)])
 
     check = at_given_places("check")
     if question.gsd_m is None:
-        question = replace(question, gsd_m=_ground_pixel(block, found))
+        question = replace(question, gsd_m=_ground_pixel(block, result))
     assessment = assess(check.discrepancies(), standards, question) if len(check.names) else None
-    return Judged(found, at_given_places("control"), check, assessment)
+    return Judged(result, at_given_places("control"), check, assessment)
 
 
-def _ground_pixel(block: Block, found: Georeferenced) -> float | None:
+def _ground_pixel(block: Block, result: Georeferenced) -> float | None:
     """Median size of a pixel at the check points, m; None where the method has no exposures."""
     place = np.full((len(block.points.names), 3), np.nan)
-    place[found.points] = found.xyz
+    place[result.points] = result.xyz
     place[~block.points.of_role("check")] = np.nan
     seen, camera = block.observations, block.images.camera[block.observations.image]
-    per_metre = np.array([one.pitch[0] / one.value("c") for one in block.cameras])[camera]
-    size = per_metre * np.linalg.norm(found.exposures[seen.image, 3:] - place[seen.point], axis=1)
+    per_metre = np.array([interior.pitch[0] / interior.value("c") for interior in block.cameras])[camera]
+    size = per_metre * np.linalg.norm(result.exposures[seen.image, 3:] - place[seen.point], axis=1)
     return float(np.nanmedian(size)) if np.isfinite(size).any() else None
 
 

@@ -128,13 +128,13 @@ def rms(vectors: Sequence[Floats] | Floats) -> Floats:
     return np.sqrt(np.mean(np.square(vectors), axis=0)) if len(vectors) else np.full(3, np.nan)
 
 
-def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
+def differences(block: Block, result: Georeferenced, role: Role) -> Differences:
     """Compare the ground points of one role with their survey."""
-    mine = block.points.role[found.points] == ROLES.index(role)
-    index, fitted = found.points[mine], found.fitted[mine]
+    of_role = block.points.role[result.points] == ROLES.index(role)
+    index, fitted = result.points[of_role], result.fitted[of_role]
     surveyed = block.points.values[index]
-    d = found.xyz[mine] - surveyed
-    product = found.covariance[mine]
+    d = result.xyz[of_role] - surveyed
+    product = result.covariance[of_role]
     stated = np.where(np.isfinite(block.points.sigma[index]), block.points.sigma[index], 0.0)
     cross = np.zeros((len(index), 3)) if block.points.cross is None else block.points.cross[index]
     survey = covariance_matrices(stated, cross)
@@ -152,9 +152,9 @@ def differences(block: Block, found: Georeferenced, role: Role) -> Differences:
     names = tuple(block.points.names[j] for j in index)
     sigma = np.sqrt(np.diagonal(product, axis1=1, axis2=2))
     joint = None
-    if role == "check" and found.joint is not None and len(found.joint) == d.size:
+    if role == "check" and result.joint is not None and len(result.joint) == d.size:
         # Their survey is independent from point to point.
-        joint = joint_test(d, found.joint + block_diag(*survey))
+        joint = joint_test(d, result.joint + block_diag(*survey))
     return Differences(
         role,
         names,

@@ -64,15 +64,15 @@ def calibrate(block: Block) -> Calibration:
     at = factored(network, solution.state)
     columns = [at.problem.layout.common_columns[:STRIPS]]
     for active, where in at.problem.layout.camera_columns:
-        own = np.full(len(PARAMETERS), -1)
-        own[active] = where
-        columns.append(own)
+        camera_columns = np.full(len(PARAMETERS), -1)
+        camera_columns[active] = where
+        columns.append(camera_columns)
     column = np.concatenate(columns)
     unknown = np.flatnonzero(column >= 0)
     covariance = np.zeros((len(column), len(column)))
     if len(unknown):
-        found = blocks(column[unknown][None, :], at.problem.structure, at.inverse)[0]
-        covariance[np.ix_(unknown, unknown)] = found
+        square = np.ix_(unknown, unknown)
+        covariance[square] = blocks(column[unknown][None, :], at.problem.structure, at.inverse)[0]
     return Calibration(solution.cameras, solution.state.common[:STRIPS], covariance)
 
 
@@ -154,13 +154,13 @@ def direct_orientation(block: Block) -> DirectOrientation:
         rotation[i] = m
         centre[i] = positions.values[p] - m.T @ arm + velocity * mounting.values[TIME] - shift
         # Rows: the turn of the camera, the projection centre; columns: turn of the body, antenna.
-        own = np.zeros((6, 6))
-        own[:3, :3] = matrix
-        own[3:, :3] = -m.T @ skew(arm) @ matrix
-        own[3:, 3:] = np.eye(3)
+        jacobian = np.zeros((6, 6))
+        jacobian[:3, :3] = matrix
+        jacobian[3:, :3] = -m.T @ skew(arm) @ matrix
+        jacobian[3:, 3:] = np.eye(3)
         measured = np.zeros((6, 6))
         measured[:3, :3], measured[3:, 3:] = attitudes.covariance[a], positions.covariance[p]
-        covariance[i] = own @ measured @ own.T
+        covariance[i] = jacobian @ measured @ jacobian.T
         by_common[i, :3, BORESIGHT] = left_jacobian(mounting.values[BORESIGHT])
         by_common[i, 3:, LEVER] = -m.T @ matrix
         by_common[i, 3:, TIME] = velocity
@@ -194,7 +194,7 @@ class MovedRays:
 def moved_rays(block: Block, orientation: DirectOrientation) -> MovedRays:
     """Poses of all observations, moved as their images move."""
     image, camera = block.observations.image, block.images.camera
-    readout = np.array([own.values[READOUT] for own in block.cameras])[camera][:, None]
+    readout = np.array([interior.values[READOUT] for interior in block.cameras])[camera][:, None]
     motion, sigma = (np.nan_to_num(part) for part in (block.images.motion, block.images.motion_sigma))
     views = oriented_images(block.cameras, camera, orientation.rotation, orientation.centre)
     views = replace(views, movement=motion * readout)

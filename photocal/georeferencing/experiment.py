@@ -153,8 +153,8 @@ def _pair(first: Run, second: Run) -> Pair:
     both = [(k, at[name]) for k, name in enumerate(first.points) if name in at]
     d = np.array([first.xyz[k] - second.xyz[other] for k, other in both]).reshape(-1, 3)
     checks = set(first.check.names if first.check else ())
-    mine = np.array([first.points[k] in checks for k, _ in both], dtype=np.bool_)
-    return Pair(first, second, rms(d[mine]), rms(d))
+    at_checks = np.array([first.points[k] in checks for k, _ in both], dtype=np.bool_)
+    return Pair(first, second, rms(d[at_checks]), rms(d))
 
 
 def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> Outcome:
@@ -167,10 +167,10 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
         noisy = degraded(block, experiment.noise, np.random.default_rng(experiment.seed))
         block = replace(block, images=noisy.images, positions=noisy.positions, attitudes=noisy.attitudes)
         block = replace(block, mounting=noisy.mounting)
-    own: Pattern = ("", np.flatnonzero(block.points.of_role("control")))
+    given_control: Pattern = ("", np.flatnonzero(block.points.of_role("control")))
     runs = []
     for method in experiment.methods:
-        for pattern in experiment.patterns or (own,):
+        for pattern in experiment.patterns or (given_control,):
             for interior, use, camera in _cameras(experiment, block):
                 cameras = list(block.cameras)
                 cameras[experiment.camera] = camera
@@ -201,13 +201,13 @@ def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
 
 
 def _cameras(experiment: Experiment, block: Block) -> list[tuple[str, Use, Camera]]:
-    own = block.cameras[experiment.camera]
+    original = block.cameras[experiment.camera]
     if not experiment.interiors:
-        return [("", "as-given", own)]
+        return [("", "as-given", original)]
     made: list[tuple[str, Use, Camera]] = []
     for interior in experiment.interiors:
-        held = np.zeros_like(own.estimated)
-        given = replace(interior, id=own.id, estimated=held, prior_sigma=np.full(held.shape, np.inf))
+        held = np.zeros_like(original.estimated)
+        given = replace(interior, id=original.id, estimated=held, prior_sigma=np.full(held.shape, np.inf))
         for use in experiment.uses:
             camera = replace(given, prior_correlation=None)
             if use == "weighted":

@@ -60,7 +60,7 @@ def control_plot(outcome: Outcome) -> "Figure | None":
     for axes, (kind, runs) in zip(panels, curves.items(), strict=True):
         # Patterns with as many points stand at the same place: each is a mark, the line follows their mean.
         count = np.array([control for control, _ in runs])
-        figures = {"RMSE": [one.rmse for _, one in runs], "sigma": [one.predicted for _, one in runs]}
+        figures = {"RMSE": [check.rmse for _, check in runs], "sigma": [check.predicted for _, check in runs]}
         places = np.unique(count)
         for name, colour, mark in _SHOWN:
             for what, style in (("RMSE", "-"), ("sigma", "--")):
@@ -86,10 +86,10 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
         "sign": SIGN,
         "runs": [_run(run) for run in outcome.runs],
         "pairs": [_pair(pair) for pair in outcome.pairs],
-        "leave_one_out": [_left(one) for one in outcome.left_out],
+        "leave_one_out": [_left(case) for case in outcome.left_out],
         "leave_one_out_rmse_m": {
-            method: rms([one.d for one in outcome.left_out if one.method == method and not one.failure])
-            for method in dict.fromkeys(one.method for one in outcome.left_out)
+            method: rms([case.d for case in outcome.left_out if case.method == method and not case.failure])
+            for method in dict.fromkeys(case.method for case in outcome.left_out)
         },
     }
     return {key: as_plain(part) for key, part in content.items()}
@@ -119,12 +119,12 @@ def to_text(outcome: Outcome) -> str:
         lines.append(f"{pair.first.name} - {pair.second.name:<28}{cells(pair.check)}")
     if outcome.left_out:
         lines += ["", "leave one out: d, w"]
-    for one in outcome.left_out:
-        if one.failure:
-            lines.append(f"  {one.method:<12}{one.point:<12}{one.failure}")
+    for case in outcome.left_out:
+        if case.failure:
+            lines.append(f"  {case.method:<12}{case.point:<12}{case.failure}")
             continue
-        values, tested = cells(one.d, "+.4f", " "), cells(one.w, ".2f", " ")
-        lines.append(f"  {one.method:<12}{one.point:<12}{values}   {tested}")
+        values, tested = cells(case.d, "+.4f", " "), cells(case.w, ".2f", " ")
+        lines.append(f"  {case.method:<12}{case.point:<12}{values}   {tested}")
     return "\n".join(lines)
 
 
@@ -134,7 +134,7 @@ def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
     if outcome.pairs:
         texts["pairs.csv"] = _csv([_pair(pair) for pair in outcome.pairs])
     if outcome.left_out:
-        texts["leave_one_out.csv"] = _csv([_left(one) for one in outcome.left_out])
+        texts["leave_one_out.csv"] = _csv([_left(case) for case in outcome.left_out])
     with output_folder(folder) as aside:
         write_json(aside / "experiment.json", to_json(outcome))
         for name, text in texts.items():
@@ -192,11 +192,11 @@ def _pair(pair: Pair) -> dict[str, Any]:
     return row
 
 
-def _left(one: LeftOut) -> dict[str, Any]:
-    row: dict[str, Any] = {"method": one.method, "point": one.point}
-    for prefix, values, unit in (("d", one.d, "_m"), ("s", one.sigma, "_m"), ("w", one.w, "")):
+def _left(case: LeftOut) -> dict[str, Any]:
+    row: dict[str, Any] = {"method": case.method, "point": case.point}
+    for prefix, values, unit in (("d", case.d, "_m"), ("s", case.sigma, "_m"), ("w", case.w, "")):
         row |= {f"{prefix}{a}{unit}": v for a, v in zip(_AXES, values, strict=True)}
-    return row | {"failure": one.failure}
+    return row | {"failure": case.failure}
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:

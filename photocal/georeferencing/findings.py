@@ -34,9 +34,9 @@ _AXES = ("forward", "right", "down")
 
 def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     """Give what was found: mistakes and errors first, each under one name, then what follows of them."""
-    listed = [*check.plausibility, *(_mistyped(one) for one in check.mistyped)]
+    listed = [*check.plausibility, *(_mistyped(mistyped) for mistyped in check.mistyped)]
     if check.systematic is not None:
-        listed += [_stated_sigma(one) for one in check.systematic.sigmas]
+        listed += [_stated_sigma(group) for group in check.systematic.sigmas]
         listed += named(check.systematic.errors)
     elif coarsely_placed(check.block):
         listed.append(Finding("coarse-positions", "note"))
@@ -53,7 +53,8 @@ def _refused(check: BlockCheck) -> list[Finding]:
     """Name the methods that the block does not allow; what it was never meant for is no fault."""
     block = check.block
     without = not block.points.of_role("control").any()
-    places, angles = (np.isfinite(block.images.sigma[:, own]).any() for own in (slice(3, 6), slice(3)))
+    observed = np.asarray(np.isfinite(block.images.sigma).any(axis=0))
+    places, angles = observed[3:].any(), observed[:3].any()
     positions, attitudes = places or len(block.positions.image), angles or len(block.attitudes.image)
     meant = {"direct": positions and attitudes, "integrated": positions or attitudes, "indirect": True}
     return [
@@ -94,15 +95,15 @@ def named(errors: tuple[SystematicError, ...]) -> list[Finding]:
     """Name the grave errors; beside them small ones are no causes yet, for the model is linear."""
     if not errors:
         return []
-    gravest = max(errors, key=lambda error: error.found.gain)
-    limit = _MINOR * gravest.found.gain
-    minor = tuple(error.found.name for error in errors if error.found.gain < limit)
+    gravest = max(errors, key=lambda error: error.hypothesis.gain)
+    limit = _MINOR * gravest.hypothesis.gain
+    minor = tuple(error.hypothesis.name for error in errors if error.hypothesis.gain < limit)
     listed = []
     for error in errors:
-        if error.found.gain < limit:
+        if error.hypothesis.gain < limit:
             continue
         finding = _named(error)
-        finding = replace(finding, figures={**finding.figures, "fall": _fall(error.found)})
+        finding = replace(finding, figures={**finding.figures, "fall": _fall(error.hypothesis)})
         if minor and error is gravest:
             figures = {**finding.figures, "minor": minor}
             finding = replace(finding, figures=figures, clauses=(*finding.clauses, "left-over"))
@@ -110,45 +111,44 @@ def named(errors: tuple[SystematicError, ...]) -> list[Finding]:
     return listed
 
 
-def _fall(found: Hypothesis) -> float:
+def _fall(hypothesis: Hypothesis) -> float:
     """Fall of v'Pv, less what unknowns gain: of a shift, a height alone is one and two are chance."""
-    known = fault(found.name)
+    known = fault(hypothesis.name)
     of_block = known is not None and known.each == "block"
-    needed = sum(one.significant for one in found.estimates) if of_block else found.unknowns
-    needed = max(needed, 1)
-    return found.gain - _UNKNOWN * (needed - 1) - (found.unknowns - needed)
+    significant = sum(estimate.significant for estimate in hypothesis.estimates)
+    needed = max(significant if of_block else hypothesis.unknowns, 1)
+    return hypothesis.gain - _UNKNOWN * (needed - 1) - (hypothesis.unknowns - needed)
 
 
 def _named(error: SystematicError) -> Finding:
     """Name the mistake that a systematic error looks like; else the error itself."""
-    same = (error.found, *error.alternatives)
-    shift = next((one for one in same if one.name == "datum-shift"), None)
+    same = (error.hypothesis, *error.alternatives)
+    shift = next((hypothesis for hypothesis in same if hypothesis.name == "datum-shift"), None)
     special = None
     if shift is not None:
         # What explains as much as a shift in plane leaves no mistake of the base alone.
-        alone = error.found.name == "datum-shift" and not error.alternatives
-        changes = (one for one in same if (known := fault(one.name)) and known.each == "part")
+        alone = error.hypothesis.name == "datum-shift" and not error.alternatives
+        changes = (other for other in same if (known := fault(other.name)) and known.each == "part")
         special = _shift(shift.estimates, alone, next(changes, None))
-    elif error.found.name == "lever-arm":
-        special = _swapped_axes(error.found.estimates)
+    elif error.hypothesis.name == "lever-arm":
+        special = _swapped_axes(error.hypothesis.estimates)
     return special or _systematic(error)
 
 
 def _systematic(error: SystematicError) -> Finding:
-    found = error.found
-    shown = [e for e in found.estimates if e.significant] or list(found.estimates)
+    hypothesis = error.hypothesis
+    shown = [e for e in hypothesis.estimates if e.significant] or list(hypothesis.estimates)
     figures: dict[str, Figure] = {"numbers": tuple(estimate_text(e) for e in shown), "same": error.same}
     return Finding(
-        found.name, "grave", figures=figures, clauses=("correction", *(["same"] * bool(error.same)))
+        hypothesis.name, "grave", figures=figures, clauses=("correction", *(["same"] * bool(error.same)))
     )
 
 
 def _shift(estimates: tuple[Estimate, ...], in_plane: bool, change: Hypothesis | None) -> Finding | None:
     """A shift common to all positions: of the height alone, or of the base."""
     axes = {estimate.name.removeprefix("shift_"): estimate for estimate in estimates}
-    noteworthy = {
-        axis for axis, one in axes.items() if one.significant and abs(one.correction) > _NOTEWORTHY_M
-    }
+    significant = {axis: estimate for axis, estimate in axes.items() if estimate.significant}
+    noteworthy = {axis for axis, estimate in significant.items() if abs(estimate.correction) > _NOTEWORTHY_M}
     if noteworthy == {"z"}:
         z = axes["z"]
         side = "above" if z.correction > 0 else "below"
@@ -161,15 +161,15 @@ def _shift(estimates: tuple[Estimate, ...], in_plane: bool, change: Hypothesis |
         return Finding("antenna-height", "grave", figures=figures, clauses=("or-change",))
     if not noteworthy or not in_plane:
         return None
-    shift = tuple(f"{axis.upper()} {one.correction:+.3f} +- {one.sigma:.3f}" for axis, one in axes.items())
+    shift = tuple(f"{axis.upper()} {e.correction:+.3f} +- {e.sigma:.3f}" for axis, e in axes.items())
     return Finding("base-position", "grave", figures={"numbers": shift}, clauses=("against-control",))
 
 
 def _swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
     """A lever arm that was given with its axes in another order or with another sign."""
-    value = np.array([one.value for one in estimates])
-    given = value - np.array([one.correction for one in estimates])
-    tolerance = np.maximum(_NEAR * np.array([one.sigma for one in estimates]), _NEAR_M)
+    value = np.array([estimate.value for estimate in estimates])
+    given = value - np.array([estimate.correction for estimate in estimates])
+    tolerance = np.maximum(_NEAR * np.array([estimate.sigma for estimate in estimates]), _NEAR_M)
     best: tuple[int, tuple[str, ...]] | None = None
     if np.all(np.abs(given - value) <= tolerance):
         return None
@@ -183,8 +183,8 @@ def _swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
                 best = len(changed), _changes(order, sign)
     if best is None:
         return None
-    estimate, stated = (tuple(f"{v:+.3f}" for v in vector) for vector in (value, given))
-    figures: dict[str, Figure] = {"stated": stated, "numbers": estimate, "changes": best[1]}
+    numbers, stated = (tuple(f"{v:+.3f}" for v in vector) for vector in (value, given))
+    figures: dict[str, Figure] = {"stated": stated, "numbers": numbers, "changes": best[1]}
     return Finding("lever-arm-axes", "grave", figures=figures, clauses=("stated-and-found",))
 
 
@@ -196,7 +196,7 @@ def _changes(order: tuple[int, ...], sign: tuple[float, ...]) -> tuple[str, ...]
 
 
 def _judged(judged: Judged) -> list[Finding]:
-    method, listed = judged.found.method, []
+    method, listed = judged.result.method, []
     for code, differences in (
         ("check-outside-prediction", judged.check),
         ("control-outside-prediction", judged.control),
@@ -207,9 +207,9 @@ def _judged(judged: Judged) -> list[Finding]:
     ratio = judged.check.ratio
     if ratio > (_RATIO_DIRECT if method == "direct" else _RATIO):
         listed.append(Finding("prediction-too-good", "doubtful", method, {"method": method, "ratio": ratio}))
-    test = judged.found.test
-    if test is not None and not test.accepted and judged.found.chi_squared > test.upper:
-        figures = {"method": method, "chi_squared": judged.found.chi_squared, "upper": test.upper}
+    test = judged.result.test
+    if test is not None and not test.accepted and judged.result.chi_squared > test.upper:
+        figures = {"method": method, "chi_squared": judged.result.chi_squared, "upper": test.upper}
         listed.append(Finding("global-test", "doubtful", method, figures))
     return listed
 

@@ -81,13 +81,12 @@ def separation(block: Block) -> Separation | None:
     columns = [layout.common_columns[k] for k in taken]
     names = [COMMON[k] for k in taken]
     scale = [float(_SCALE_COMMON[k]) for k in taken]
-    several = len(cameras) > 1
-    for own, camera_columns in zip(cameras, layout.camera_columns, strict=True):
+    for camera, camera_columns in zip(cameras, layout.camera_columns, strict=True):
         for k, column in zip(*camera_columns, strict=True):
-            if np.isfinite(own.prior_sigma[k]):
-                names.append(PARAMETERS[k] + (f"[{own.id}]" if several else ""))
+            if np.isfinite(camera.prior_sigma[k]):
+                names.append(PARAMETERS[k] + (f"[{camera.id}]" if len(cameras) > 1 else ""))
                 columns.append(column)
-                scale.append(float(own.prior_sigma[k]))
+                scale.append(float(camera.prior_sigma[k]))
     covariance = blocks(np.array([columns]), at.problem.structure, at.inverse)[0]
     deviation = np.sqrt(np.diag(covariance))
     groups = _groups(tuple(names), covariance / np.outer(scale, scale))
@@ -288,11 +287,10 @@ def places_of_change(block: Block) -> tuple[int, ...]:
 
 def _split_at(block: Block, change: Change, fault: Fault) -> Block:
     """Return the block with a second camera from an image on, what the fault frees free in both."""
-    (own,) = block.cameras
-    first = _freed(own, fault)
+    (original,) = block.cameras
+    first = _freed(original, fault)
     begin, values = change
-    later = block.images.names[begin]
-    second = replace(first.with_values(values), id=f"{own.id}@{later}")
+    second = replace(first.with_values(values), id=f"{original.id}@{block.images.names[begin]}")
     camera = np.where(np.arange(len(block.images.names)) >= begin, 1, 0)
     return replace(block, cameras=(first, second), images=replace(block.images, camera=camera))
 
@@ -311,16 +309,16 @@ def unknowns_of(block: Block, fault: Fault, estimates: tuple[Estimate, ...]) -> 
 
 def best_change(block: Block, first: Solution, table: tuple[Fault, ...] = FAULTS) -> Change | None:
     """Find the image from which a second camera explains most."""
-    one = next((fault for fault in table if fault.each == "part"), None)
-    if one is None:
+    fault = next((entry for entry in table if entry.each == "part"), None)
+    if fault is None:
         return None
-    found: dict[int, float] = {}
+    chi_squared: dict[int, float] = {}
     for image in places_of_change(block):
-        network = assemble(with_freed(block, one, (image, first.cameras[0]))).network
+        network = assemble(with_freed(block, fault, (image, first.cameras[0]))).network
         with suppress(IllPosedError, NotConvergedError):
             minimum = minimum_of(network, state=beside(network, first))[1]
-            found[image] = minimum.iterations[-1].chi_squared
-    return (min(found, key=found.__getitem__), first.cameras[0]) if found else None
+            chi_squared[image] = minimum.iterations[-1].chi_squared
+    return (min(chi_squared, key=chi_squared.__getitem__), first.cameras[0]) if chi_squared else None
 
 
 def beside(network: Network, first: Solution) -> State:
@@ -363,19 +361,19 @@ def wrong_sigma(first: Solution, cause: float) -> GroupTest | None:
     return max(wrong, key=lambda test: test.gain, default=None)
 
 
-def with_agreeing(block: Block, one: GroupTest) -> tuple[Block, GroupTest]:
+def with_agreeing(block: Block, test: GroupTest) -> tuple[Block, GroupTest]:
     """Give positions or attitudes the standard deviations that agree (Foerstner 1979), and their factor."""
     total = 1.0
     for _ in range(_SETTLING):
-        total *= one.factor
-        observed = block.positions if one.name == "position" else block.attitudes
+        total *= test.factor
+        observed = block.positions if test.name == "position" else block.attitudes
         scaled: dict[str, Any] = {
-            f"{one.name}s": replace(observed, covariance=observed.covariance * one.factor**2)
+            f"{test.name}s": replace(observed, covariance=observed.covariance * test.factor**2)
         }
         block = replace(block, **scaled)
         groups = adjust(assemble(block).network).groups
-        one = tested(next(group for group in groups if group.name == one.name))
-        if abs(one.factor - 1.0) < _SETTLED:
+        test = tested(next(group for group in groups if group.name == test.name))
+        if abs(test.factor - 1.0) < _SETTLED:
             break
-    limits = total * one.lower / one.factor, total * one.upper / one.factor
-    return block, replace(one, factor=total, lower=limits[0], upper=limits[1])
+    limits = total * test.lower / test.factor, total * test.upper / test.factor
+    return block, replace(test, factor=total, lower=limits[0], upper=limits[1])

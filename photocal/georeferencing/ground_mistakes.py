@@ -73,8 +73,9 @@ def ground_findings(block: Block) -> tuple[Finding, ...]:
 
 
 def _of_role(block: Block, role: Role) -> ground_points.GroundPoints:
-    mine = np.flatnonzero(block.points.of_role(role))
-    return ground_points.GroundPoints(tuple(block.points.names[j] for j in mine), block.points.values[mine])
+    indices = np.flatnonzero(block.points.of_role(role))
+    names = tuple(block.points.names[j] for j in indices)
+    return ground_points.GroundPoints(names, block.points.values[indices])
 
 
 def _place_findings(block: Block, ground: ground_points.GroundPoints, system: Any) -> tuple[Finding, ...]:
@@ -224,9 +225,9 @@ def _equations(
     d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]
 ) -> tuple[Floats, Floats]:
     """Equations of unit weight for the errors of points left out and the common part."""
-    own = np.eye(d.size).reshape(d.size, -1, 3)[:, list(removed)].reshape(d.size, -1)
+    of_errors = np.eye(d.size).reshape(d.size, -1, 3)[:, list(removed)].reshape(d.size, -1)
     root = np.linalg.cholesky(covariance)
-    return np.linalg.solve(root, np.hstack([own, common])), np.linalg.solve(root, d.ravel())
+    return np.linalg.solve(root, np.hstack([of_errors, common])), np.linalg.solve(root, d.ravel())
 
 
 def _misfit(d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]) -> float:
@@ -241,8 +242,8 @@ def _beside_others(
     """Error of a point that was left out, by the others, and its covariance."""
     a, y = _equations(d, covariance, common, removed)
     normal = np.linalg.pinv(a.T @ a, hermitian=True)
-    mine = slice(3 * removed.index(k), 3 * removed.index(k) + 3)
-    return np.asarray((normal @ a.T @ y)[mine]), np.asarray(normal[mine, mine])
+    columns = slice(3 * removed.index(k), 3 * removed.index(k) + 3)
+    return np.asarray((normal @ a.T @ y)[columns]), np.asarray(normal[columns, columns])
 
 
 def _by_the_images(block: Block, control: Integers) -> tuple[Integers, Floats, Floats, Floats]:

@@ -176,8 +176,8 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
             "give positions.csv and attitudes.csv, or all six sigmas in images.csv",
             where=block.name,
         )
-    found = intersect_points(block, orientation, ground_points(block), joint)
-    if not len(found.points):
+    intersected = intersect_points(block, orientation, ground_points(block), joint)
+    if not len(intersected.points):
         raise IllPosedError(
             "no ground point has two rays from exposures with position and attitude that meet",
             "measure the ground points in more images; do positions and images belong together?",
@@ -195,16 +195,19 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
     return Georeferenced(
         "direct",
         label + note,
-        found.points,
-        found.xyz,
-        found.covariance,
-        np.zeros(len(found.points), dtype=np.bool_),
+        intersected.points,
+        intersected.xyz,
+        intersected.covariance,
+        np.zeros(len(intersected.points), dtype=np.bool_),
         poses,
         _by_image(
-            len(block.images.names), block.observations.image[found.rays], found.residuals, found.standardised
+            len(block.images.names),
+            block.observations.image[intersected.rays],
+            intersected.residuals,
+            intersected.standardised,
         ),
-        found.chi_squared,
-        found.degrees_of_freedom,
+        intersected.chi_squared,
+        intersected.degrees_of_freedom,
         # The points of an image share its errors: their sum of squares is not chi-squared.
         None,
         None,
@@ -268,7 +271,7 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
 
 def _residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> ImageResiduals:
     rays = assembly.network.rays
-    pitch = np.array([own.pitch for own in block.cameras])[block.images.camera[rays.image]]
+    pitch = np.array([camera.pitch for camera in block.cameras])[block.images.camera[rays.image]]
     standardised = solution.standardised(rays.sigma)
     return _by_image(len(block.images.names), rays.image, solution.residuals / pitch, standardised)
 
@@ -318,5 +321,4 @@ def degraded(block: Block, noise: Degradation, rng: np.random.Generator) -> Bloc
     values = exposures + np.concatenate([np.zeros(3), local_origin(assembly)])
     sigma[weak] = np.inf
     values = values + rng.normal(0.0, 1.0, values.shape) * np.where(np.isfinite(sigma), sigma, 0.0)
-    images = replace(block.images, values=values, sigma=sigma)
-    return replace(without_georeference(block), images=images)
+    return replace(without_georeference(block), images=replace(block.images, values=values, sigma=sigma))

@@ -30,7 +30,7 @@ _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 
 def standards_rows(check: BlockCheck) -> list[list[str]]:
     """Give one row for each statement, one column for each method that has check points."""
-    judged = [(one.found.method, one.assessment) for one in check.judged]
+    judged = [(entry.result.method, entry.assessment) for entry in check.judged]
     known = [(method, assessment) for method, assessment in judged if assessment is not None]
     if not known:
         return []
@@ -44,21 +44,22 @@ def standards_rows(check: BlockCheck) -> list[list[str]]:
         if table.size is not None:
             asked = size_text(basis, table.size)
             cells = [
-                f"precision {one.precision_class or 'none'}, accuracy {one.accuracy_class or 'none'}"
-                for one in results
+                f"precision {result.precision_class or 'none'}, accuracy {result.accuracy_class or 'none'}"
+                for result in results
             ]
             rows.append([f"{name} at {asked}", *cells])
         best = table.admitted[0].name
-        smallest = [one.admitted[0] for one in results]
+        smallest = [result.admitted[0] for result in results]
         cells = [
-            f"precision {_size(basis, one.precision)}, accuracy {_size(basis, one.accuracy)}"
-            for one in smallest
+            f"precision {_size(basis, admitted.precision)}, accuracy {_size(basis, admitted.accuracy)}"
+            for admitted in smallest
         ]
         rows.append([f"{name}, class {best} from", *cells])
     for k, value in enumerate(known[0][1].values):
         reached = [assessment.values[k] for _, assessment in known]
         cells = [
-            f"{_class(one.horizontal_m)} horizontal, {_class(one.vertical_m)} vertical" for one in reached
+            f"{_class(least.horizontal_m)} horizontal, {_class(least.vertical_m)} vertical"
+            for least in reached
         ]
         rows.append([f"{value.standard.id}, class reached", *cells])
     return rows
@@ -89,7 +90,7 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
         "schema": SCHEMA,
         "block": check.block.name,
         "sign": SIGN,
-        "methods": {one.found.method: _method(check, one) for one in check.judged},
+        "methods": {judged.result.method: _method(check, judged) for judged in check.judged},
         "refused": [{"method": method, "reason": reason} for method, reason in check.refused],
         "exposures_direct_less_indirect": None
         if exposures is None
@@ -106,22 +107,22 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
             "not_separated": apart.groups,
         },
         "mistyped": [
-            {"point": one.point, "d_m": one.d, "sigma_m": one.sigma, "slips": one.slips}
-            for one in check.mistyped
+            {"point": mistyped.point, "d_m": mistyped.d, "sigma_m": mistyped.sigma, "slips": mistyped.slips}
+            for mistyped in check.mistyped
         ],
         "verdict": finding_json(verdict(findings), say),
-        "findings": [finding_json(one, say) for one in findings],
+        "findings": [finding_json(finding, say) for finding in findings],
     }
     return {key: as_plain(part) for key, part in content.items()}
 
 
 def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
-    found, seen = judged.found, judged.found.images
+    result, seen = judged.result, judged.result.images
     return {
-        "label": found.label,
-        "chi_squared": found.chi_squared,
-        "degrees_of_freedom": found.degrees_of_freedom,
-        "global_test": found.test,
+        "label": result.label,
+        "chi_squared": result.chi_squared,
+        "degrees_of_freedom": result.degrees_of_freedom,
+        "global_test": result.test,
         "control": _differences(judged.control),
         "check": _differences(judged.check),
         "images": [
@@ -173,15 +174,15 @@ def _point(differences: Differences, k: int) -> dict[str, Any]:
 
 def _systematic(errors: SystematicErrors) -> dict[str, Any]:
     return {
-        "tested": [_hypothesis(one) for one in errors.tested],
+        "tested": [_hypothesis(hypothesis) for hypothesis in errors.tested],
         "found": [
-            {**_hypothesis(one.found), "not_separated_from": [_name(code) for code in one.same]}
-            for one in errors.errors
+            {**_hypothesis(error.hypothesis), "not_separated_from": [_name(code) for code in error.same]}
+            for error in errors.errors
         ],
         "together": errors.estimates,
         "untested": errors.untested,
         "stated_sigmas": errors.sigmas,
-        "free_in_block": errors.own,
+        "free_in_block": errors.free_in_block,
     }
 
 
@@ -202,7 +203,7 @@ def to_text(check: BlockCheck) -> str:
         f"   {'error/sigma':>11}"
     )
     for judged in check.judged:
-        lines += [_row(judged, found) for found in judged.differences]
+        lines += [_row(judged, group) for group in judged.differences]
     lines += ["", *map(_label, check.judged), ""]
     rows = standards_rows(check)
     widths = [max(map(len, column)) + 3 for column in zip(*rows, strict=True)]
@@ -219,17 +220,18 @@ def to_text(check: BlockCheck) -> str:
         )
     if check.systematic is not None:
         lines += ["systematic errors, each freed alone:"]
-        for one in check.systematic.tested:
-            outcome = "significant" if one.significant else "not significant"
-            figures = ", ".join(estimate_text(e) for e in one.estimates[:3])
-            lines.append(f"  {one.name}: F {one.f:.1f} (limit {one.critical:.1f}), {outcome}; {figures}")
+        for tested in check.systematic.tested:
+            outcome = "significant" if tested.significant else "not significant"
+            figures = ", ".join(estimate_text(e) for e in tested.estimates[:3])
+            limit = f"limit {tested.critical:.1f}"
+            lines.append(f"  {tested.name}: F {tested.f:.1f} ({limit}), {outcome}; {figures}")
         lines += [f"  {text}" for text in check.systematic.untested] + [""]
-    if check.systematic is not None and check.systematic.own:
-        own = [
+    if check.systematic is not None and check.systematic.free_in_block:
+        free_in_block = [
             f"  {estimate_text(e)}, {'significant' if e.significant else 'not significant'}"
-            for e in check.systematic.own
+            for e in check.systematic.free_in_block
         ]
-        lines += ["left free in block.toml, estimated by the integrated method:", *own, ""]
+        lines += ["left free in block.toml, estimated by the integrated method:", *free_in_block, ""]
     lines += [f"{method}: not possible: {reason}" for method, reason in check.refused]
     findings = block_findings(check)
     lines += [findings_text(findings), finding_text(verdict(findings), catalogue("en"))]
@@ -240,33 +242,34 @@ def _label(judged: Judged) -> str:
     """What the method is, and how many check points lie within the ground sampling distance."""
     plane = judged.assessment.plane if judged.assessment else None
     if judged.assessment is None or plane is None or plane.within_gsd is None:
-        return judged.found.label
-    (one, two), gsd = plane.within_gsd, judged.assessment.question.gsd_m
+        return judged.result.label
+    (within_one, within_two), gsd = plane.within_gsd, judged.assessment.question.gsd_m
     return (
-        f"{judged.found.label}; of {plane.n} check points {one} lie in plane within a GSD "
-        f"({gsd:.3f} m), {two} within two"
+        f"{judged.result.label}; of {plane.n} check points {within_one} lie in plane within a GSD "
+        f"({gsd:.3f} m), {within_two} within two"
     )
 
 
 def _row(judged: Judged, differences: Differences) -> str:
     ratio = "-" if math.isnan(differences.ratio) else f"{differences.ratio:.2f}"
-    which = f"{judged.found.method:<12}{differences.role:<9}{len(differences.names):>4}"
+    which = f"{judged.result.method:<12}{differences.role:<9}{len(differences.names):>4}"
     return f"{which}  {cells(differences.rmse)}   {cells(differences.predicted)}   {ratio:>11}"
 
 
 def _points(judged: Judged) -> list[str]:
     lines = []
-    for found in judged.differences:
-        if found.joint is not None:
-            one = found.joint
-            pairs = zip("XYZ", one.mean, one.mean_sigma, strict=True)
+    for group in judged.differences:
+        if group.joint is not None:
+            joint = group.joint
+            pairs = zip("XYZ", joint.mean, joint.mean_sigma, strict=True)
             means = ", ".join(f"{axis} {mean:+.4f} +- {sigma:.4f}" for axis, mean, sigma in pairs)
             lines.append(
-                f"{judged.found.method}, check points jointly: d' C^-1 d {one.chi_squared:.1f} over "
-                f"{one.degrees_of_freedom} (p {one.p_value:.3f}); mean {means} (p {one.mean_p_value:.3f})"
+                f"{judged.result.method}, check points jointly: d' C^-1 d {joint.chi_squared:.1f} over "
+                f"{joint.degrees_of_freedom} (p {joint.p_value:.3f}); mean {means} "
+                f"(p {joint.mean_p_value:.3f})"
             )
-        lines.append(f"{judged.found.method}, {found.role} points: d, predicted sigma of the point, w")
-        for name, d, s, w in zip(found.names, found.d, found.product_sigma, found.w, strict=True):
+        lines.append(f"{judged.result.method}, {group.role} points: d, predicted sigma of the point, w")
+        for name, d, s, w in zip(group.names, group.d, group.product_sigma, group.w, strict=True):
             tested = " ".join("     -" if math.isnan(x) else f"{x:6.2f}" for x in w.tolist())
             lines.append(f"  {name:<12}{cells(d, '+9.4f', ' ')}   {cells(s, '8.4f', ' ')}   {tested}")
     return [*lines, ""] if lines else []
@@ -293,16 +296,15 @@ def write_check(
         for name, text in texts.items():
             (aside / name).write_text(text, encoding="utf-8")
         for judged in check.judged:
-            method = judged.found.method
-            groups = tuple((found.role, found.discrepancies()) for found in judged.differences[::-1])
+            method = judged.result.method
+            groups = tuple((group.role, group.discrepancies()) for group in judged.differences[::-1])
             if groups:
                 write_geopackage(aside / f"{method}.gpkg", groups, system, changed_utc)
                 names.append(f"{method}.gpkg")
             if not judged.check.names:
                 continue
             gsd = judged.assessment.question.gsd_m if judged.assessment else None
-            points = judged.check.discrepancies()
-            names += save_figures(aside, check_figures(points, gsd, f"{method}_"))
+            names += save_figures(aside, check_figures(judged.check.discrepancies(), gsd, f"{method}_"))
     return tuple(names)
 
 
@@ -314,12 +316,12 @@ def _ground_points(check: BlockCheck) -> str:
     header += ["chi_squared", "ellipse_major_m", "ellipse_minor_m", "ellipse_azimuth_deg"]
     rows: list[list[object]] = []
     for judged in check.judged:
-        for found in judged.differences:
-            axes, azimuth = found.ellipses.semi_axes, np.degrees(found.ellipses.azimuth)
-            figures = np.column_stack([found.d, found.product_sigma, found.w, found.distance, axes, azimuth])
+        for group in judged.differences:
+            axes, azimuth = group.ellipses.semi_axes, np.degrees(group.ellipses.azimuth)
+            figures = np.column_stack([group.d, group.product_sigma, group.w, group.distance, axes, azimuth])
             rows += [
-                [judged.found.method, found.role, name, *(finite(round(float(v), 6)) for v in values)]
-                for name, values in zip(found.names, figures, strict=True)
+                [judged.result.method, group.role, name, *(finite(round(float(v), 6)) for v in values)]
+                for name, values in zip(group.names, figures, strict=True)
             ]
     return rows_text(header, rows)
 
@@ -328,7 +330,7 @@ def _images(check: BlockCheck) -> str:
     header = ["image"]
     columns: list[list[object]] = [list(check.block.images.names)]
     for judged in check.judged:
-        method, images = judged.found.method, judged.found.images
+        method, images = judged.result.method, judged.result.images
         header += [f"{method}_{name}" for name in ("rays", "rms_x_px", "rms_y_px", "largest_w")]
         columns += [images.rays.tolist(), *np.round(images.rms, 4).T.tolist()]
         columns.append(np.round(images.largest, 3).tolist())
@@ -355,10 +357,10 @@ def _report(check: BlockCheck) -> str:
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for judged in check.judged:
-        for found in judged.differences:
-            figures = " | ".join(f"{v:.4f}" for v in (*found.rmse, *found.predicted))
-            head = f"| {judged.found.method} | {found.role} | {len(found.names)}"
-            lines.append(f"{head} | {figures} | {found.ratio:.2f} |")
+        for group in judged.differences:
+            figures = " | ".join(f"{v:.4f}" for v in (*group.rmse, *group.predicted))
+            head = f"| {judged.result.method} | {group.role} | {len(group.names)}"
+            lines.append(f"{head} | {figures} | {group.ratio:.2f} |")
     lines += ["", *(f"- {_label(judged)}" for judged in check.judged), ""]
     rows = standards_rows(check)
     if rows:
@@ -366,5 +368,6 @@ def _report(check: BlockCheck) -> str:
         lines += ["|---" * len(rows[0]) + "|", *(f"| {' | '.join(row)} |" for row in rows[1:]), ""]
     lines += ["## Findings", ""]
     say = catalogue("en")
-    lines += [f"- {finding_text(one, say)}" for one in block_findings(check)] or ["- Nothing to remark."]
+    findings = block_findings(check)
+    lines += [f"- {finding_text(finding, say)}" for finding in findings] or ["- Nothing to remark."]
     return "\n".join(lines) + "\n"

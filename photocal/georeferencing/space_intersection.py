@@ -75,27 +75,27 @@ def intersect_points(
         corrected.ideal[chosen],
         corrected.distance[chosen],
     )
-    found = []
+    intersected = []
     for point in wanted:
         rays = chosen[observations.point[chosen] == point]
         if len(rays) < 2 or not np.isfinite(start[point]).all():
             continue
-        one = _one_point(block, orientation, corrected, moved, rays, start[point], joint)
-        if one is not None:
-            found.append((int(point), rays, *one))
-    rays = np.concatenate([f[1] for f in found]) if found else np.zeros(0, dtype=np.int64)
+        solved = _one_point(block, orientation, corrected, moved, rays, start[point], joint)
+        if solved is not None:
+            intersected.append((int(point), rays, *solved))
+    rays = np.concatenate([f[1] for f in intersected]) if intersected else np.zeros(0, dtype=np.int64)
     pitch = np.array([camera.pitch for camera in block.cameras])
     scale = pitch[block.images.camera[observations.image[rays]]]
     stack = np.concatenate
     return Intersected(
-        np.array([f[0] for f in found], dtype=np.int64),
-        np.array([f[2] for f in found]).reshape(-1, 3),
-        np.array([f[3] for f in found]).reshape(-1, 3, 3),
+        np.array([f[0] for f in intersected], dtype=np.int64),
+        np.array([f[2] for f in intersected]).reshape(-1, 3),
+        np.array([f[3] for f in intersected]).reshape(-1, 3, 3),
         rays,
-        stack([f[4] for f in found]) / scale if found else np.zeros((0, 2)),
-        stack([f[5] for f in found]) if found else np.zeros((0, 2)),
-        float(sum(f[6] for f in found)),
-        2 * len(rays) - 3 * len(found),
+        stack([f[4] for f in intersected]) / scale if intersected else np.zeros((0, 2)),
+        stack([f[5] for f in intersected]) if intersected else np.zeros((0, 2)),
+        float(sum(f[6] for f in intersected)),
+        2 * len(rays) - 3 * len(intersected),
     )
 
 
@@ -169,10 +169,10 @@ def _misclosure(
         result[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += corrected.covariance[rays[k]]
     shared = [(by_pose @ orientation.by_common[image]).reshape(2 * n, -1)]
     for index in range(len(block.cameras)):
-        mine = corrected.camera[rays] == index
-        by_camera = -corrected.by_camera[rays] * mine[:, None, None]
-        by_camera[:, :, 0] += np.where(mine[:, None], -q[:, :2] / q[:, 2:], 0.0)
-        by_camera[:, :, READOUT] += np.where(mine[:, None], by_readout, 0.0)
+        of_camera = corrected.camera[rays] == index
+        by_camera = -corrected.by_camera[rays] * of_camera[:, None, None]
+        by_camera[:, :, 0] += np.where(of_camera[:, None], -q[:, :2] / q[:, 2:], 0.0)
+        by_camera[:, :, READOUT] += np.where(of_camera[:, None], by_readout, 0.0)
         shared.append(by_camera.reshape(2 * n, -1))
     by_shared = np.hstack(shared)
     return np.asarray(result + by_shared @ joint @ by_shared.T)
@@ -185,20 +185,20 @@ def _corrected(block: Block, variance: Floats) -> _Rays:
     ideal, by_plane = np.empty(plane.shape), np.empty((len(plane), 2, 2))
     by_camera = np.zeros((len(plane), 2, len(PARAMETERS)))
     distance = np.empty(len(plane))
-    for index, own in enumerate(block.cameras):
-        mine = camera == index
-        at = plane[mine]
-        ideal[mine], distance[mine] = undistorted(own, at), own.value("c")
-        small = 0.1 * own.pitch[0]
+    for index, interior in enumerate(block.cameras):
+        of_camera = camera == index
+        at = plane[of_camera]
+        ideal[of_camera], distance[of_camera] = undistorted(interior, at), interior.value("c")
+        small = 0.1 * interior.pitch[0]
         for k in range(2):
             step = small * np.eye(2)[k]
-            change = undistorted(own, at + step) - undistorted(own, at - step)
-            by_plane[mine, :, k] = change / (2 * small)
+            change = undistorted(interior, at + step) - undistorted(interior, at - step)
+            by_plane[of_camera, :, k] = change / (2 * small)
         sigma_own = np.sqrt(variance.reshape(-1, len(PARAMETERS))[index])
         for k in np.flatnonzero(sigma_own > 0).tolist():
             move = np.eye(len(PARAMETERS))[k] * sigma_own[k] * 0.1
-            higher = undistorted(replace(own, values=own.values + move), at)
-            lower = undistorted(replace(own, values=own.values - move), at)
-            by_camera[mine, :, k] = (higher - lower) / (2 * move[k])
+            higher = undistorted(replace(interior, values=interior.values + move), at)
+            lower = undistorted(replace(interior, values=interior.values - move), at)
+            by_camera[of_camera, :, k] = (higher - lower) / (2 * move[k])
     covariance = by_plane @ (sigma[:, :, None] ** 2 * np.swapaxes(by_plane, 1, 2))
     return _Rays(ideal, covariance, by_camera, camera, distance)

@@ -131,11 +131,11 @@ def _moved_surely(before: Fit, after: Fit, stated: Fit) -> float:
     count = len(before.c)
     change = np.abs(after.c[:count] - before.c)
     spread = np.sqrt(np.maximum(after.sigma_c[:count] ** 2 - before.sigma_c**2, 0.0))
-    told = (before.sigma_c > 0.0) & (change > stats.norm.isf(SIGNIFICANCE / 2.0) * spread)
+    sure = (before.sigma_c > 0.0) & (change > stats.norm.isf(SIGNIFICANCE / 2.0) * spread)
     wider = stated.sigma_c > before.sigma_c
     moved = np.where(wider, np.abs(after.c[:count] - stated.c), change)
     sigma = np.maximum(stated.sigma_c, before.sigma_c)
-    return float(np.max(np.divide(moved, sigma, out=0.0 * change, where=told)))
+    return float(np.max(np.divide(moved, sigma, out=0.0 * change, where=sure)))
 
 
 def most_probable(
@@ -156,7 +156,7 @@ def causes_first(tries: tuple[Hypothesis, ...], table: tuple[Fault, ...] = FAULT
     A shift of its own for each strip can imitate every other error, a second camera those of c and of the
     height where there are two heights: what they make needless is given up when nothing else is left.
     """
-    like_all = {one.code for one in table if "*" in one.imitates}
+    like_all = {entry.code for entry in table if "*" in entry.imitates}
     return tuple(hypothesis for hypothesis in tries if hypothesis.name not in like_all) or tries
 
 
@@ -171,31 +171,32 @@ def _noteworthy(hypothesis: Hypothesis) -> bool:
 
 def _scale(tries: tuple[Hypothesis, ...]) -> float:
     """Variance factor of the observations: what the hypothesis that explains most leaves of it."""
-    return max(1.0, min((one.factor for one in tries), default=1.0))
+    return max(1.0, min((trial.factor for trial in tries), default=1.0))
 
 
 def as_good(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
     """Give the other hypotheses that explain nearly all of what the best explains."""
     limit = min(best.gain - _AS_GOOD * _scale(tries), _SAME_GAIN * best.gain)
-    silent = {best.name, *(one.code for one in FAULTS if one.each == "strip" or best.name in one.contains)}
-    return tuple(one for one in tries if one.name not in silent and one.significant and one.gain >= limit)
+    silent = {entry.code for entry in FAULTS if entry.each == "strip" or best.name in entry.contains}
+    heard = (trial for trial in tries if trial.name not in {best.name, *silent})
+    return tuple(trial for trial in heard if trial.significant and trial.gain >= limit)
 
 
 @dataclass(frozen=True)
 class SystematicError:
     """An error that was found, and what else might have caused it.
 
-    found: tested beside those before it.
+    hypothesis: tested beside those before it.
     alternatives: groups that explain it as well.
     """
 
-    found: Hypothesis
+    hypothesis: Hypothesis
     alternatives: tuple[Hypothesis, ...]
 
     @property
     def same(self) -> tuple[str, ...]:
         """Names of the alternatives."""
-        return tuple(one.name for one in self.alternatives)
+        return tuple(alternative.name for alternative in self.alternatives)
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ class SystematicErrors:
     errors: those that are needed, the gravest first; what imitates others comes after them.
     estimates: of everything found, estimated together.
     untested: groups that could not be freed, with the reason.
-    own: values that the block itself leaves free, from its integrated adjustment.
+    free_in_block: values that the block itself leaves free, from its integrated adjustment.
     sigmas: groups whose stated standard deviations are wrong by a factor, which explains the block better
         than any error does; the errors were looked for with the standard deviations that agree.
     """
@@ -215,7 +216,7 @@ class SystematicErrors:
     errors: tuple[SystematicError, ...]
     estimates: tuple[Estimate, ...]
     untested: tuple[str, ...]
-    own: tuple[Estimate, ...]
+    free_in_block: tuple[Estimate, ...]
     sigmas: tuple[GroupTest, ...] = ()
 
 
@@ -233,9 +234,9 @@ def systematic_errors(
         alone = search.beside(())
         # An error competes by what it gains, less the logarithm of the observations for each unknown.
         unknown = math.log(first.observations)
-        gains = (one.gain - (one.unknowns - 1) * unknown for one in alone if one.significant)
+        gains = (trial.gain - (trial.unknowns - 1) * unknown for trial in alone if trial.significant)
         wrong = wrong_sigma(first, max(gains, default=0.0))
-        if wrong is None or wrong.name in (one.name for one in sigmas):
+        if wrong is None or wrong.name in (group.name for group in sigmas):
             break
         block, settled = with_agreeing(block, wrong)
         sigmas.append(settled)
@@ -250,14 +251,14 @@ def systematic_errors(
             break
         accepted = kept
     errors = search.errors(accepted)
-    own = tuple(
+    free_in_block = tuple(
         e
-        for one in table
-        if one.frees and not of_camera(one) and left_free(block, one)
-        for e in estimates_of(block, block, _shared(first), one)
+        for entry in table
+        if entry.frees and not of_camera(entry) and left_free(block, entry)
+        for e in estimates_of(block, block, _shared(first), entry)
     )
     untested = tuple(f"{name}: {reason}" for name, reason in search.refused.items())
-    return SystematicErrors(alone, errors, search.together(accepted), untested, own, tuple(sigmas))
+    return SystematicErrors(alone, errors, search.together(accepted), untested, free_in_block, tuple(sigmas))
 
 
 class _Search:
@@ -302,11 +303,11 @@ class _Search:
         errors: list[SystematicError] = []
         left = accepted
         while left:
-            tries = self.beside(tuple(one.found.name for one in errors))
-            mine = tuple(one for one in tries if one.name in left)
-            if not mine:
+            tries = self.beside(tuple(error.hypothesis.name for error in errors))
+            remaining = tuple(trial for trial in tries if trial.name in left)
+            if not remaining:
                 break
-            gravest = max(causes_first(mine, tuple(self._faults.values())), key=lambda one: one.gain)
+            gravest = max(causes_first(remaining, tuple(self._faults.values())), key=lambda trial: trial.gain)
             errors.append(SystematicError(gravest, as_good(gravest, tries)))
             left = _less(left, gravest.name)
         return tuple(errors)
@@ -344,5 +345,5 @@ class _Search:
         return self._fits[groups]
 
 
-def _less(names: tuple[str, ...], one: str) -> tuple[str, ...]:
-    return tuple(name for name in names if name != one)
+def _less(names: tuple[str, ...], removed: str) -> tuple[str, ...]:
+    return tuple(name for name in names if name != removed)

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.findings.finding import Finding
-from photocal.findings.texts import told
+from photocal.findings.texts import as_record
 from photocal.measurement import marks
 from photocal.measurement.block_files import Measured
 from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
@@ -79,7 +79,7 @@ def measure_images(
         record = {
             **tie_record(sighted, found),
             "kind": "tie points",
-            **told(found.findings),
+            **as_record(found.findings),
             **principal,
             "positions": position_figures(sighted.facts, position_sigma(sighted.facts)),
             "origin": at if np.isfinite(origin[0]) else None,
@@ -113,7 +113,7 @@ def measure_images(
         "control": file,
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "suspected_marks": suspects,
-        **told([*bare, *found.findings, *findings_of_marks(unknown, (), suspects, found.left_out)]),
+        **as_record([*bare, *found.findings, *findings_of_marks(unknown, (), suspects, found.left_out)]),
     }
     return Measured(found.adjusted.block, record)
 

@@ -16,7 +16,7 @@ from photocal.block.rig import make_heads
 from photocal.block.table import known_rows, read_table
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Figure, Finding
-from photocal.findings.texts import told
+from photocal.findings.texts import as_record
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
@@ -153,7 +153,7 @@ def measure_project(
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
-        **told(
+        **as_record(
             [
                 *targets.findings,
                 *(finding for finding in oriented.findings if not _outdated(finding, project.cameras)),

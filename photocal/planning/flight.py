@@ -103,12 +103,12 @@ def _turned(points: Floats, azimuth: float) -> Floats:
 def _extent_in_band(rotated: Floats, low: float, high: float) -> tuple[float, float]:
     """Extent along the strip of that part of the polygon which lies nearest to it."""
     ends = np.roll(rotated, -1, axis=0)
-    found = [rotated[(rotated[:, 1] >= low) & (rotated[:, 1] <= high), 0]]
+    along = [rotated[(rotated[:, 1] >= low) & (rotated[:, 1] <= high), 0]]
     for border in (low, high):
         crossing = (rotated[:, 1] > border) != (ends[:, 1] > border)
         a, b = rotated[crossing], ends[crossing]
-        found.append(a[:, 0] + (border - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]))
-    values = np.concatenate(found)
+        along.append(a[:, 0] + (border - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]))
+    values = np.concatenate(along)
     return float(values.min()), float(values.max())
 
 

@@ -76,8 +76,7 @@ def flown_block(
     """
     seen = cells_seen(images, ground)
     parts = _cells_of_pixels(images, ground)
-    below = _ground_below(images.station, ground)
-    height = images.station[:, 2] - below
+    height = images.station[:, 2] - _ground_below(images.station, ground)
     pixel = np.array([math.sqrt(math.prod(camera.pitch)) / camera.values[0] for camera in images.cameras])
     gsd = height * pixel[images.camera]
     tilt = np.arccos(np.clip(images.rotation[:, 2, 2], -1.0, 1.0))
@@ -115,7 +114,7 @@ def cells_seen(images: OrientedImages, ground: Ground) -> list[Integers]:
     """List the cells of the ground that each image shows."""
     size = images.sizes()
     low, high = ground.places[:, 2].min(), ground.places[:, 2].max()
-    found = []
+    cells = []
     for i, border in enumerate(_directions(images, _BORDER)):
         # Within the corners' circle alone: beyond, a distortion polynomial may fold ground into the image.
         middle, reach = _circle(images.station[i], border, low, high)
@@ -124,8 +123,8 @@ def cells_seen(images: OrientedImages, ground: Ground) -> list[Integers]:
         pixel = images.project(np.full(len(near), i), ground.places[near])
         with np.errstate(invalid="ignore"):
             inside = ((pixel >= -0.5) & (pixel <= size[i] - 0.5)).all(axis=1)
-        found.append(near[inside])
-    return found
+        cells.append(near[inside])
+    return cells
 
 
 def figures_of(block: FlownBlock, **of_images: Floats) -> dict[str, Any]:
@@ -170,11 +169,11 @@ def gaps(block: FlownBlock, fewest: int = FEWEST_RAYS) -> list[tuple[float, floa
 
     thin = (block.rays < fewest) & block.inside
     marked, count = ndimage.label(thin.reshape(-1, block.ground.columns))
-    found = []
+    holes = []
     for number in range(1, count + 1):
         cells = block.ground.places[marked.ravel() == number]
-        found.append((*cells[:, :2].mean(axis=0).tolist(), len(cells)))
-    return sorted(found, key=lambda gap: -gap[2])
+        holes.append((*cells[:, :2].mean(axis=0).tolist(), len(cells)))
+    return sorted(holes, key=lambda gap: -gap[2])
 
 
 def _directions(images: OrientedImages, raster: Floats) -> Floats:
@@ -243,15 +242,15 @@ def _cells_of_pixels(images: OrientedImages, ground: Ground) -> Integers:
     """Cells that pixels of a raster over each image show, shape (n, pixels)."""
     across = np.array([(k + 0.5) / CELLS_ACROSS for k in range(CELLS_ACROSS)])
     raster = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
-    found = []
+    seen = []
     for station, rays in zip(images.station, _directions(images, raster), strict=True):
         slope = rays[:, :2] / -np.minimum(rays[:, 2], -1e-9)[:, None]
         height = np.full(len(rays), station[2] - _ground_below(station[None], ground)[0])
         for _ in range(_STEPS):
             cells = _cell_of(station[:2] + slope * height[:, None], ground)
             height = station[2] - ground.places[cells, 2]
-        found.append(cells)
-    return np.array(found)
+        seen.append(cells)
+    return np.array(seen)
 
 
 def _share(cells: Integers, others: Integers) -> float:
@@ -267,9 +266,9 @@ def _side_overlaps(
     run = {s: np.subtract(*station[strip == s, :2][[-1, 0]]) for s in numbers}
     way = {s: moved / max(float(np.linalg.norm(moved)), 1e-9) for s, moved in run.items()}
     level = {s: float(np.median(height[strip == s])) for s in numbers}
-    found = {}
+    overlaps = {}
     for s in numbers:
-        mine = np.flatnonzero(strip == s)
+        images = np.flatnonzero(strip == s)
         along, across = way[s], np.array([way[s][1], -way[s][0]])
         nearest: dict[bool, tuple[float, int, Integers]] = {}
         for t in numbers:
@@ -277,16 +276,16 @@ def _side_overlaps(
             if t == s or not parallel or abs(level[t] - level[s]) > _LEVEL * level[s]:
                 continue
             reach = station[strip == t, :2] @ along
-            progress = station[mine, :2] @ along
-            beside = mine[(progress >= reach.min()) & (progress <= reach.max())]
-            offset = float(np.median((station[strip == t, :2] - station[mine, :2].mean(axis=0)) @ across))
+            progress = station[images, :2] @ along
+            beside = images[(progress >= reach.min()) & (progress <= reach.max())]
+            offset = float(np.median((station[strip == t, :2] - station[images, :2].mean(axis=0)) @ across))
             right = offset > 0
             if len(beside) and (right not in nearest or abs(offset) < nearest[right][0]):
                 nearest[right] = abs(offset), t, beside
         for _, t, beside in nearest.values():
             shown = np.unique(np.concatenate([seen[j] for j in np.flatnonzero(strip == t)]))
-            found[s, t] = float(np.median([_share(parts[i], shown) for i in beside]))
-    return found
+            overlaps[s, t] = float(np.median([_share(parts[i], shown) for i in beside]))
+    return overlaps
 
 
 def _below_the_flight(station: Floats, ground: Ground) -> Flags:
@@ -294,8 +293,7 @@ def _below_the_flight(station: Floats, ground: Ground) -> Flags:
     from scipy.spatial import Delaunay, QhullError
 
     try:
-        hull = Delaunay(station[:, :2])
-        return np.asarray(hull.find_simplex(ground.places[:, :2]) >= 0)
+        return np.asarray(Delaunay(station[:, :2]).find_simplex(ground.places[:, :2]) >= 0)
     except (QhullError, ValueError):
         apart = np.linalg.norm(ground.places[:, None, :2] - station[None, :, :2], axis=2).min(axis=1)
         return np.asarray(apart <= ground.cell_m)

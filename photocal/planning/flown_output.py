@@ -61,7 +61,7 @@ def flown_text(figures: Mapping[str, Any]) -> str:
 def against_plan(figures: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, Any]:
     """Add what `photocal plan` wrote to the figures of a flown block: of the level flown nearest."""
     height = figures["height_m"]["median"]
-    level = min(plan["levels"], key=lambda one: abs(one["height_m"] - height))
+    level = min(plan["levels"], key=lambda entry: abs(entry["height_m"] - height))
     return figures | {"planned": {name: level[name] for name in _PLANNED if name in level}}
 
 

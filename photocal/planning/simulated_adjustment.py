@@ -90,14 +90,13 @@ def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Net
     """Make the network that the flight will give, free of errors."""
     poses = _poses(flight)
     frame = flight.wish.frame
-    ties = _ties(flight)
-    plane = np.vstack([*layout, ties])
+    plane = np.vstack([*layout, _ties(flight)])
     # Waves of about a footprint's length: relief that every photo sees some of.
     length = min(flight.levels[0].footprint_m)
     height = survey.relief_m * np.sin(2 * np.pi * plane[:, 0] / length)
     height = height * np.cos(2 * np.pi * plane[:, 1] / length)
     xyz = np.column_stack([plane, height])
-    own = _camera(frame, calibrated=not survey.self_calibration)
+    interior = _camera(frame, calibrated=not survey.self_calibration)
     image, point, seen = _rays(poses, xyz, frame)
     keep = np.bincount(point)[point] >= 2
     # Photos at the ends of strips may see no ground of the area; four points orient a photo.
@@ -119,7 +118,7 @@ def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Net
         pose_sigma[:, 3:] = [survey.gnss_m[0]] * 2 + [survey.gnss_m[1]]
     precision = np.full((len(order), 2), survey.image_px * frame.pixel_m * 1e3)
     network = Network(
-        (own,),
+        (interior,),
         Exposures(np.zeros(images, dtype=np.int64), poses[strong], pose_sigma),
         Points(xyz[used], held, weight),
         Rays(number[image][order], place[order], seen[order], precision),

@@ -58,7 +58,7 @@ def targets_of(standard: Standard, scale_denominator: float, class_name: str) ->
     return tuple(targets)
 
 
-def to_json(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ...]) -> dict[str, Any]:
+def to_json(flight: Flight, targets: tuple[Target, ...], findings: tuple[Finding, ...]) -> dict[str, Any]:
     """Give a planned flight as a JSON value."""
     return {
         "schema": SCHEMA,
@@ -70,7 +70,7 @@ def to_json(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ..
         "distance_m": flight.distance_m,
         "duration_s": flight.duration_s,
         "error_budget_m": {target.name: error_budget(target.ep_m) for target in targets},
-        "findings": [finding_json(finding, catalogue("en")) for finding in said],
+        "findings": [finding_json(finding, catalogue("en")) for finding in findings],
     }
 
 
@@ -111,7 +111,7 @@ def remarks(
     return tuple(listed)
 
 
-def to_text(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ...]) -> str:
+def to_text(flight: Flight, targets: tuple[Target, ...], findings: tuple[Finding, ...]) -> str:
     """Write a planned flight for people."""
     area = (
         f"area {flight.area_m2 / 1e4:.2f} ha, {len(flight.strips)} strips, azimuth "
@@ -136,14 +136,14 @@ def to_text(flight: Flight, targets: tuple[Target, ...], said: tuple[Finding, ..
     for target in targets:
         stages = ", ".join(f"{name} {allowed:.3f} m" for name, allowed in error_budget(target.ep_m).items())
         lines.append(f"error budget, {target.name}: {stages}")
-    return "\n".join([*lines, *(f"* {finding_text(finding, catalogue('en'))}" for finding in said)])
+    return "\n".join([*lines, *(f"* {finding_text(finding, catalogue('en'))}" for finding in findings)])
 
 
 def _level(level: LevelGeometry) -> dict[str, Any]:
     sigma = level.precision
-    told = ("height_m", "scale_denominator", "gsd_m", "footprint_m", "base_m", "strip_spacing_m")
+    keys = ("height_m", "scale_denominator", "gsd_m", "footprint_m", "base_m", "strip_spacing_m")
     return {
-        **{name: getattr(level, name) for name in (*told, "exposure_interval_s")},
+        **{name: getattr(level, name) for name in (*keys, "exposure_interval_s")},
         "sigma_m": {"x": sigma.x_m, "y": sigma.y_m, "z": sigma.z_m, "plane": sigma.plane_m},
         "dz_m": level.dz_m,
     }

@@ -52,7 +52,10 @@ def in_wind(flight: Flight, wind_m_s: float, from_rad: float, vehicle: str) -> d
 def at_speed(flight: Flight, speed_m_s: float) -> Flight:
     """Give a flight with another speed over ground, and the intervals of its photos at that."""
     share = flight.wish.speed_m_s / speed_m_s
-    levels = [replace(one, exposure_interval_s=one.exposure_interval_s * share) for one in flight.levels]
+    intervals = (level.exposure_interval_s * share for level in flight.levels)
+    levels = (
+        replace(level, exposure_interval_s=s) for level, s in zip(flight.levels, intervals, strict=True)
+    )
     return replace(flight, wish=replace(flight.wish, speed_m_s=speed_m_s), levels=tuple(levels))
 
 

@@ -67,11 +67,11 @@ def measure_closed(points: RingPoints, shape: Shape) -> tuple[dict[str, Any], st
     Areas are integrated over heights by the spline of third degree, or the highest that the sections bear.
     raises IllPosedError: for a single section, or two of one height.
     """
-    names = dict.fromkeys(points.section)
-    found = sorted((outline(points, name, shape) for name in names), key=lambda one: float(one["height_m"]))
-    of = {key: np.array([one[key] for one in found]) for key in found[0]}
+    outlines = (outline(points, name, shape) for name in dict.fromkeys(points.section))
+    sections = sorted(outlines, key=lambda section: float(section["height_m"]))
+    of = {key: np.array([section[key] for section in sections]) for key in sections[0]}
     height, area = of["height_m"], of["area_m2"]
-    if len(found) < 2 or (np.diff(height) <= 0).any():
+    if len(sections) < 2 or (np.diff(height) <= 0).any():
         raise IllPosedError(
             "a volume needs sections of different mean heights", "is the vertical axis right?"
         )
@@ -89,8 +89,8 @@ def measure_closed(points: RingPoints, shape: Shape) -> tuple[dict[str, Any], st
     between = {"volume_m3": value, "sigma_m3": sigma, "sigma_percent": 100.0 * sigma / value}
     lines = [
         "section  points   height m       sd      area m2       sd",
-        *(_ROW.format(**one) for one in found),
+        *(_ROW.format(**section) for section in sections),
         "between the lowest and the highest section, by quadrature: V = {volume_m3:.3f} m3, standard "
         "deviation {sigma_m3:.4f} m3 = {sigma_percent:.4f} %".format(**between),
     ]
-    return {"shape": shape, "sections": found, "between_sections": between}, "\n".join(lines)
+    return {"shape": shape, "sections": sections, "between_sections": between}, "\n".join(lines)

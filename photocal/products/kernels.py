@@ -27,7 +27,7 @@ def move(
     v: float,
     w: float,
     room: Scratch,
-    found: Floats,
+    place: Floats,
 ) -> None:
     """Move a place to where a rolling shutter records the point: the line tells the pose, that the line."""
     x, y, z = movement[m, 0], movement[m, 1], movement[m, 2]
@@ -35,7 +35,7 @@ def move(
     b = rotation[m, 1, 0] * x + rotation[m, 1, 1] * y + rotation[m, 1, 2] * z
     c = rotation[m, 2, 0] * x + rotation[m, 2, 1] * y + rotation[m, 2, 2] * z
     for _ in range(LINES):
-        s = optics_of[k, LINE] * found[0] + optics_of[k, LINE + 1] * found[1]
+        s = optics_of[k, LINE] * place[0] + optics_of[k, LINE + 1] * place[1]
         s = min(max(s, -1.0), 1.0)
         p, q, r = u - s * a, v - s * b, w - s * c
         x, y, z = s * movement[m, 3], s * movement[m, 4], s * movement[m, 5]
@@ -45,7 +45,7 @@ def move(
         # The turn by its series to the second power: it is of hundredths of a radian.
         e, f, g = y * r - z * q, z * p - x * r, x * q - y * p
         p, q, r = p + e + (y * g - z * f) / 2, q + f + (z * e - x * g) / 2, r + g + (x * f - y * e) / 2
-        if not recorded(cameras, optics_of, k, p, q, r, room, found):
+        if not recorded(cameras, optics_of, k, p, q, r, room, place):
             return
 
 
@@ -68,7 +68,7 @@ def look_up(
 ) -> None:
     """For every ground point choose the image with the best nadir and find the place in it."""
     room = kernel_scratch(0)
-    found = np.zeros(2)
+    place = np.zeros(2)
     count = len(candidates)
     score = np.zeros(count)
     for p in range(len(ground)):
@@ -96,12 +96,12 @@ def look_up(
             # Beyond its limit a polynomial may fold what it does not see into the image.
             if w >= 0.0 or u * u + v * v > reach * reach * w * w:
                 continue
-            if not recorded(cameras, optics_of, k, u, v, w, room, found):
+            if not recorded(cameras, optics_of, k, u, v, w, room, place):
                 continue
             if optics_of[k, LINE] != 0.0 or optics_of[k, LINE + 1] != 0.0:
-                move(cameras, optics_of, k, rotation, movement, m, u, v, w, room, found)
-            c = found[0] / pitch[k, 0] + (size[k, 0] - 1.0) / 2.0
-            r = (size[k, 1] - 1.0) / 2.0 - found[1] / pitch[k, 1]
+                move(cameras, optics_of, k, rotation, movement, m, u, v, w, room, place)
+            c = place[0] / pitch[k, 0] + (size[k, 0] - 1.0) / 2.0
+            r = (size[k, 1] - 1.0) / 2.0 - place[1] / pitch[k, 1]
             if -0.5 <= c < size[k, 0] - 0.5 and -0.5 <= r < size[k, 1] - 0.5:
                 column[p], row[p], chosen[p] = c, r, m
                 break

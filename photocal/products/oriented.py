@@ -64,13 +64,13 @@ def image_border(camera: Camera, per_side: int = 64) -> Floats:
     """Pixel coordinates along the outer edge of an image, shape (4 per_side, 2)."""
     width, height = camera.size_px
     t = np.arange(per_side) / per_side
-    one = np.ones(per_side)
+    ones = np.ones(per_side)
     unit = np.vstack(
         [
-            np.column_stack([t, 0 * one]),
-            np.column_stack([one, t]),
-            np.column_stack([1 - t, one]),
-            np.column_stack([0 * one, 1 - t]),
+            np.column_stack([t, 0 * ones]),
+            np.column_stack([ones, t]),
+            np.column_stack([1 - t, ones]),
+            np.column_stack([0 * ones, 1 - t]),
         ]
     )
     return np.asarray(unit * [width, height] - 0.5)
@@ -125,10 +125,10 @@ def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImag
 def _adjusted(images: OrientedImages, run: Path) -> OrientedImages:
     """Give the images of a block as a run adjusted them."""
     result = read_result(run)
-    found = result.images.named(images.names)
-    lost = [name for name, camera in zip(found.names, found.camera, strict=True) if camera < 0]
+    adjusted = result.images.named(images.names)
+    lost = [name for name, camera in zip(adjusted.names, adjusted.camera, strict=True) if camera < 0]
     strange = [camera.id for camera in images.cameras if camera.id not in result.cameras]
     if lost or strange:
         what = f"image {lost[0]}" if lost else f"camera {strange[0]}"
         raise InputMalformedError(f"lacks {what}", "name the run of this very block", where=run)
-    return found
+    return adjusted

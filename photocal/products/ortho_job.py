@@ -36,7 +36,7 @@ def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int
     if not folder.is_dir():
         raise InputNotFoundError("is no folder", "name the folder of the images", where=folder)
     inside = {file.name: file for file in sorted(folder.iterdir()) if file.is_file()}
-    found: dict[int, RasterFile] = {}
+    files: dict[int, RasterFile] = {}
     for number, name in enumerate(block.images.names):
         if wanted and name not in wanted:
             continue
@@ -48,15 +48,15 @@ def image_files(block: Block, folder: Path, wanted: tuple[str, ...]) -> dict[int
                 f"is {file.columns} x {file.rows} px, its camera {size[0]} x {size[1]}",
                 "use the image as the camera wrote it, not turned and not resized",
             )
-        first = next(iter(found.values()), file)
+        first = next(iter(files.values()), file)
         if (file.bands, file.dtype) != (first.bands, first.dtype):
             raise malformed(
                 f"has {file.bands} band(s) of {file.dtype}, {first.path.name} has {first.bands} of "
                 f"{first.dtype}",
                 "make the images alike",
             )
-        found[number] = file
-    return found
+        files[number] = file
+    return files
 
 
 def _image_path(inside: dict[str, Path], name: str, folder: Path) -> Path:
@@ -69,12 +69,12 @@ def _image_path(inside: dict[str, Path], name: str, folder: Path) -> Path:
     return alike[0]
 
 
-def heights_of(raster: RasterFile, block: Block, said: str | None) -> str:
+def heights_of(raster: RasterFile, block: Block, stated: str | None) -> str:
     """Kind of the heights of a terrain model, which must be that of the block.
 
     raises ConfigurationError: when it is not known, or another one.
     """
-    kind = raster.stated_heights(said)
+    kind = raster.stated_heights(stated)
     if not block.height and block.frame != "local":
         raise ConfigurationError("the block does not say the kind of its heights", where="block.toml")
     if block.height and block.height != kind:
@@ -86,13 +86,13 @@ def heights_of(raster: RasterFile, block: Block, said: str | None) -> str:
     return kind
 
 
-def system_of(raster: RasterFile, block: Block, said: str | None) -> str:
+def system_of(raster: RasterFile, block: Block, crs: str | None) -> str:
     """Reference system of the product as WKT, empty for a local frame.
 
     raises ConfigurationError: when block, terrain model and wish do not agree.
     """
     named = None if block.frame == "local" else system_wkt(block.frame)
-    wished = None if said is None else system_wkt(said)
+    wished = None if crs is None else system_wkt(crs)
     known = [(who, wkt) for who, wkt in (("--crs", wished), ("block.toml", named),
                                          (str(raster.path), raster.crs or None)) if wkt]  # fmt: skip
     for who, wkt in known[1:]:
@@ -123,8 +123,7 @@ def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terr
     # By strips, so that a model of any size fits.
     for first in range(0, rows, 4):
         y = north - (np.arange(first, min(first + 4, rows)) + 0.5) * step
-        piece = terrain((x[0], y[-1], x[-1], y[0]))
-        heights[first : first + len(y)] = piece.at(*np.meshgrid(x, y))
+        heights[first : first + len(y)] = terrain((x[0], y[-1], x[-1], y[0])).at(*np.meshgrid(x, y))
     if not np.isfinite(heights).any():
         raise malformed("has no height where the images are", "do they belong together?")
     return Terrain(heights, (step, 0.0, west, 0.0, -step, north), raster.crs, raster.height_kind)
@@ -282,9 +281,9 @@ def displacement(
     place, chosen = best_places(local, lens_tables(right.cameras), right, every)
     shift = np.full((len(local), 2), np.nan)
     for number in np.unique(chosen[chosen >= 0]):
-        mine = chosen == number
-        found = terrain_points(wrong, int(number), place[:, mine].T, terrain, frame)
-        shift[mine] = found[:, :2] - given[mine, :2]
+        in_image = chosen == number
+        ground = terrain_points(wrong, int(number), place[:, in_image].T, terrain, frame)
+        shift[in_image] = ground[:, :2] - given[in_image, :2]
     seen = np.isfinite(shift).all(axis=1)
     if not seen.any():
         raise ConfigurationError("no image shows the terrain", "do block and terrain share a system?")

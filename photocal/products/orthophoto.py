@@ -159,8 +159,7 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
         half = recipe.grid.cell / 2
         piece = recipe.terrain((x[0] - half, y[-1] - half, x[-1] + half, y[0] + half))
         ground = ground_points(x, y, piece, recipe.frame)
-        near = candidates(recipe.shots, borders, ground)
-        place, chosen = best_places(ground, lenses, recipe.shots, near)
+        place, chosen = best_places(ground, lenses, recipe.shots, candidates(recipe.shots, borders, ground))
         pixels = np.full((recipe.bands, len(ground)), recipe.nodata, dtype=recipe.dtype)
         lowest, highest, whole = _range(recipe)
         for number in np.unique(chosen[chosen >= 0]):

@@ -78,9 +78,9 @@ def check_products(
         raster = describe(ortho)
         _require_square(raster, target_diameter_m)
         for row, (name, place) in enumerate(zip(points.names, points.xyz_m, strict=True)):
-            found = find_target(raster, place[:2], target_diameter_m, search_m)
-            product[row, :2], likeness[row] = found[:2], found[2]
-            if not np.isfinite(found[0]):
+            target = find_target(raster, place[:2], target_diameter_m, search_m)
+            product[row, :2], likeness[row] = target[:2], target[2]
+            if not np.isfinite(target[0]):
                 remarks.append(f"point {name}: no target within {search_m:g} m in {ortho.name}")
     if dtm is not None:
         heights = _heights(dtm, points, height_kind, dtm_height_kind)
@@ -103,9 +103,9 @@ def _require_square(raster: RasterFile, diameter: float) -> None:
         raise wrong(f"a target of {diameter:g} m is smaller than two cells of {a:g} m")
 
 
-def _heights(dtm: Path, points: GroundPoints, kind: str | None, said: str | None) -> Floats:
+def _heights(dtm: Path, points: GroundPoints, kind: str | None, stated: str | None) -> Floats:
     raster = describe(dtm)
-    model = raster.stated_heights(said)
+    model = raster.stated_heights(stated)
     wrong = ConfigurationError.at(dtm)
     if not kind:
         raise wrong(

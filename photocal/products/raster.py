@@ -45,15 +45,15 @@ class RasterFile:
         """West, south, east, north."""
         return bounds_of(self.transform, self.columns, self.rows)
 
-    def stated_heights(self, said: str | None) -> str:
+    def stated_heights(self, stated: str | None) -> str:
         """Kind of the heights of a terrain model by itself or as it is said.
 
         raises ConfigurationError: when both differ, or neither tells.
         """
         wrong = ConfigurationError.at(self.path)
-        if said is not None and self.height_kind and said != self.height_kind:
-            raise wrong(f"has {self.height_kind} heights, not {said} ones", "correct the kind")
-        if kind := said or self.height_kind:
+        if stated is not None and self.height_kind and stated != self.height_kind:
+            raise wrong(f"has {self.height_kind} heights, not {stated} ones", "correct the kind")
+        if kind := stated or self.height_kind:
             return kind
         raise wrong(
             "the kind of the heights of the terrain model is not said",
@@ -99,9 +99,9 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def _height_kind(source: Any) -> str:
-    said = str(source.tags().get(HEIGHT_TAG, ""))
-    if said in HEIGHT_KINDS:
-        return said
+    tag = str(source.tags().get(HEIGHT_TAG, ""))
+    if tag in HEIGHT_KINDS:
+        return tag
     if source.crs:
         from pyproj import CRS
 
@@ -177,7 +177,7 @@ def system_wkt(name: str) -> str:
         ) from failure
 
 
-def same_system(one: str, other: str) -> bool:
+def same_system(first: str, second: str) -> bool:
     """Whether two reference systems (WKT) have the same horizontal part."""
     from pyproj import CRS
 
@@ -185,7 +185,7 @@ def same_system(one: str, other: str) -> bool:
         system = CRS.from_wkt(wkt)
         return system.sub_crs_list[0] if system.is_compound else system.to_2d()
 
-    return bool(horizontal(one).equals(horizontal(other), ignore_axis_order=True))
+    return bool(horizontal(first).equals(horizontal(second), ignore_axis_order=True))
 
 
 @contextmanager

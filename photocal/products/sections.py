@@ -141,23 +141,24 @@ def read_ring_points(path: Path, vertical: Vertical, sigma_m: float | None) -> R
     raises ConfigurationError: when no standard deviation is given, or twice.
     """
     table = read_table(path, ("section", "point", "X", "Y", "Z"), SIGMAS + CORRELATIONS)
-    own = [name for name in SIGMAS if table.has(name)]
-    if own and sigma_m is not None:
-        raise ConfigurationError(f"{path} has {', '.join(own)} and --sigma is given", "give one of them")
-    if own and len(own) < 3:
-        raise InputMalformedError(f"has {', '.join(own)} only", "give sX, sY and sZ", where=path)
-    if not own and sigma_m is None:
+    sigma_columns = [name for name in SIGMAS if table.has(name)]
+    stated = ", ".join(sigma_columns)
+    if stated and sigma_m is not None:
+        raise ConfigurationError(f"{path} has {stated} and --sigma is given", "give one of them")
+    if 0 < len(sigma_columns) < 3:
+        raise InputMalformedError(f"has {stated} only", "give sX, sY and sZ", where=path)
+    if not sigma_columns and sigma_m is None:
         raise ConfigurationError(
             f"{path} has no standard deviations", "add sX, sY, sZ, or give --sigma in metres"
         )
     if sigma_m is not None and not (np.isfinite(sigma_m) and sigma_m > 0):
         raise ConfigurationError(f"--sigma is {sigma_m:g}", "give a positive length in metres")
     values = table.matrix("XYZ")
-    sigma = table.matrix(SIGMAS) if own else np.full(values.shape, sigma_m, dtype=float)
+    sigma = table.matrix(SIGMAS) if sigma_columns else np.full(values.shape, sigma_m, dtype=float)
     refuse(table, np.asarray((sigma <= 0).any(axis=1)), "a standard deviation is not positive", "correct it")
     xy, xz, yz = table.matrix(CORRELATIONS, empty=0.0).T
-    one = np.ones(len(sigma))
-    correlation = np.moveaxis(np.array([[one, xy, xz], [xy, one, yz], [xz, yz, one]]), -1, 0)
+    ones = np.ones(len(sigma))
+    correlation = np.moveaxis(np.array([[ones, xy, xz], [xy, ones, yz], [xz, yz, ones]]), -1, 0)
     covariance = np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
     impossible = np.asarray(np.linalg.eigvalsh(covariance)[:, 0] <= 0)
     refuse(table, impossible, "the correlations are impossible", "correct rXY, rXZ, rYZ")
@@ -228,11 +229,11 @@ def _section(points: RingPoints, name: str) -> Section:
 
 def _cylinder(points: RingPoints) -> Cylinder | None:
     try:
-        found = fit_cylinder(points.values, points.covariance)
+        cylinder = fit_cylinder(points.values, points.covariance)
     except PhotocalError:
         # A single ring, or rings close together, fix no axis: the circles are still good.
         return None
-    return replace(found, axis=found.axis * np.sign(found.axis[2] or 1.0))
+    return replace(cylinder, axis=cylinder.axis * np.sign(cylinder.axis[2] or 1.0))
 
 
 def _tilt(cylinder: Cylinder) -> tuple[float, float]:

@@ -137,23 +137,22 @@ def fit_circle(points: Floats, covariance: Floats) -> Circle:
     """Fit a circle."""
     middle = _centroid(points, 3, "circle")
     local = points - middle
-    found = fit(local, covariance, _algebraic_circle(local), _circle_condition, np.add, "circle")
-    center, radius = found.state[:2], float(found.state[2])
+    fitted = fit(local, covariance, _algebraic_circle(local), _circle_condition, np.add, "circle")
+    center, radius = fitted.state[:2], float(fitted.state[2])
     away = local - center
     radial = np.linalg.norm(away, axis=1) - radius
     turn = np.arctan2(away[:, 1], away[:, 0])
-    return Circle(center + middle, radius, found.covariance, radial, turn, found)
+    return Circle(center + middle, radius, fitted.covariance, radial, turn, fitted)
 
 
 def fit_cylinder(points: Floats, covariance: Floats) -> Cylinder:
     """Fit a circular cylinder."""
     middle = _centroid(points, 5, "cylinder")
     local = points - middle
-    start = _cylinder_start(local)
-    found = fit(local, covariance, start, _cylinder_condition, _cylinder_moved, "cylinder")
-    point, axis, radius = found.state[:3], found.state[3:6], float(found.state[6])
+    fitted = fit(local, covariance, _cylinder_start(local), _cylinder_condition, _cylinder_moved, "cylinder")
+    point, axis, radius = fitted.state[:3], fitted.state[3:6], float(fitted.state[6])
     basis = _across(axis)
-    covariances = found.covariance
+    covariances = fitted.covariance
     return Cylinder(
         point - (point @ axis) * axis + middle,
         np.asarray(axis * np.sign(axis[int(np.argmax(np.abs(axis)))])),
@@ -162,7 +161,7 @@ def fit_cylinder(points: Floats, covariance: Floats) -> Cylinder:
         basis.T @ covariances[2:4, 2:4] @ basis,
         float(np.sqrt(covariances[4, 4])),
         _radii(local, point, axis)[0] - radius,
-        found,
+        fitted,
     )
 
 

@@ -34,8 +34,8 @@ THRESHOLD = 0.8
 
 def analysis_record(analysis: Analysis, say: Catalogue) -> dict[str, Any]:
     """Turn an analysis into plain values, ready for JSON, with words beside its codes."""
-    own = {field.name: getattr(analysis, field.name) for field in fields(Analysis)}
-    content: dict[str, Any] = as_plain(own, lambda part: _words(part, say))
+    values = {field.name: getattr(analysis, field.name) for field in fields(Analysis)}
+    content: dict[str, Any] = as_plain(values, lambda part: _words(part, say))
     return content
 
 

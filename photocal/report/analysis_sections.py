@@ -180,8 +180,7 @@ def warned(findings: Iterable[Finding], title: str, text: str, say: Catalogue) -
     large = [finding for finding in findings if not finding.small]
     if not large:
         return []
-    told = say(text, count=len(large), first=finding_text(large[0], say))
-    return [Statement("bad", say(title), told)]
+    return [Statement("bad", say(title), say(text, count=len(large), first=finding_text(large[0], say)))]
 
 
 def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Section]:

@@ -165,12 +165,12 @@ def _method(method: MethodCheck, say: Catalogue) -> str:
 
 def published_text(sets: tuple[PublishedSet, ...], say: Catalogue) -> str:
     """Write tests, strong correlations and principal components of every set."""
-    return "\n\n".join("\n".join(_published_lines(one, say)) for one in sets)
+    return "\n\n".join("\n".join(_published_lines(published, say)) for published in sets)
 
 
 def published_record(sets: tuple[PublishedSet, ...]) -> dict[str, Any]:
     """Give the same as plain values, ready for JSON; what is not known is null."""
-    return {"schema": SCHEMA, "sets": [_published_record(one) for one in sets]}
+    return {"schema": SCHEMA, "sets": [_published_record(published) for published in sets]}
 
 
 def _published_lines(published: PublishedSet, say: Catalogue) -> list[str]:

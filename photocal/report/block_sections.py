@@ -235,7 +235,7 @@ def _check_lengths(run: Run, say: Catalogue) -> Table:
         )
         for length in lengths
     ]
-    worst = max(lengths, key=lambda one: abs(one.error))
+    worst = max(lengths, key=lambda length: abs(length.error))
     largest = say.significant(1e3 * abs(worst.error), 3)
     note = say("checks.lengths_note", n=len(lengths), largest=largest, line=f"{worst.first}–{worst.second}")
     return Table(say("checks.lengths"), columns(say, "checks", "line<", *lengths_of), tuple(rows), note)

@@ -142,8 +142,8 @@ def _iop_row(
 ) -> tuple[str, ...]:
     value, sigma, none = camera.value(name), camera.sigma_of(name), say("word.none")
     printed, free = say.measured(value, sigma), name in camera.free
-    own = "s" if name == "readout" else unit_power(camera.unit, camera.lens.power(name))
-    unit = power_of_ten(printed.exponent, own) or "1"
+    parameter_unit = "s" if name == "readout" else unit_power(camera.unit, camera.lens.power(name))
+    unit = power_of_ten(printed.exponent, parameter_unit) or "1"
     others = (say.significant(s / 10.0**printed.exponent, 2) if free and s else none for s in beside)
     head = (symbol(name), say(f"parameter.{name}"), printed.value)
     row = (*head, printed.sigma if free else say("word.held"), *others, unit)

@@ -134,8 +134,7 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
         return Highlight(label, say("highlight.checks_none"), say("highlight.checks_none_remark"))
     rmse = {axis: 1e3 * (checks.rmse_m[axis] or 0.0) for axis in "xyz"}
     axes = {axis: say.fixed(value, 1) for axis, value in rmse.items()}
-    both = math.hypot(rmse["x"], rmse["y"])
-    text = f"XY {say.fixed(both, 1)} mm; Z {axes['z']} mm"
+    text = f"XY {say.fixed(math.hypot(rmse['x'], rmse['y']), 1)} mm; Z {axes['z']} mm"
     return Highlight(label, text, say("highlight.checks_remark", **axes, n=checks.n))
 
 

@@ -200,10 +200,11 @@ def read_particulars(
 
 def _of_flown(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Take what a certificate repeats of the figures of a flown block."""
-    spreads = {name: one for name, one in figures.items() if isinstance(one, dict) and "median" in one}
-    told = {name: (one["least"], one["median"], one["most"]) for name, one in spreads.items()}
+    spreads = ((name, value) for name, value in figures.items() if isinstance(value, dict))
+    keys = ("least", "median", "most")
+    flown_spread = {name: tuple(s[key] for key in keys) for name, s in spreads if "median" in s}
     counts = {name: figures[name] for name in get_args(FlownCount)} | {"gaps": len(figures["gaps"])}
-    return {"flown_spread": told, "flown": counts, "planned": figures.get("planned", {})}
+    return {"flown_spread": flown_spread, "flown": counts, "planned": figures.get("planned", {})}
 
 
 def given_particulars(keys: dict[str, Any], date: str) -> Metadata:

@@ -268,12 +268,12 @@ def check_rmse_cm(run: Run) -> tuple[float, float] | None:
 
 def flying_height(run: Run, camera_id: str) -> float | None:
     """Mean height of the exposures over the object points, m; None unless the cameras look down."""
-    own = run.result.images_of(camera_id)
-    if not len(own) or not len(run.result.points.names):
+    images = run.result.images_of(camera_id)
+    if not len(images) or not len(run.result.points.names):
         return None
-    if np.abs(run.result.images.angles_deg[own, :2]).max() > NADIR_DEG:
+    if np.abs(run.result.images.angles_deg[images, :2]).max() > NADIR_DEG:
         return None
-    height = float(run.result.images.station[own, 2].mean() - run.result.points.values[:, 2].mean())
+    height = float(run.result.images.station[images, 2].mean() - run.result.points.values[:, 2].mean())
     return height if height > 0.0 else None
 
 
@@ -281,10 +281,10 @@ def air_base(run: Run, camera_id: str) -> float | None:
     """Median distance of an exposure to its nearest neighbour, m; None for a single one."""
     from scipy.spatial import cKDTree
 
-    own = run.result.images_of(camera_id)
-    if len(own) < 2:
+    images = run.result.images_of(camera_id)
+    if len(images) < 2:
         return None
-    places = run.result.images.station[own]
+    places = run.result.images.station[images]
     distance = np.asarray(cKDTree(places).query(places, k=2)[0], dtype=np.float64)
     base = float(np.median(distance[:, 1]))
     return base if base > 0.0 else None

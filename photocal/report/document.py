@@ -152,8 +152,7 @@ def html(document: Document) -> str:
     figures = [piece for piece in _pieces(document) if isinstance(piece, Figure)]
     numbers = numbered(document)
     pages = Environment(loader=FunctionLoader(_text), autoescape=True, undefined=StrictUndefined)
-    template = pages.get_template(HTML_TEMPLATE)
-    text = template.render(
+    text = pages.get_template(HTML_TEMPLATE).render(
         document=document,
         css=Markup(_text(HTML_STYLE)),  # noqa: S704 - our own style sheet
         number=lambda piece: numbers[id(piece)],
@@ -166,8 +165,8 @@ def numbered(document: Document) -> dict[int, int]:
     """Number the tables and the figures, each kind from 1 on, as they stand: equal ones are two."""
     numbers: dict[int, int] = {}
     for kind in (Table, Figure):
-        found = [piece for piece in _pieces(document) if isinstance(piece, kind)]
-        numbers.update({id(piece): number for number, piece in enumerate(found, start=1)})
+        pieces = [piece for piece in _pieces(document) if isinstance(piece, kind)]
+        numbers.update({id(piece): number for number, piece in enumerate(pieces, start=1)})
     return numbers
 
 

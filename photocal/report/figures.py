@@ -152,8 +152,8 @@ def correlation_picture(camera: Camera, say: Catalogue) -> str:
 
 def natural_width(svg: str) -> float:
     """Give the share of the text width at which a picture is printed in the size it was drawn for."""
-    found = re.search(r'<svg[^>]*\bwidth="([0-9.]+)pt"', svg)
-    return min(float(found[1]) / 72.0 / WIDTH, 1.0) if found else 1.0
+    match = re.search(r'<svg[^>]*\bwidth="([0-9.]+)pt"', svg)
+    return min(float(match[1]) / 72.0 / WIDTH, 1.0) if match else 1.0
 
 
 def _disc(ax: "Axes", x: float, y: float, r: float, *, clip: bool = True) -> None:

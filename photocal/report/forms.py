@@ -29,9 +29,9 @@ def planned_places(path: Path) -> tuple[Place, ...]:
     try:
         features = json.loads(path.read_text(encoding="utf-8"))["features"]
         return tuple(
-            (own["properties"]["name"], own["properties"]["kind"], *own["geometry"]["coordinates"][1::-1])
-            for own in features
-            if own["properties"]["kind"] in ("control", "check")
+            (properties["name"], properties["kind"], *feature["geometry"]["coordinates"][1::-1])
+            for feature in features
+            if (properties := feature["properties"])["kind"] in ("control", "check")
         )
     except (OSError, ValueError, KeyError, TypeError) as refusal:
         raise InputMalformedError(
@@ -80,13 +80,13 @@ def _sheet(
     stations: int,
     say: Catalogue,
 ) -> Section:
-    own, title = f"forms.{name}", say(f"forms.{name}.title")
+    key, title = f"forms.{name}", say(f"forms.{name}.title")
     known: list[tuple[str, str]] = []
     if place:
         title = f"{title} {place[0]}".strip()
         known = list(zip(say("forms.place").split("|"), place, strict=True))
-    empty = [(label, "") for label in say(f"{own}.lines").split("|")]
-    pieces: list[Piece] = [Paragraph(say(f"{own}.text")), KeyValues((*known, *empty))]
+    empty = [(label, "") for label in say(f"{key}.lines").split("|")]
+    pieces: list[Piece] = [Paragraph(say(f"{key}.text")), KeyValues((*known, *empty))]
     if name == "laboratory":
         rolls: list[Cells] = [(f"{k}", f"{roll}°") for k in range(1, stations + 1) for roll in ROLLS_DEG]
         pieces.append(_table("laboratory.pictures", rolls, say))

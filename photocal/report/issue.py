@@ -54,8 +54,8 @@ def record(
         # Where the block lay is nobody's concern: the certificate carries its inputs.
         "result": {**result, "block": {**result["block"], "source": ""}},
         "exposures": _exposures(run),
-        "cameras": {one.camera_id: _camera(run, one) for one in known},
-        "technical_reports": {one.camera_id: _report(Context(run, particulars, one, say)) for one in known},
+        "cameras": {facts.camera_id: _camera(run, facts) for facts in known},
+        "technical_reports": {f.camera_id: _report(Context(run, particulars, f, say)) for f in known},
         "analysis": certified_analysis(run.analysis),
         "run_files": as_plain(run.files),
         "documents": {},

@@ -52,10 +52,10 @@ def _of_pictures(key: str, typed: str, scale: float, digits: int) -> Callable[[C
     """What a person typed, else what the pictures of the flight say."""
 
     def fill(c: Context) -> Filled:
-        given, told = getattr(c.particulars.campaign, typed), c.particulars.flown_spread.get(key)
-        if given is not None or told is None:
+        given, spread = getattr(c.particulars.campaign, typed), c.particulars.flown_spread.get(key)
+        if given is not None or spread is None:
             return _number(given, digits, "given", c)
-        least, most = (c.say.significant(scale * value, 3) for value in (told[0], told[2]))
+        least, most = (c.say.significant(scale * value, 3) for value in (spread[0], spread[2]))
         return (f"{least} (EXIF)" if least == most else f"{least} – {most} (EXIF)"), "given"
 
     return fill
@@ -70,8 +70,8 @@ def _rtk(c: Context) -> Filled:
 
 
 def _verdict(c: Context) -> Filled:
-    found = verdict(c.facts.limits)
-    return None if found == "not_determined" else (c.say(f"acceptance.{found}"), "computed")
+    outcome = verdict(c.facts.limits)
+    return None if outcome == "not_determined" else (c.say(f"acceptance.{outcome}"), "computed")
 
 
 def _sensor_dimension(c: Context) -> Filled:
@@ -148,8 +148,8 @@ def _test_field(c: Context) -> Filled:
 
 def _count(values: list[float], c: Context) -> Filled:
     """Sum over the surveyed points; a network without them has tie points, of which none need be a target."""
-    own = zip(c.run.result.points.role, values, strict=True)
-    total = int(sum(value for role, value in own if role in ("control", "check")))
+    pairs = zip(c.run.result.points.role, values, strict=True)
+    total = int(sum(value for role, value in pairs if role in ("control", "check")))
     return (str(total), "computed") if total else None
 
 
@@ -199,19 +199,17 @@ def _eo_quality(c: Context) -> Filled:
     d = None if c.run.analysis is None else c.run.analysis.exterior_difference
     if d is None:
         return None
-    computed = ((d.rmse_m, d.rmse_arcsec), (d.mean_m, d.mean_arcsec))
     texts = [
         [*(c.say.fixed(v, 4) for v in metres), *(c.say.fixed(v, 1) for v in seconds)]
-        for metres, seconds in computed
+        for metres, seconds in ((d.rmse_m, d.rmse_arcsec), (d.mean_m, d.mean_arcsec))
     ]
     return _eo_rows(texts, c), "computed"
 
 
 def _eo_rows(texts: list[list[str]], c: Context) -> str:
-    labels = (c.say("ministry.rmse"), c.say("ministry.mean"))
     return "; ".join(
-        f"{label} X {t[0]} m, Y {t[1]} m, Z {t[2]} m, ω {t[3]}″, φ {t[4]}″, κ {t[5]}″"
-        for label, t in zip(labels, texts, strict=True)
+        f"{c.say(key)} X {t[0]} m, Y {t[1]} m, Z {t[2]} m, ω {t[3]}″, φ {t[4]}″, κ {t[5]}″"
+        for key, t in zip(("ministry.rmse", "ministry.mean"), texts, strict=True)
     )
 
 

@@ -44,15 +44,13 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
         "humidity": (conditions.relative_humidity_percent, "%"),
         "pressure": (conditions.pressure_hpa, "hPa"),
     }
-    camera = " ".join(part for part in (given.manufacturer, given.model, given.serial) if part)
-    lens = " ".join(part for part in (given.lens_type, given.lens_serial) if part)
     values = {
         "laboratory": ", ".join(part for part in (lab.name, lab.address) if part),
         "place": lab.place_of_work or particulars.document.place,
         "number": number,
         "customer": ", ".join(part for part in (particulars.document.client, lab.client_contact) if part),
-        "item": camera,
-        "lens": lens,
+        "item": " ".join(part for part in (given.manufacturer, given.model, given.serial) if part),
+        "lens": " ".join(part for part in (given.lens_type, given.lens_serial) if part),
         "state": conditions.state,
         "received": say.date(lab.received) if lab.received else "",
         "measured": say.date(lab.measured) if lab.measured else "",
@@ -131,14 +129,14 @@ def combined(parts: list[tuple[float, float]]) -> tuple[float, float, float]:
 def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> Table:
     result, camera = run.result, run.result.cameras[camera_id]
     stated, whose = run.stated(camera_id)
-    own = max(math.sqrt(max(result.sigma0_squared or 1.0, 1.0)) * camera.sigma_of("c"), stated)
-    factor = own / camera.sigma_of("c") if camera.sigma_of("c") > 0.0 else 1.0
+    adjusted_sigma = max(math.sqrt(max(result.sigma0_squared or 1.0, 1.0)) * camera.sigma_of("c"), stated)
+    factor = adjusted_sigma / camera.sigma_of("c") if camera.sigma_of("c") > 0.0 else 1.0
     entered = particulars.uncertainty.of_c
     # What images say together hangs on their number, not on that of the rays.
     images = max(
         int((result.images.camera == list(result.cameras).index(camera_id)).sum()) - len(camera.free), 1
     )
-    parts = [(own, float(result.degrees_of_freedom if whose == "formal" else images))]
+    parts = [(adjusted_sigma, float(result.degrees_of_freedom if whose == "formal" else images))]
     parts += [(entered[key], math.inf) for key in ENTERED if key in entered]
     total, freedom, k = combined(parts)
     source, kind_of, share_of = columns(say, "uncertainty", "source<", "type=", "share [%]")
@@ -149,7 +147,7 @@ def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> 
         share = 100.0 * u**2 / total**2 if total > 0.0 else 0.0
         return say(f"uncertainty.{key}"), kind, say.significant(u, 2), say.fixed(share, 1)
 
-    rows = [row("adjustment", "A", own), *(row(key, "B", entered.get(key)) for key in ENTERED)]
+    rows = [row("adjustment", "A", adjusted_sigma), *(row(key, "B", entered.get(key)) for key in ENTERED)]
     rows.append(row("combined", "", total))
     c = say.measured(camera.value("c"), k * total)
     note = say(
@@ -186,13 +184,13 @@ def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue
 
 def acceptance_statement(facts: DerivedFigures, final: Finding, say: Catalogue) -> Statement:
     """Say whether the ministry's limits are kept; that is green only where the verdict is."""
-    found = verdict(facts.limits)
+    outcome = verdict(facts.limits)
     missing = [say(f"acceptance.{limit.key}") for limit in facts.limits if limit.met is None]
-    text = say(f"acceptance.{found}_text", missing=", ".join(missing) or say("word.none"))
-    if found == "acceptable" and final.severity != "passed":
+    text = say(f"acceptance.{outcome}_text", missing=", ".join(missing) or say("word.none"))
+    if outcome == "acceptable" and final.severity != "passed":
         text += say("acceptance.withheld" if final.severity == "grave" else "acceptance.reserved")
-        return Statement("note", say(f"acceptance.{found}"), text)
-    return Statement(TONES[found], say(f"acceptance.{found}"), text)
+        return Statement("note", say(f"acceptance.{outcome}"), text)
+    return Statement(TONES[outcome], say(f"acceptance.{outcome}"), text)
 
 
 def _maybe(value: float | None, say: Catalogue) -> str:
@@ -203,13 +201,13 @@ def _centimetres(value: float | None, say: Catalogue) -> str:
     return _maybe(value, say) if value is None else f"{_maybe(value, say)} cm"
 
 
-def findings(title: str, found: tuple[Finding, ...], say: Catalogue) -> Section:
+def findings(title: str, plausibility: tuple[Finding, ...], say: Catalogue) -> Section:
     """List what the plausibility checks found."""
     text = Paragraph(say("plausibility.text"))
-    if not found:
+    if not plausibility:
         return Section(title, (text, Paragraph(say("plausibility.none"))))
     heads = columns(say, "plausibility", "severity<", "finding<")
-    rows = tuple((say(f"plausibility.{f.severity}"), finding_text(f, say)) for f in found)
+    rows = tuple((say(f"plausibility.{f.severity}"), finding_text(f, say)) for f in plausibility)
     return Section(title, (text, Table(say("plausibility.table"), heads, rows, widths=(0.16, 0.84))))
 
 

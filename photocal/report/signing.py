@@ -163,8 +163,7 @@ def authenticity(folder: Path, named: str, known: Mapping[str, str]) -> Authenti
         problems.append(f"{SIGNATURE} names another fingerprint than that of its key")
     if named and named != key.fingerprint:
         problems.append(f"the certificate names the key {named}")
-    certified = _json(folder / "certificate.json").get("number")
-    if certified != number:
+    if _json(folder / "certificate.json").get("number") != number:
         problems.append(f"{SIGNATURE} was made for the certificate {number}")
     if problems:
         return Authenticity("forged", key.name, key.fingerprint, tuple(problems))
@@ -189,8 +188,8 @@ def known_keys(path: Path | None = None) -> dict[str, str]:
     if not source.is_file():
         if path is not None:
             raise InputNotFoundError("no such file", "name a list of keys", where=path)
-        own = own_key()
-        return {own.fingerprint: own.name} if own else {}
+        key = own_key()
+        return {key.fingerprint: key.name} if key else {}
     known = {} if path is not None else {key.fingerprint: key.name for key in (own_key(),) if key}
     for number, line in enumerate(source.read_text(encoding="utf-8").splitlines(), start=1):
         if line.strip() and not line.startswith("#"):

@@ -92,5 +92,5 @@ def certified_analysis(analysis: Analysis | None) -> dict[str, Any] | None:
 
 def _only(value: Any, parts: Any) -> Any:
     if isinstance(value, list):
-        return [_only(one, parts) for one in value]
+        return [_only(element, parts) for element in value]
     return {key: _only(value[key], parts[key]) for key in parts} if parts and value else value

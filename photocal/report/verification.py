@@ -59,14 +59,14 @@ def changed_files(certificate: dict[str, Any], folder: Path) -> list[str]:
     Nothing is read beyond the folder: links are named, not followed. The inputs are for `changed_inputs`.
     """
     carried = (f"{CARRIED}/{entry['path']}" for entry in certificate["result"]["inputs"])
-    own = {NAME, SIGNATURE, *PAGES, *carried}
-    folders = {parent.as_posix() for name in own for parent in PurePosixPath(name).parents}
+    expected = {NAME, SIGNATURE, *PAGES, *carried}
+    folders = {parent.as_posix() for name in expected for parent in PurePosixPath(name).parents}
     named = []
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_symlink():
             named.append(f"{name} is a link")
-        elif name not in (folders if path.is_dir() else own):
+        elif name not in (folders if path.is_dir() else expected):
             named.append(f"{name} is no part of the certificate")
     documents = certificate["documents"]
     named += [f"{name} is no document of a certificate" for name in sorted(documents.keys() - set(PAGES))]
@@ -110,28 +110,28 @@ def _drawings(page: bytes) -> bytes:
     return b"\0".join(_DRAWN.findall(page))
 
 
-def differences(certified: Any, found: Any, place: str = "", sigma: float = 0.0) -> list[Difference]:
+def differences(certified: Any, recomputed: Any, place: str = "", sigma: float = 0.0) -> list[Difference]:
     """Compare two certificates figure by figure."""
-    if isinstance(certified, dict) and isinstance(found, dict):
-        return _in_mappings(certified, found, place)
-    if isinstance(certified, list) and isinstance(found, list) and len(certified) == len(found):
-        pairs = enumerate(zip(certified, found, strict=True))
+    if isinstance(certified, dict) and isinstance(recomputed, dict):
+        return _in_mappings(certified, recomputed, place)
+    if isinstance(certified, list) and isinstance(recomputed, list) and len(certified) == len(recomputed):
+        pairs = enumerate(zip(certified, recomputed, strict=True))
         return [d for i, (a, b) in pairs for d in differences(a, b, f"{place}[{_name(a, i)}]")]
-    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in (certified, found)):
-        same = abs(certified - found) <= _tolerance(place, max(abs(certified), abs(found)), sigma)
+    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in (certified, recomputed)):
+        same = abs(certified - recomputed) <= _tolerance(place, max(abs(certified), abs(recomputed)), sigma)
     else:
-        same = certified == found
-    return [] if same else [Difference(place, certified, found)]
+        same = certified == recomputed
+    return [] if same else [Difference(place, certified, recomputed)]
 
 
-def _in_mappings(certified: dict[str, Any], found: dict[str, Any], place: str) -> list[Difference]:
+def _in_mappings(certified: dict[str, Any], recomputed: dict[str, Any], place: str) -> list[Difference]:
     missing = object()
     listed = []
     sigma = certified.get("sigma")
-    for key in dict.fromkeys([*certified, *found]):
+    for key in dict.fromkeys([*certified, *recomputed]):
         if key in NOT_FIGURES:
             continue
-        a, b = certified.get(key, missing), found.get(key, missing)
+        a, b = certified.get(key, missing), recomputed.get(key, missing)
         where = f"{place}.{key}" if place else key
         if a is missing or b is missing:
             listed.append(Difference(where, *(None if value is missing else value for value in (a, b))))

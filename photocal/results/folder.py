@@ -259,9 +259,9 @@ def read_json(path: Path, schema: str, remedy: str) -> tuple[str, dict[str, Any]
         ) from None
     except (ValueError, RecursionError) as broken:
         raise InputMalformedError(str(broken), remedy, where=path) from None
-    found = content.get("schema") if isinstance(content, dict) else None
-    if found != schema:
-        raise InputMalformedError(f"schema is {found!r}, {schema!r} was expected", remedy, where=path)
+    stored = content.get("schema") if isinstance(content, dict) else None
+    if stored != schema:
+        raise InputMalformedError(f"schema is {stored!r}, {schema!r} was expected", remedy, where=path)
     return text, content
 
 
@@ -302,8 +302,7 @@ def _not_a_number(constant: str) -> float:
 
 
 def _camera(name: str, stored: _Camera, path: Path) -> Camera:
-    where = f"{path}, camera {name}"
-    malformed = InputMalformedError.at(where)
+    malformed = InputMalformedError.at(f"{path}, camera {name}")
     if "c" not in stored.parameters or not stored.parameters["c"].value > 0.0:
         raise malformed("has no positive principal distance c", AGAIN)
     if stored.unit == "mm" and (stored.pitch_mm is None or not min(stored.pitch_mm) > 0.0):
@@ -318,12 +317,11 @@ def _camera(name: str, stored: _Camera, path: Path) -> Camera:
         raise malformed(f"{unknown[0]} is no parameter", AGAIN)
     if sorted(key for key, parameter in stored.parameters.items() if parameter.estimated) != sorted(names):
         raise malformed("correlation names differ from the estimated parameters", AGAIN)
-    for key, one in stored.parameters.items():
-        if not (math.isfinite(one.sigma) and one.sigma >= 0.0):
-            raise malformed(f"sigma of {key} is negative", AGAIN)
     sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
-    for key, one in stored.parameters.items():
-        sigma[PARAMETERS.index(key)] = one.sigma
+    for key, entry in stored.parameters.items():
+        if not (math.isfinite(entry.sigma) and entry.sigma >= 0.0):
+            raise malformed(f"sigma of {key} is negative", AGAIN)
+        sigma[PARAMETERS.index(key)] = entry.sigma
     rows = [PARAMETERS.index(key) for key in names]
     correlation[np.ix_(rows, rows)] = np.array(stored.correlation.matrix).reshape(len(names), len(names))
     adjusted = camera(
@@ -454,8 +452,8 @@ def _lower(table: Any, unknowns: Sequence[str]) -> tuple[Integers, Floats]:
     return order, flat.reshape(table.num_rows, -1)
 
 
-def _same_count(path: Path, found: int, expected: int, what: str) -> None:
-    if found != expected:
+def _same_count(path: Path, count: int, expected: int, what: str) -> None:
+    if count != expected:
         raise InputMalformedError(
-            f"has {found} {what}, {RESULT} says {expected}", f"the table was cut; {AGAIN}", where=path
+            f"has {count} {what}, {RESULT} says {expected}", f"the table was cut; {AGAIN}", where=path
         )

@@ -83,12 +83,11 @@ def _control_residuals(
     rms = float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
     parameters = sum(len(camera.free) for camera in assembly.network.cameras)
     factor = hottier_factor(2 * int(points.rays[control].sum()), parameters)
-    expected = None if factor is None else factor * rms
     return {
         "n": float(len(apart)),
         "rmse_m": rms,
         "hottier_factor": factor,
-        "expected_at_check_points_m": expected,
+        "expected_at_check_points_m": None if factor is None else factor * rms,
     }
 
 
@@ -110,8 +109,8 @@ def write_more(
             _write(folder / name, table)
     if wanted.joint:
         unknowns, covariance = joint_covariance(factored(assembly.network, solution.state), wanted.joint)
-        scale = np.array([one.scale for one in unknowns])
-        names = [f"{one.name} ({one.unit})" if one.unit else one.name for one in unknowns]
+        scale = np.array([unknown.scale for unknown in unknowns])
+        names = [f"{unknown.name} ({unknown.unit})" if unknown.unit else unknown.name for unknown in unknowns]
         matrix = covariance * np.outer(scale, scale)
         columns = {"unknown": names} | {name: matrix[:, k] for k, name in enumerate(names)}
         _write(folder / "joint_covariance.csv", columns)
@@ -126,15 +125,15 @@ def _write(path: Path, columns: dict[str, Any]) -> None:
 
 
 def _photo_variant(block: Block, solution: Solution) -> dict[str, Any]:
-    own = solution.photo_variant
+    variant = solution.photo_variant
     return {
-        "image": [block.images.names[i] for i in own.image],
-        "camera": [block.cameras[k].id for k in block.images.camera[own.image]],
-        "parameter": [OWN[n] for n in own.parameter],
-        "value": own.values,
-        "sigma": own.sigma,
-        "deviation": own.deviations,
-        "sdeviation": own.deviation_sigma,
+        "image": [block.images.names[i] for i in variant.image],
+        "camera": [block.cameras[k].id for k in block.images.camera[variant.image]],
+        "parameter": [OWN[n] for n in variant.parameter],
+        "value": variant.values,
+        "sigma": variant.sigma,
+        "deviation": variant.deviations,
+        "sdeviation": variant.deviation_sigma,
     }
 
 
@@ -158,24 +157,24 @@ def _ellipses(
 
 def _reliability(block: Block, assembly: NetworkOfBlock, solution: Solution) -> dict[str, dict[str, Any]]:
     """Tables of the rays and of the control coordinates; an infinite figure is an empty cell."""
-    found = reliability(assembly.network, solution)
+    figures = reliability(assembly.network, solution)
     network = assembly.network
     per_unit = plane_per_unit(block)[network.exposures.camera[network.rays.image]]
     rays: dict[str, Any] = {
         "image": [network.image_names[i] for i in network.rays.image],
         "point": [network.point_names[j] for j in network.rays.point],
     }
-    control = np.flatnonzero(np.isfinite(found.control_bias).any(axis=1))
+    control = np.flatnonzero(np.isfinite(figures.control_bias).any(axis=1))
     marks: dict[str, Any] = {"point": [network.point_names[j] for j in control]}
     for k, axis in enumerate("xy"):
-        rays["mdb_" + axis] = _finite(found.ray_bias[:, k] / per_unit[:, k])
-        rays["external_" + axis] = _finite(found.ray_external[:, k])
-        rays["on_c_" + axis] = _finite(found.ray_on_c[:, k])
-        rays["on_point_m_" + axis] = _finite(found.ray_on_point[:, k])
+        rays["mdb_" + axis] = _finite(figures.ray_bias[:, k] / per_unit[:, k])
+        rays["external_" + axis] = _finite(figures.ray_external[:, k])
+        rays["on_c_" + axis] = _finite(figures.ray_on_c[:, k])
+        rays["on_point_m_" + axis] = _finite(figures.ray_on_point[:, k])
     for k, axis in enumerate("XYZ"):
-        marks["mdb_" + axis] = _finite(found.control_bias[control, k])
-        marks["external_" + axis] = _finite(found.control_external[control, k])
-        marks["on_c_" + axis] = _finite(found.control_on_c[control, k])
+        marks["mdb_" + axis] = _finite(figures.control_bias[control, k])
+        marks["external_" + axis] = _finite(figures.control_external[control, k])
+        marks["on_c_" + axis] = _finite(figures.control_on_c[control, k])
     return {"reliability.csv": rays, "control_reliability.csv": marks}
 
 

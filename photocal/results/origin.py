@@ -33,17 +33,16 @@ class Source:
 
 def changed_inputs(inputs: Sequence[InputFile], folder: Path) -> dict[str, str]:
     """Say of which files, by their paths, that they are missing or not those that were adjusted."""
-    found = {}
+    changes = {}
     for file in inputs:
         path = folder / file.path
         now = digest(path) if path.is_file() else ""
         if not now:
-            found[file.path] = f"{file.path} is missing"
+            changes[file.path] = f"{file.path} is missing"
         elif now != file.sha256:
-            found[file.path] = (
-                f"{file.path} has changed (SHA-256 {now[:12]}..., certified {file.sha256[:12]}...)"
-            )
-    return found
+            hashes = f"SHA-256 {now[:12]}..., certified {file.sha256[:12]}..."
+            changes[file.path] = f"{file.path} has changed ({hashes})"
+    return changes
 
 
 def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> Source:
@@ -81,7 +80,7 @@ def _candidates(run: Path, result: Figures, here: Path) -> Iterator[Path]:
     setup = result.block.setup or "block.toml"
     for base, depth in ((run, 0), (run.parent, 1), (here, DEPTH)):
         for level in range(depth + 1):
-            yield from sorted(_root(found, setup) for found in base.glob("*/" * level + setup))
+            yield from sorted(_root(path, setup) for path in base.glob("*/" * level + setup))
 
 
 def _root(path: Path, setup: str) -> Path:

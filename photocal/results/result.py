@@ -137,11 +137,11 @@ class AdjustedHead:
         """Covariance (deg, m, s) of what is estimated, or of all `names` with zeros for the rest."""
         free, wanted = self.free, self.free if names is None else tuple(names)
         sigma = np.array([self.values[name].sigma for name in free])
-        own = np.array(self.correlation).reshape(len(free), len(free)) * np.outer(sigma, sigma)
+        estimated = np.array(self.correlation).reshape(len(free), len(free)) * np.outer(sigma, sigma)
         whole = np.zeros((len(wanted), len(wanted)))
         at = [wanted.index(name) for name in free if name in wanted]
         some = [k for k, name in enumerate(free) if name in wanted]
-        whole[np.ix_(at, at)] = own[np.ix_(some, some)]
+        whole[np.ix_(at, at)] = estimated[np.ix_(some, some)]
         return whole
 
 
@@ -318,18 +318,20 @@ class Result(Figures):
                 f"{readout.effect:.3g} {unit} in the image, {readout.way:.3g} m of flight; "
                 f"a global one has p {readout.p_value:.2g}"
             )
-        for own in self.heads:
+        for head in self.heads:
             turns, place, later = (
                 " ".join(
-                    f"{factor * own.values[key].value:.4g} +- {factor * own.values[key].sigma:.2g}"
+                    f"{factor * head.values[key].value:.4g} +- {factor * head.values[key].sigma:.2g}"
                     for key in keys
                 )
                 for keys, factor in ((TURNS, 3600.0), (CENTRES, 1000.0), (("time",), 1000.0))
             )
+            both = (
+                f"; {head.common} rays in both agree to {head.registration_px:.2f} px" if head.common else ""
+            )
             lines.append(
-                f"camera {own.camera} on the frame of {own.of}, {own.exposures} exposures: centre {place} "
-                f"mm, {turns} arcsec from the turn that was given, later by {later} ms"
-                + (f"; {own.common} rays in both agree to {own.registration_px:.2f} px" if own.common else "")
+                f"camera {head.camera} on the frame of {head.of}, {head.exposures} exposures: centre {place} "
+                f"mm, {turns} arcsec from the turn that was given, later by {later} ms{both}"
             )
         lines += [
             f"sigma of {component.name}: {component.factor:.3f} +- {component.sigma:.3f} times the given one"

@@ -35,7 +35,7 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.maps import reference_system
     from photocal.accuracy.standard import SHIPPED, load_standard
     from photocal.block.folder import read_block
-    from photocal.findings.texts import told
+    from photocal.findings.texts import as_record
     from photocal.geopackage import changed_utc
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
@@ -47,7 +47,7 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     if block.datum != "control":
         # Nothing can be judged in a relative block; that is no failure.
         with_nothing = {"schema": SCHEMA, "block": block.name, "methods": {}, "refused": []}
-        write_json(folder / FIGURES, with_nothing | told([NOT_PLACED]))
+        write_json(folder / FIGURES, with_nothing | as_record([NOT_PLACED]))
         return
     with show("three georeferencings", len(METHODS) + 2) as done:
         result = check_block(

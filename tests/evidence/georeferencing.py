@@ -85,7 +85,7 @@ def injected(folder: Path) -> list[str]:
                 read_block(fly(place, np.random.default_rng(5000 + seed), errors, PLAN))
             )
             found = systematic_errors(block)
-            names = [error.found.name for error in found.errors]
+            names = [error.hypothesis.name for error in found.errors]
             alone += names == [name] or (name == "none" and not names)
             among += name in names
             others.update(other for other in names if other != name)

@@ -30,8 +30,8 @@ class Design(NamedTuple):
     image_lens, image_column (images,): lens and first column of each image. Images share the lens of their
         camera; with parameters of their own, or a rolling shutter, each image has its own.
     pose_free (images, 6): 1 where a pose unknown is free, else 0.
-    own, own_count (lenses, n): positions of the parameters of an image's own, the first `own_count` of each
-        row.
+    variant, variant_count (lenses, n): positions of the parameters of an image's own, the first so many of
+        each row.
     optics (lenses, 20 or 35): from `lens.optics`, and the given motion of the image.
     active (lenses, 20): positions of the estimated parameters, the first `active_count` of each row.
     active_count, active_column (lenses,): number of estimated parameters and the first of their columns
@@ -54,8 +54,8 @@ class Design(NamedTuple):
     image_lens: Integers
     image_column: Integers
     pose_free: Floats
-    own: Integers
-    own_count: Integers
+    variant: Integers
+    variant_count: Integers
     optics: Floats
     active: Integers
     active_count: Integers

@@ -88,12 +88,12 @@ def add_ray(
             block[a, b] += ax * by_point[0, b] + ay * by_point[1, b]
         for s in range(count):
             kept.mixed_border[j, a, at + s] += ax * lens[0, s] + ay * lens[1, s]
-    own = place.border + at * (border + 1)
+    diagonal = place.border + at * (border + 1)
     for s in range(count):
         cx, cy = px * lens[0, s], py * lens[1, s]
         gradient[structure.band + at + s] += cx * vx + cy * vy
         for b in range(s + 1):
-            matrix[own + s * border + b] += cx * lens[0, b] + cy * lens[1, b]
+            matrix[diagonal + s * border + b] += cx * lens[0, b] + cy * lens[1, b]
 
 
 @inlined

@@ -34,7 +34,8 @@ def ray_rows(design: Design, values: Values, r: int, i: int, j: int, room: Scrat
             by_image[a, 3 + n] = -along * design.pose_free[i, 3 + n]
             by_point[a, n] = along * design.point_free[j, n]
         for n in range(columns(design) - 6):
-            by_image[a, 6 + n] = room.by_camera[a, design.own[k, n]] if n < design.own_count[k] else 0.0
+            present = n < design.variant_count[k]
+            by_image[a, 6 + n] = room.by_camera[a, design.variant[k, n]] if present else 0.0
     return vx, vy
 
 

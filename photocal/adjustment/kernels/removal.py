@@ -37,23 +37,23 @@ def take_back_ray(
     border, band, k = structure.border, structure.band, design.image_lens[i]
     at, count, point = design.active_column[k], design.active_count[k], design.point_column[j]
     px, py = design.weight[r, 0], design.weight[r, 1]
-    own = structure.offset[len(structure.width) - 1]
+    base = structure.offset[len(structure.width) - 1]
     for s in range(count):
         cx, cy = px * by_camera[0, design.active[k, s]], py * by_camera[1, design.active[k, s]]
         gradient[band + at + s] -= cx * vx + cy * vy
         for t in range(s + 1):
             n = design.active[k, t]
-            matrix[own + (at + s) * border + at + t] -= cx * by_camera[0, n] + cy * by_camera[1, n]
+            matrix[base + (at + s) * border + at + t] -= cx * by_camera[0, n] + cy * by_camera[1, n]
         if point >= 0:
             for a in range(3):
-                to = own + (point + a) * border + at + s
+                to = base + (point + a) * border + at + s
                 matrix[to] -= cx * by_point[0, a] + cy * by_point[1, a]
     if point >= 0:
         for a in range(3):
             ax, ay = px * by_point[0, a], py * by_point[1, a]
             gradient[band + point + a] -= ax * vx + ay * vy
             for b in range(a + 1):
-                to = own + (point + a) * border + point + b
+                to = base + (point + a) * border + point + b
                 matrix[to] -= ax * by_point[0, b] + ay * by_point[1, b]
     if out[i]:
         return
@@ -89,7 +89,7 @@ def eliminate_anew(
     """Eliminate a point from what stays with what is left of its rays, in place of all of them."""
     lens, border, width = structure.lens, structure.border, columns(design)
     mixed, old, new = kept.mixed, kept.mixed_border[j], left.mixed_border[nth]
-    own = structure.offset[len(structure.width) - 1]
+    base = structure.offset[len(structure.width) - 1]
     for s in range(lens):
         for a in range(3):
             before[a, s], after[a, s] = 0.0, 0.0
@@ -103,7 +103,7 @@ def eliminate_anew(
     for s in range(lens):
         for t in range(s + 1):
             for a in range(3):
-                matrix[own + s * border + t] += old[a, s] * before[a, t] - new[a, s] * after[a, t]
+                matrix[base + s * border + t] += old[a, s] * before[a, t] - new[a, s] * after[a, t]
     begin, end = design.ray_start[j], design.ray_start[j + 1]
     for r in range(begin, end):
         i = design.ray_image[r]

@@ -45,11 +45,11 @@ def gather(design: Design, structure: Structure, j: int, inverse: Floats, local:
                 z = inverse[foot + s * step + b]
                 local[edge + s, columns(design) * r + b] = z
                 local[columns(design) * r + b, edge + s] = z
-    own = structure.offset[len(width) - 1]
+    base = structure.offset[len(width) - 1]
     for s in range(reach):
         for t in range(s + 1):
-            local[edge + s, edge + t] = inverse[own + s * border + t]
-            local[edge + t, edge + s] = inverse[own + s * border + t]
+            local[edge + s, edge + t] = inverse[base + s * border + t]
+            local[edge + t, edge + s] = inverse[base + s * border + t]
     return int(edge + reach)
 
 

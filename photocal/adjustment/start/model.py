@@ -110,11 +110,11 @@ def _next_images(model: Model, failed: Flags, most: int) -> tuple[Model, Flags]:
     limit = fitting_limit(_residuals(model))
     rotation, centre = model.rotation.copy(), model.centre.copy()
     for image in np.flatnonzero(tried):
-        mine = np.flatnonzero(known & (rays.image == image))
-        found = resection(model.points[rays.point[mine]], slopes[mine])
+        in_image = np.flatnonzero(known & (rays.image == image))
+        pose = resection(model.points[rays.point[in_image]], slopes[in_image])
         # A camera that is not calibrated yet strains the first images more than those before.
-        if found is not None and np.sum(found.residual < 2 * limit) >= _enough(len(mine)):
-            rotation[image], centre[image] = found.rotation, found.centre
+        if pose is not None and np.sum(pose.residual < 2 * limit) >= _enough(len(in_image)):
+            rotation[image], centre[image] = pose.rotation, pose.centre
     return replace(model, rotation=rotation, centre=centre), tried
 
 
@@ -136,8 +136,8 @@ def intersected(model: Model) -> Model:
     for _ in range(STRAY_RAYS + 1):
         image, point = seen.rays.image[rays], seen.rays.point[rays]
         rotation, centre = model.rotation[image], model.centre[image]
-        found = intersect(point, seen.points, centre, rotation, seen.slopes[rays], np.ones(len(rays)))
-        residual = ray_residuals(rotation, centre, found[point], seen.slopes[rays])
+        points = intersect(point, seen.points, centre, rotation, seen.slopes[rays], np.ones(len(rays)))
+        residual = ray_residuals(rotation, centre, points[point], seen.slopes[rays])
         stray = residual > fitting_limit(residual)
         count = np.bincount(point, minlength=seen.points)
         order = np.lexsort((-np.nan_to_num(residual, nan=0.0, posinf=1e9), point))
@@ -148,8 +148,8 @@ def intersected(model: Model) -> Model:
             break
         rays = np.delete(rays, out)
     missed = np.bincount(point[stray], minlength=seen.points) > 0
-    found[missed | (_angles(model, rays, found) < SHARP)] = np.nan
-    return replace(model, points=np.where(model.fixed[:, None], model.points, found))
+    points[missed | (_angles(model, rays, points) < SHARP)] = np.nan
+    return replace(model, points=np.where(model.fixed[:, None], model.points, points))
 
 
 def fitting_limit(residual: Floats) -> float:
@@ -223,24 +223,24 @@ def adjusted(model: Model) -> Model:
 def _to_calibrate(seen: Bearings, rays: Integers) -> tuple[Camera, ...]:
     """Cameras as they were given, with what so many rays can tell of them."""
     camera = seen.camera_of[seen.rays.image[rays]]
-    found = []
-    for k, own in enumerate(seen.given):
+    cameras = []
+    for k, given in enumerate(seen.given):
         images = len(np.unique(seen.rays.image[rays][camera == k]))
         enough = images >= CALIBRATING and np.sum(camera == k) >= RAYS_EACH * images
-        corner = float(np.hypot(own.size_px[0] * own.pitch[0], own.size_px[1] * own.pitch[1])) / 2
+        corner = float(np.hypot(given.size_px[0] * given.pitch[0], given.size_px[1] * given.pitch[1])) / 2
         loose = np.full(len(PARAMETERS), np.inf)
-        loose[0] = C_SHARE * own.value("c")
+        loose[0] = C_SHARE * given.value("c")
         loose[3:5] = DISTORTION_SHARE / corner**2, DISTORTION_SHARE / corner**4
-        found.append(
+        cameras.append(
             replace(
-                own if enough else seen.cameras[k],
-                estimated=own.estimated & LENS & enough,
-                prior_sigma=np.minimum(loose, own.prior_sigma),
+                given if enough else seen.cameras[k],
+                estimated=given.estimated & LENS & enough,
+                prior_sigma=np.minimum(loose, given.prior_sigma),
                 prior_correlation=None,
                 deviation_sigma=np.zeros(len(PARAMETERS)),
             )
         )
-    return tuple(found)
+    return tuple(cameras)
 
 
 def held_to_given(model: Model) -> Model:
@@ -249,11 +249,11 @@ def held_to_given(model: Model) -> Model:
     first = [camera.value("c") for camera in seen.cameras]
     for share in (0.25, 0.5, 0.75, 1.0):
         cameras = []
-        for own, given, c in zip(model.bearings.cameras, seen.given, first, strict=True):
-            values = own.values.copy()
+        for camera, given, c in zip(model.bearings.cameras, seen.given, first, strict=True):
+            values = camera.values.copy()
             values[0] = c + share * (given.value("c") - c)
-            estimated = own.estimated & (np.arange(len(PARAMETERS)) > 0)
-            cameras.append(replace(own.with_values(values), estimated=estimated))
+            estimated = camera.estimated & (np.arange(len(PARAMETERS)) > 0)
+            cameras.append(replace(camera.with_values(values), estimated=estimated))
         stepped = replace(model.bearings.by(tuple(cameras)), given=tuple(cameras))
         model = adjusted(intersected(replace(model, bearings=stepped)))
     return without_misfits(intersected(model))
@@ -297,7 +297,6 @@ def misfit(model: Model) -> float:
 
 def support(model: Model) -> int:
     """How many rays of points with three and more of them meet within the model."""
-    residual = _residuals(model)
-    fits = residual <= LEAST
+    fits = _residuals(model) <= LEAST
     count = np.bincount(model.bearings.rays.point[fits], minlength=model.bearings.points)
     return int(count[count >= 3].sum())

@@ -26,12 +26,12 @@ def first_model(bearings: Bearings, free: Flags) -> Model | None:
     A pose that only the plane of the points suggested fits no third image: what counts is how many rays meet
     in threes.
     """
-    own = bearings.some(free[bearings.rays.image])
+    free_bearings = bearings.some(free[bearings.rays.image])
     best: Model | None = None
     for share in OTHER_C:
         # What fits best of a wrong principal distance may be a wrong model.
-        seen = own.by(tuple(_scaled(camera, share) for camera in own.given))
-        if share == 1 or any(camera.estimated[0] for camera in own.given):
+        seen = free_bearings.by(tuple(_scaled(camera, share) for camera in free_bearings.given))
+        if share == 1 or any(camera.estimated[0] for camera in free_bearings.given):
             best = _best_trial(seen, free, best)
         if best is not None and best.oriented.sum() == min(TRIAL_IMAGES, free.sum()) and _good(best):
             break
@@ -75,17 +75,16 @@ def _pairs(bearings: Bearings, free: Flags) -> list[tuple[int, int, list[Relativ
     order = np.argsort(-together.data[use], kind="stable")
     # Neighbours that see most are often too close to each other: some with less in common are looked at too.
     steps = np.unique(np.concatenate([np.arange(PAIRS), np.linspace(0, len(order) - 1, PAIRS).astype(int)]))
-    found = []
+    pairs = []
     for k in order[steps[(steps >= 0) & (steps < len(order))]]:
         a, b = int(image[use][k]), int(other[use][k])
         first, second = bearings.common(a, b)
         candidates = relative_orientations(bearings.slopes[first], bearings.slopes[second])
         if candidates:
-            angle = max(candidate.angle for candidate in candidates)
-            value = min(len(first), 100) * min(angle, WIDE)
-            found.append((value, a, b, candidates))
-    found.sort(key=lambda entry: -entry[0])
-    return [(a, b, candidates) for _, a, b, candidates in found]
+            value = min(len(first), 100) * min(max(candidate.angle for candidate in candidates), WIDE)
+            pairs.append((value, a, b, candidates))
+    pairs.sort(key=lambda entry: -entry[0])
+    return [(a, b, candidates) for _, a, b, candidates in pairs]
 
 
 def _pair_model(bearings: Bearings, first: int, second: int, pair: RelativeOrientation) -> Model:

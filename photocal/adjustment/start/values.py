@@ -73,7 +73,7 @@ def start_values(
 
 def free_models(seen: Bearings) -> list[Model]:
     """Models from relative orientation alone, each in a system of its own, that of most images first."""
-    remaining, found = np.ones(seen.images, dtype=np.bool_), list[Model]()
+    remaining, models = np.ones(seen.images, dtype=np.bool_), list[Model]()
     while remaining.sum() >= 2:
         model = first_model(seen, remaining)
         if model is None:
@@ -82,9 +82,9 @@ def free_models(seen: Bearings) -> list[Model]:
         # What the adjustment lost again is no model, and would be found once more.
         if not model.oriented.any():
             break
-        found.append(model)
+        models.append(model)
         remaining &= ~model.oriented
-    return sorted(found, key=lambda model: -int(model.oriented.sum()))
+    return sorted(models, key=lambda model: -int(model.oriented.sum()))
 
 
 def _known_poses(model: Model, exposures: Floats) -> Model:
@@ -105,43 +105,43 @@ def _separate_model(model: Model, exposures: Floats, relations: Relations, *, fr
     """Model of images that are not oriented yet, in the object system; None when there is none."""
     remaining = ~model.oriented
     while remaining.any():
-        own = first_model(model.bearings, remaining)
-        if own is None:
+        separate = first_model(model.bearings, remaining)
+        if separate is None:
             return None
-        own = grown(own, np.ones_like(remaining))
-        if not own.oriented.any():
+        separate = grown(separate, np.ones_like(remaining))
+        if not separate.oriented.any():
             return None
-        move = _to_object(model, own, exposures)
+        move = _to_object(model, separate, exposures)
         if move is None and free:
-            move = _scaled(own, relations)
+            move = _scaled(separate, relations)
         if move is not None:
             return replace(
-                own,
-                rotation=move.applied_to_rotations(own.rotation),
-                centre=move.applied(own.centre),
-                points=move.applied(own.points),
+                separate,
+                rotation=move.applied_to_rotations(separate.rotation),
+                centre=move.applied(separate.centre),
+                points=move.applied(separate.points),
             )
         # Nothing ties this model to the object system: the next is made of the other images.
-        remaining &= ~own.oriented
+        remaining &= ~separate.oriented
     return None
 
 
-def _to_object(model: Model, own: Model, exposures: Floats) -> Similarity | None:
+def _to_object(model: Model, separate: Model, exposures: Floats) -> Similarity | None:
     """Similarity from a model's system to the object system, over common points and projection centres."""
-    both = own.placed & model.placed
-    centres = own.oriented & (model.oriented | np.isfinite(exposures[:, 3:]).all(axis=1))
+    both = separate.placed & model.placed
+    centres = separate.oriented & (model.oriented | np.isfinite(exposures[:, 3:]).all(axis=1))
     places = np.where(model.oriented[:, None], model.centre, exposures[:, 3:])
-    source = np.vstack([own.points[both], own.centre[centres]])
-    target = np.vstack([model.points[both], places[centres]])
-    found = robust_similarity(source, target)
-    return None if found is None else found[0]
+    source = np.vstack([separate.points[both], separate.centre[centres]])
+    fit = robust_similarity(source, np.vstack([model.points[both], places[centres]]))
+    return None if fit is None else fit[0]
 
 
-def _scaled(own: Model, relations: Relations) -> Similarity:
+def _scaled(model: Model, relations: Relations) -> Similarity:
     """Scale of a free model from distances; 1, with the first base as unit, when there are none."""
-    mine = (relations.kind == DISTANCE) & own.placed[relations.first] & own.placed[relations.second]
-    length = np.linalg.norm(own.points[relations.first[mine]] - own.points[relations.second[mine]], axis=1)
-    scale = float(np.median(relations.values[mine] / length)) if mine.any() else 1.0
+    first, second = relations.first, relations.second
+    known = (relations.kind == DISTANCE) & model.placed[first] & model.placed[second]
+    length = np.linalg.norm(model.points[first[known]] - model.points[second[known]], axis=1)
+    scale = float(np.median(relations.values[known] / length)) if known.any() else 1.0
     return Similarity(scale, np.eye(3), np.zeros(3))
 
 

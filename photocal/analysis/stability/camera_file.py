@@ -101,8 +101,8 @@ def camera_file(tables: dict[str, Any], path: Path) -> CameraFile:
     if isinstance(entries := tables.get("camera"), list):
         tables = {**tables, "camera": [_ours(entry, path) for entry in entries]}
     file = checked_tables(tables, _File, path)
-    made = [(make_camera(one, path), one) for one in file.camera]
-    calibrations = (_with_sigmas(own, one, f"{path}, camera {one.id}") for own, one in made)
+    cameras = [make_camera(entry, path) for entry in file.camera]
+    calibrations = map(_with_sigmas, cameras, file.camera, (f"{path}, camera {c.id}" for c in cameras))
     return CameraFile(tuple(calibrations), file.published, file.comparison)
 
 
@@ -117,28 +117,28 @@ def _ours(entry: Any, path: Path) -> Any:
     return {**entry, "model": made.model, "pitch_mm": pitch, "size_px": given.size_px, "parameters": values}
 
 
-def _with_sigmas(made: Camera, one: _Camera, where: str) -> Camera:
+def _with_sigmas(made: Camera, entry: _Camera, where: str) -> Camera:
     """The camera with what the file says of its parameters, as after an adjustment."""
     wrong = ConfigurationError.at(where)
-    if one.sigma is None:
-        if one.correlation is not None:
+    if entry.sigma is None:
+        if entry.correlation is not None:
             raise wrong("has correlations but no sigma", "add [camera.sigma]")
         return made
-    names = tuple(one.sigma) if one.correlation is None else tuple(one.correlation.names)
-    stray = [name for name in names if name not in PARAMETERS or name not in one.sigma]
-    if stray or len(set(names)) != len(one.sigma):
+    names = tuple(entry.sigma) if entry.correlation is None else tuple(entry.correlation.names)
+    stray = [name for name in names if name not in PARAMETERS or name not in entry.sigma]
+    if stray or len(set(names)) != len(entry.sigma):
         raise wrong(
             "sigma and correlation do not name the same parameters",
             "name each estimated parameter once in both",
         )
-    rows = one.correlation.matrix if one.correlation else np.eye(len(names)).tolist()
+    rows = entry.correlation.matrix if entry.correlation else np.eye(len(names)).tolist()
     if any(len(row) != len(rows) for row in rows):
         raise wrong("the correlation matrix is not square", "give every row in full")
     try:
         estimates = from_sigmas(
             names,
             [made.value(name) for name in names],
-            [one.sigma[name] for name in names],
+            [entry.sigma[name] for name in names],
             np.array(rows, dtype=np.float64),
         )
     except PhotocalError as refusal:
@@ -151,7 +151,7 @@ def _with_sigmas(made: Camera, one: _Camera, where: str) -> Camera:
         )
     sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
     at = [PARAMETERS.index(name) for name in names]
-    sigma[at], correlation[np.ix_(at, at)] = [one.sigma[name] for name in names], rows
+    sigma[at], correlation[np.ix_(at, at)] = [entry.sigma[name] for name in names], rows
     return replace(made, estimated=among(*names), sigma=sigma, correlation=correlation)
 
 

@@ -125,8 +125,8 @@ def _changes(
 ) -> Floats:
     """Give the change of the misfit, (p, n, 2) px, for each unit normal variable, at a fixed pose."""
 
-    def moved(one: View, by: View, sign: float) -> View:
-        return View(one.ideal + sign * by.ideal, one.c + sign * by.c)
+    def moved(view: View, by: View, sign: float) -> View:
+        return View(view.ideal + sign * by.ideal, view.c + sign * by.c)
 
     of_first = [
         (misfit(moved(first, by, 1.0), second, pose) - misfit(moved(first, by, -1.0), second, pose)) / 2.0
@@ -158,10 +158,10 @@ def _check(calibrations: tuple[Camera, ...]) -> None:
     if twice:
         raise ConfigurationError(f"camera {twice[0]} occurs twice", "give each calibration its own id")
     size = calibrations[0].size_px
-    for one in calibrations[1:]:
-        if one.size_px != size:
+    for calibration in calibrations[1:]:
+        if calibration.size_px != size:
             raise ConfigurationError(
-                f"camera {one.id} has {one.size_px[0]} x {one.size_px[1]} px, "
+                f"camera {calibration.id} has {calibration.size_px[0]} x {calibration.size_px[1]} px, "
                 f"camera {names[0]} has {size[0]} x {size[1]} px",
                 "compare calibrations of one image format",
             )
@@ -205,10 +205,10 @@ def follow(published: tuple[Published, ...], pairs: tuple[Pair, ...]) -> tuple[F
         for figure in pair.figures
     }
     return tuple(
-        Followed(*key, value, one.tolerance_px, computed[key])
-        for one in published
-        for first, second, value in one.values
-        if (key := (one.method, one.definition, first, second)) in computed
+        Followed(*key, value, printed.tolerance_px, computed[key])
+        for printed in published
+        for first, second, value in printed.values
+        if (key := (printed.method, printed.definition, first, second)) in computed
     )
 
 
@@ -241,9 +241,10 @@ def sentences(
             f"largest {figures[worst].value_px:.2f} px ({pairs[worst].first}-{pairs[worst].second}){noise}."
         )
     texts += [
-        f"Pair {one.first}-{one.second}: the printed {one.method} ({one.definition}) of {one.printed_px:g} "
-        f"px does not follow from its parameters, which give {one.computed_px:.2f} px."
-        for one in followed
-        if not one.follows
+        f"Pair {compared.first}-{compared.second}: the printed {compared.method} ({compared.definition}) of "
+        f"{compared.printed_px:g} px does not follow from its parameters, which give "
+        f"{compared.computed_px:.2f} px."
+        for compared in followed
+        if not compared.follows
     ]
     return tuple(texts)

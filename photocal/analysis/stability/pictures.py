@@ -86,10 +86,10 @@ def _profiles(camera: Camera, radial: "Axes", decentring: "Axes", dashes: object
 
 def _over_calibrations(calibrations: tuple[Camera, ...], name: str, axes: "Axes") -> None:
     values, sigmas = [], []
-    for one in calibrations:
-        pitch = float(np.mean(one.pitch))
-        values.append(one.value(name) / pitch)
-        sigmas.append(one.sigma_of(name) / pitch)
+    for camera in calibrations:
+        pitch = float(np.mean(camera.pitch))
+        values.append(camera.value(name) / pitch)
+        sigmas.append(camera.sigma_of(name) / pitch)
     axes.errorbar(
         range(len(values)), values, yerr=sigmas, fmt="o-", color="#1a1a1a", linewidth=0.8, capsize=3
     )
@@ -152,6 +152,5 @@ def draw(pairs: tuple[Pair, ...], names: tuple[str, ...], thresholds_px: Sequenc
             axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
             axes.set_yticks(range(len(names)), names, fontsize=7)
             axes.set_title(f"{kind.method}: {kind.definition}", fontsize=8)
-        bar = canvas.colorbar(shown, ax=canvas.axes, shrink=0.8, label="px")
-        bar.set_ticks(bounds[:-1])
+        canvas.colorbar(shown, ax=canvas.axes, shrink=0.8, label="px").set_ticks(bounds[:-1])
         canvas.suptitle("Difference of calibrations (* beyond the noise of both)", fontsize=9)

@@ -153,20 +153,20 @@ def _trend(against: str, at: Floats, x: Floats, variance: Floats) -> Trend | Non
     return Trend(against, float(slope), sigma, p_value, math.sqrt(left))
 
 
-def repeatability_text(found: Sequence[Repeatability]) -> str:
+def repeatability_text(results: Sequence[Repeatability]) -> str:
     """Write it for people, one line for each parameter and each trend."""
     per = {"temperature": "°C", "time": "100 days"}
     lines = ["repeatability from flight to flight (Paule and Mandel 1982)"]
-    for one in found:
+    for result in results:
         lines.append(
-            f"  {one.parameter:<3} {one.mean:.6g} +- {one.sigma:.2g} {one.unit} over {one.flights} flights, "
-            f"{one.between:.2g} between flights (p {one.p_value:.2g} of none); for one more flight "
-            f"+- {one.factor * one.future:.2g} (95 %, k {one.factor:.2f})"
+            f"  {result.parameter:<3} {result.mean:.6g} +- {result.sigma:.2g} {result.unit} over "
+            f"{result.flights} flights, {result.between:.2g} between flights (p {result.p_value:.2g} of "
+            f"none); for one more flight +- {result.factor * result.future:.2g} (95 %, k {result.factor:.2f})"
         )
         lines += [
-            f"      with {t.against}: {t.slope:+.2g} +- {t.sigma:.2g} {one.unit} per {per[t.against]} "
+            f"      with {t.against}: {t.slope:+.2g} +- {t.sigma:.2g} {result.unit} per {per[t.against]} "
             f"(p {t.p_value:.2g} of none), {t.left:.2g} left between flights"
-            for t in one.trends
+            for t in result.trends
         ]
     return "\n".join(lines)
 
@@ -198,9 +198,9 @@ def compared_heads(calibrations: Mapping[str, Sequence[AdjustedHead]]) -> tuple[
     """Compare the heads that two calibrations have in common, each pair of them."""
     moves = []
     for (first, of_first), (second, of_second) in itertools.combinations(calibrations.items(), 2):
-        others = {(one.camera, one.of): one for one in of_second}
-        pairs = ((one, others[one.camera, one.of]) for one in of_first if (one.camera, one.of) in others)
-        moves += [moved for a, b in pairs if (moved := _moved(first, second, a, b)) is not None]
+        others = {(head.camera, head.of): head for head in of_second}
+        pairs = ((head, others.get((head.camera, head.of))) for head in of_first)
+        moves += [moved for a, b in pairs if b and (moved := _moved(first, second, a, b)) is not None]
     return tuple(moves)
 
 
@@ -230,17 +230,16 @@ def _moved(first: str, second: str, a: AdjustedHead, b: AdjustedHead) -> Moved |
     )
 
 
-def heads_text(found: Sequence[Moved]) -> str:
+def heads_text(moves: Sequence[Moved]) -> str:
     """Write it for people, one line for each head and pair."""
     lines = ['cameras on their frame: turns (") and places (mm), second less first']
-    for head in found:
+    for head in moves:
         parts = []
         for name, value in head.differences.items():
             factor = 3600.0 if name.startswith("turn") else 1000.0
             parts.append(f"{name} {factor * value:+.3g} +- {factor * head.sigma[name]:.2g}")
-        verdict = "MOVED" if head.different else "as before"
         lines.append(
             f"  {head.camera} beside {head.of}, {head.first} to {head.second}: {', '.join(parts)}; "
-            f"p {head.p_value:.2g}: {verdict}"
+            f"p {head.p_value:.2g}: {'MOVED' if head.different else 'as before'}"
         )
     return "\n".join(lines)

@@ -30,17 +30,17 @@ SURELY = 3.29
 SMALL_MOVE = 1.0
 
 
-def of_round(one: Round) -> Finding:
+def of_round(correction: Round) -> Finding:
     """Describe an error that was found and corrected."""
-    parameter, at = one.parameter, one.parameter.candidate.camera
-    camera = one.before.network.cameras[at]
-    change = float(one.before.solution.cameras[at, 0] - one.after.solution.cameras[at, 0])
-    sigma_c = float(np.sqrt(one.before.solution.camera_covariance[at, 0, 0]))
-    left = _left_px(one)
-    moved = _in_sigmas(one.before, one.after.solution.points - one.before.solution.points)
-    share = abs(change) / abs(float(one.before.solution.cameras[at, 0]))
+    parameter, before, after = correction.parameter, correction.before, correction.after.solution
+    at = parameter.candidate.camera
+    camera, c = before.network.cameras[at], float(before.solution.cameras[at, 0])
+    change = float(before.solution.cameras[at, 0] - after.cameras[at, 0])
+    sigma_c = float(np.sqrt(before.solution.camera_covariance[at, 0, 0]))
+    left, share = _left_px(correction), abs(change) / abs(c)
+    moved = _in_sigmas(before, after.points - before.solution.points)
     felt = (abs(change) >= SMALL_SIGMAS * sigma_c > 0.0 and share >= SMALL_SHARE) or moved >= SMALL_MOVE
-    ground = ground_effect(one.before, at, change)
+    ground = ground_effect(before, at, change)
     figure, unit = _figure(parameter, camera)
     figures: dict[str, Figure] = {
         "camera": camera.id,
@@ -56,7 +56,7 @@ def of_round(one: Round) -> Finding:
         "unit": camera.unit,
         "ground_m": ground,
         "alike": parameter.alike,
-        "share": parameter.amount / float(one.before.solution.cameras[at, 0]),
+        "share": parameter.amount / c,
     }
     clauses = []
     if parameter.candidate.kind == "y-scale":
@@ -80,12 +80,12 @@ def of_round(one: Round) -> Finding:
     )
 
 
-def _left_px(one: Round) -> float:
+def _left_px(correction: Round) -> float:
     """Largest displacement of a ray that no other unknown takes up, px."""
-    at = one.parameter.candidate.camera
-    mine = one.before.network.exposures.camera[one.before.network.rays.image] == at
-    change = (one.after.solution.residuals - one.before.solution.residuals)[mine]
-    return float(np.linalg.norm(change / one.before.network.cameras[at].pitch, axis=1).max(initial=0.0))
+    at, network = correction.parameter.candidate.camera, correction.before.network
+    change = correction.after.solution.residuals - correction.before.solution.residuals
+    change = change[network.exposures.camera[network.rays.image] == at] / network.cameras[at].pitch
+    return float(np.linalg.norm(change, axis=1).max(initial=0.0))
 
 
 def _in_sigmas(fitted: Fit, moved: Floats) -> float:
@@ -118,12 +118,12 @@ def _figure(parameter: ExtraParameter, camera: Camera) -> tuple[float, str]:
 
 def of_shift(search: Search) -> list[Finding]:
     """Describe a shift of all observed positions against control."""
-    one = search.shift
-    if one is None:
+    datum_shift = search.shift
+    if datum_shift is None:
         return []
-    numbers = _by_axis(one.shift, one.sigma)
-    worst = int(np.argmax(np.abs(one.shift)))
-    size = Size(float(one.shift[worst]), "m", float(one.sigma[worst]))
+    numbers = _by_axis(datum_shift.shift, datum_shift.sigma)
+    worst = int(np.argmax(np.abs(datum_shift.shift)))
+    size = Size(float(datum_shift.shift[worst]), "m", float(datum_shift.sigma[worst]))
     return [Finding("datum-shift", "doubtful", "positions", {"numbers": numbers}, ("positions_off",), size)]
 
 
@@ -163,27 +163,27 @@ def _by_axis(shift: Floats, sigma: Floats) -> tuple[str, ...]:
 
 def of_datum(search: Search) -> list[Finding]:
     """Say what hangs on the datum of the positions, where no test could tell that it is wrong."""
-    one, solution = search.positions, search.first.solution
-    if one is None or search.shift is not None:
+    shift, solution = search.positions, search.first.solution
+    if shift is None or search.shift is not None:
         return []
-    height = {"stated_m": float(one.stated[2])}
+    height = {"stated_m": float(shift.stated[2])}
     if not any(group.name == "control" for group in solution.groups):
         return [Finding("heights-on-positions", "note", "positions", height)]
     listed = []
     for k, camera in enumerate(search.first.network.cameras):
         sigma = float(np.sqrt(solution.camera_covariance[k, 0, 0]))
-        by_m = float(one.c_by_shift[k, 2])
-        if not sigma > 0.0 or abs(by_m) * one.stated[2] < SMALL_SIGMAS * sigma:
+        by_m = float(shift.c_by_shift[k, 2])
+        if not sigma > 0.0 or abs(by_m) * shift.stated[2] < SMALL_SIGMAS * sigma:
             continue
         by_cm: dict[str, Figure] = {
             "camera": camera.id,
             "by_cm": by_m / 100.0,
             "unit": camera.unit,
             "sigmas": abs(by_m) / 100.0 / sigma,
-            "told_m": float(one.sigma[2]),
+            "told_m": float(shift.sigma[2]),
             **height,
         }
-        clause = "shift_told" if np.isfinite(one.sigma[2]) else "shift_untold"
+        clause = "shift_told" if np.isfinite(shift.sigma[2]) else "shift_untold"
         listed.append(Finding("c-on-positions", "note", camera.id, by_cm, (clause,)))
     return listed
 
@@ -259,7 +259,7 @@ def of_significance(search: Search) -> list[Finding]:
     """Name the parameters whose significance changes with the corrections; small ones change little by it."""
     if not search.rounds:
         return []
-    small = all(of_round(one).severity == "note" for one in search.rounds)
+    small = all(of_round(correction).severity == "note" for correction in search.rounds)
     listed = []
     redundancy = search.last.solution.degrees_of_freedom
     for k, camera in enumerate(search.first.network.cameras):

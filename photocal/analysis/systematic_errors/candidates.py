@@ -46,11 +46,11 @@ class Within:
     p_value: float
 
 
-def order_of(time: Floats | None, mine: Integers) -> Integers:
+def order_of(time: Floats | None, images: Integers) -> Integers:
     """Order in which images of a camera were taken: by time where all are known, else as they are listed."""
-    if time is None or not np.isfinite(time[mine]).all():
-        return mine
-    return np.asarray(mine[np.argsort(time[mine], kind="stable")])
+    if time is None or not np.isfinite(time[images]).all():
+        return images
+    return np.asarray(images[np.argsort(time[images], kind="stable")])
 
 
 def course(order: Integers, images: int) -> Floats:
@@ -85,12 +85,12 @@ def within_flight(fit: Fit, camera: int) -> tuple[Within, ...]:
     shares = np.array([third == k for k in range(1, PARTS)] + list(courses.values()))[:, image, None]
     names = ("c", "x0", "y0")
     fields = [change_of(values, fit.computed, name) * shares for name in names]
-    found = score(fit.factored, fit.solution.residuals, np.concatenate(fields))
+    scored = score(fit.factored, fit.solution.residuals, np.concatenate(fields))
     tested = []
     for k, name in enumerate(names):
-        own = slice(k * len(shares), (k + 1) * len(shares))
-        if (found.share[own] > LEFT).all():
-            tested.append(_within(fit, name, found.slope[own], found.information[own, own], courses))
+        rows = slice(k * len(shares), (k + 1) * len(shares))
+        if (scored.share[rows] > LEFT).all():
+            tested.append(_within(fit, name, scored.slope[rows], scored.information[rows, rows], courses))
     return tuple(tested)
 
 
@@ -110,8 +110,8 @@ def _within(fit: Fit, name: str, slope: Floats, information: Floats, courses: It
     together = statistic(float(-slope[:count] @ amounts), count)
     drifts = {}
     for k, key in enumerate(courses, start=count):
-        own, along = float(information[k, k]), float(slope[k])
-        drifts[key] = -along / own, own**-0.5, statistic(along**2 / own, 1)
+        normal, along = float(information[k, k]), float(slope[k])
+        drifts[key] = -along / normal, normal**-0.5, statistic(along**2 / normal, 1)
     parts = np.vstack([[0.0, 0.0], np.column_stack([amounts, np.sqrt(np.diag(covariance))])])
     return Within(name, parts, drifts, together, float(stats.f.sf(together, count, freedom - count)))
 
@@ -142,20 +142,20 @@ class Candidate:
 def candidates(network: Network, state: State, computed: Floats) -> tuple[Candidate, ...]:
     """List what the model of each camera does not already estimate, at the computed image coordinates."""
     camera_of_ray = network.exposures.camera[network.rays.image]
-    found = []
+    all_candidates = []
     for k, camera in enumerate(network.cameras):
-        mine = (camera_of_ray == k)[:, None]
-        if not mine.any():
+        of_camera = (camera_of_ray == k)[:, None]
+        if not of_camera.any():
             continue
         current = camera.with_values(state.cameras[k])
-        found += [
-            Candidate(kind, term, k, field * mine) for kind, term, field in _of_camera(current, computed)
+        all_candidates += [
+            Candidate(kind, term, k, field * of_camera) for kind, term, field in _of_camera(current, computed)
         ]
         motion = None if camera.rolling else _rolling_shutter(network, state, computed, k)
         if motion is not None:
-            found.append(Candidate("rolling-shutter", "", k, motion * mine))
-        found += _change_of_c(network, state, computed, k)[:1]
-    return tuple(found)
+            all_candidates.append(Candidate("rolling-shutter", "", k, motion * of_camera))
+        all_candidates += _change_of_c(network, state, computed, k)[:1]
+    return tuple(all_candidates)
 
 
 def steps_of_c(network: Network, state: State, computed: Floats, camera: int) -> tuple[Candidate, ...]:
@@ -169,16 +169,16 @@ def _change_of_c(network: Network, state: State, computed: Floats, camera: int) 
     order = order_of(exposures.time, np.flatnonzero(exposures.camera == camera))
     if len(order) < PARTS * FEWEST_IMAGES:
         return ()
-    mine = exposures.camera[image] == camera
-    change = change_of(state.cameras[camera], computed, "c") * mine[:, None]
+    of_camera = exposures.camera[image] == camera
+    change = change_of(state.cameras[camera], computed, "c") * of_camera[:, None]
     at = course(order, len(network.image_names))
     steps = np.unique(np.linspace(0, len(order), STEPS + 2).round().astype(int)[1:-1]).tolist()
-    found = [Candidate("c-drift", "", camera, -at[image][:, None] * change)]
+    drift_and_steps = [Candidate("c-drift", "", camera, -at[image][:, None] * change)]
     for first in steps:
         side = np.where(at < at[order[first]], -0.5, 0.5)
         name = network.image_names[order[first]]
-        found.append(Candidate("c-step", name, camera, -side[image][:, None] * change))
-    return tuple(found)
+        drift_and_steps.append(Candidate("c-step", name, camera, -side[image][:, None] * change))
+    return tuple(drift_and_steps)
 
 
 def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
@@ -190,41 +190,41 @@ def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
     x, y = x / scale, y / scale
     estimated = {name for name, is_so in zip(PARAMETERS, camera.estimated, strict=True) if is_so}
     scale_term, shear_term = ("B2", "B1") if camera.affinity_form == "tank" else ("B1", "B2")
-    found = []
+    terms = []
     if scale_term not in estimated:
-        found.append(("y-scale", "", np.column_stack([zero, plane[:, 1]])))
+        terms.append(("y-scale", "", np.column_stack([zero, plane[:, 1]])))
     if shear_term not in estimated:
-        found.append(("shear", "", np.column_stack([plane[:, 1], zero])))
+        terms.append(("shear", "", np.column_stack([plane[:, 1], zero])))
     r2 = x * x + y * y
     orders = (n for n in (1, 2, 3, 4) if f"K{n}" in lens.terms and f"K{n}" not in estimated)
     if (order := next(orders, None)) is not None:
         power = order / 2 if camera.model == "pix4d-fisheye" else order
-        found.append(("radial", f"K{order}", scale * np.column_stack([x, y]) * (r2**power)[:, None]))
+        terms.append(("radial", f"K{order}", scale * np.column_stack([x, y]) * (r2**power)[:, None]))
     if "P1" in lens.terms and "P1" not in estimated:
-        found.append(("decentring", "P1", scale * np.column_stack([r2 + 2 * x * x, 2 * x * y])))
+        terms.append(("decentring", "P1", scale * np.column_stack([r2 + 2 * x * x, 2 * x * y])))
     if "P2" in lens.terms and "P2" not in estimated:
-        found.append(("decentring", "P2", scale * np.column_stack([2 * x * y, r2 + 2 * y * y])))
-    return found
+        terms.append(("decentring", "P2", scale * np.column_stack([2 * x * y, r2 + 2 * y * y])))
+    return terms
 
 
 def _rolling_shutter(network: Network, state: State, computed: Floats, camera: int) -> Floats | None:
     """Give minus the image motion while the rows are read, for a readout as long as the exposure interval."""
-    mine = np.flatnonzero(network.exposures.camera == camera)
-    if len(mine) < 5:
+    images = np.flatnonzero(network.exposures.camera == camera)
+    if len(images) < 5:
         return None
-    velocity = _per_interval(state.centre[mine])
+    velocity = _per_interval(state.centre[images])
     if velocity is None:
         return None
-    own = network.cameras[camera]
+    interior = network.cameras[camera]
     motion = np.zeros((len(network.image_names), 3))
-    motion[mine] = velocity
+    motion[images] = velocity
     image = network.rays.image
     q = np.einsum("nij,nj->ni", state.rotation[image], state.points[network.rays.point] - state.centre[image])
     dq = -np.einsum("nij,nj->ni", state.rotation[image], motion[image])
     c = state.cameras[camera, 0]
     dp = -c * (dq[:, :2] / q[:, 2:] - q[:, :2] * dq[:, 2:] / q[:, 2:] ** 2)
     # Rows are read from the top; the middle row is the reference.
-    late = -computed[:, 1] / (own.size_px[1] * own.pitch[1])
+    late = -computed[:, 1] / (interior.size_px[1] * interior.pitch[1])
     return np.asarray(-dp * late[:, None])
 
 
@@ -273,12 +273,12 @@ def estimated_amounts(fit: Fit, tested: Sequence[Candidate]) -> list[ExtraParame
     if not tested:
         return []
     # What is added to the measurements is taken off the residuals, computed minus measured.
-    fields = -np.array([one.displacement for one in tested])
-    found = score(fit.factored, fit.solution.residuals, fields)
-    fields -= followed_by(fit.factored, found.steps, found.moved)
+    fields = -np.array([term.displacement for term in tested])
+    scored = score(fit.factored, fit.solution.residuals, fields)
+    fields -= followed_by(fit.factored, scored.steps, scored.moved)
     outcomes = []
-    for k in np.flatnonzero(found.share > LEFT).tolist():
-        candidate, slope, information = tested[k], float(found.slope[k]), float(found.information[k, k])
+    for k in np.flatnonzero(scored.share > LEFT).tolist():
+        candidate, slope, information = tested[k], float(scored.slope[k]), float(scored.information[k, k])
         amount = -slope / information
         outcome = judged(fit, candidate, amount, information**-0.5, slope**2 / information)
         corrected = fit.solution.residuals + amount * fields[k]
@@ -317,11 +317,11 @@ def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
     images = int(np.sum(fit.network.exposures.camera == candidate.camera))
     freedom = images - int(camera.estimated.sum()) - 1
     if freedom >= FEWEST:
-        one = score(fit.factored, fit.solution.residuals, -candidate.displacement[None])
+        scored = score(fit.factored, fit.solution.residuals, -candidate.displacement[None])
         checked = np.maximum(fit.solution.redundancy, LEAST_CHECKED)
         weighed = fit.solution.residuals / np.sqrt(checked)
-        shown = -candidate.displacement - followed_by(fit.factored, one.steps, one.moved)[0]
-        sigma = _spread(fit, float(one.information[0, 0]), shown, weighed) * (images / freedom) ** 0.5
+        shown = -candidate.displacement - followed_by(fit.factored, scored.steps, scored.moved)[0]
+        sigma = _spread(fit, float(scored.information[0, 0]), shown, weighed) * (images / freedom) ** 0.5
         return _probability(amount, sigma, freedom)
     amounts = _left_out(fit, candidate)
     return _probability(amount, float(standard_error(amounts)), len(amounts) - 1)
@@ -355,7 +355,7 @@ def _left_out(fit: Fit, candidate: Candidate) -> Floats:
         residuals, depth = np.empty(network.rays.plane.shape), np.empty(len(network.rays.image))
         evaluate(at.problem.design, values_of(at.problem, at.state), residuals, depth)
         kept = left_without(fit.network, out)[1]
-        one = score(at, residuals, -candidate.displacement[None, kept])
-        if one.share[0] > LEFT:
-            amounts.append(-float(one.slope[0]) / float(one.information[0, 0]))
+        scored = score(at, residuals, -candidate.displacement[None, kept])
+        if scored.share[0] > LEFT:
+            amounts.append(-float(scored.slope[0]) / float(scored.information[0, 0]))
     return np.array(amounts)

@@ -66,7 +66,7 @@ def of_images(search: Search) -> list[Finding]:
     sigma_px = search.sigma.found / min(search.last.network.cameras[0].pitch)
     overall = search.sigma.found / search.sigma.assumed
     listed = []
-    shifts = {one.image: one for one in search.shifts}
+    shifts = {image_shift.image: image_shift for image_shift in search.shifts}
     for name, component in components.items():
         shift = shifts.get(name)
         shifted = shift is not None and shift.p_value < LEVEL and shift.effect_px > VISIBLE_SIGMAS * sigma_px
@@ -83,7 +83,7 @@ def of_images(search: Search) -> list[Finding]:
         clauses = ("own_geometry", "small") if small else ("own_geometry",)
         size = Size(_relative(component, search), "1", px=shift.effect_px)
         listed.append(Finding("image", "note" if small else "doubtful", name, figures, clauses, size))
-    return sorted(listed, key=lambda one: -one.size.figure if one.size else 0.0)
+    return sorted(listed, key=lambda entry: -entry.size.figure if entry.size else 0.0)
 
 
 def _relative(component: VarianceComponent, search: Search) -> float:
@@ -190,7 +190,7 @@ def head_move(fitted: Fit) -> HeadMove | None:
     if not tried:
         return None
     # One that moves pulls at the others: the one that moved most is named.
-    chi_squared, freedom, k, pair, move, inverse = max(tried, key=lambda one: one[0] / one[1])
+    chi_squared, freedom, k, pair, move, inverse = max(tried, key=lambda trial: trial[0] / trial[1])
     p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
     camera, name = network.cameras[rig.camera[k]].id, network.image_names[rig.second[pair]]
     return HeadMove(camera, name, move, np.sqrt(np.diag(inverse)), p_value)
@@ -215,7 +215,7 @@ def of_heads(fitted: Fit) -> list[Finding]:
 
 def findings(search: Search) -> tuple[Finding, ...]:
     """Turn a search into a list."""
-    listed = [camera_findings.of_round(one) for one in search.rounds]
+    listed = [camera_findings.of_round(correction) for correction in search.rounds]
     listed += camera_findings.of_members(search)
     listed += camera_findings.of_shift(search)
     listed += camera_findings.of_strips(search)
@@ -228,4 +228,4 @@ def findings(search: Search) -> tuple[Finding, ...]:
     listed += of_heads(search.last)
     listed += of_images(search)
     listed += of_maps(search)
-    return tuple(sorted(listed, key=lambda one: one.small))
+    return tuple(sorted(listed, key=lambda finding: finding.small))

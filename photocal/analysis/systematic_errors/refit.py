@@ -120,8 +120,7 @@ def without_member(network: Network, member: Member) -> Network:
         weight = network.points.weight.copy()
         weight[member.index] = 0.0
         return replace(network, points=replace(network.points, weight=weight))
-    kept = network.positions.image != member.index
-    return replace(network, positions=network.positions.rows(kept))
+    return replace(network, positions=network.positions.rows(network.positions.image != member.index))
 
 
 def _of_images(observed: Observed, place: Integers, kept: Flags) -> Observed:
@@ -132,10 +131,10 @@ def _of_images(observed: Observed, place: Integers, kept: Flags) -> Observed:
 def ground_effect(fitted: Fit, camera: int, change_of_c: float) -> float:
     """Give the height error that a wrong c makes at the mean distance of the points of a camera."""
     rays, state = fitted.network.rays, fitted.state
-    mine = fitted.network.exposures.camera[rays.image] == camera
-    if not mine.any():
+    of_camera = fitted.network.exposures.camera[rays.image] == camera
+    if not of_camera.any():
         return float("nan")
-    apart = state.points[rays.point[mine]] - state.centre[rays.image[mine]]
+    apart = state.points[rays.point[of_camera]] - state.centre[rays.image[of_camera]]
     distance = np.mean(np.linalg.norm(apart, axis=1))
     return float(abs(change_of_c) / fitted.solution.cameras[camera, 0] * distance)
 
@@ -178,18 +177,18 @@ class LeftOut:
 
 def without_parameter(fit: Fit, camera: int, parameter: int) -> Near:
     """Find the minimum with a parameter at zero: near the one with it, or from anew."""
-    own, current = fit.network.cameras[camera], fit.state.cameras
-    if not np.isfinite(own.prior_sigma[parameter]):
+    interior, current = fit.network.cameras[camera], fit.state.cameras
+    if not np.isfinite(interior.prior_sigma[parameter]):
         active, columns = fit.factored.problem.layout.camera_columns[camera]
         column = int(columns[active == parameter][0])
         try:
             return with_held(fit.factored, column, -float(current[camera, parameter]), NEAR)
         except NotConvergedError:
             pass
-    estimated, values, start = own.estimated.copy(), own.values.copy(), current.copy()
+    estimated, values, start = interior.estimated.copy(), interior.values.copy(), current.copy()
     estimated[parameter], values[parameter], start[camera, parameter] = False, 0.0, 0.0
     cameras = list(fit.network.cameras)
-    cameras[camera] = replace(own, estimated=estimated, values=values)
+    cameras[camera] = replace(interior, estimated=estimated, values=values)
     without = replace(fit.network, cameras=tuple(cameras))
     # Without a readout no image departs from the given motion.
     return lowest(without, carried(fit.network, without, replace(fit.state, cameras=start)))
@@ -199,9 +198,9 @@ def left_out(
     fit: Fit, camera: int, checks: Checks, done: Callable[[], None] = lambda: None
 ) -> tuple[LeftOut, ...]:
     """Find the minimum without each estimated parameter but c, one at a time."""
-    own = fit.network.cameras[camera]
+    interior = fit.network.cameras[camera]
     estimates = []
-    for at in np.flatnonzero(own.estimated):
+    for at in np.flatnonzero(interior.estimated):
         if PARAMETERS[at] == "c":
             continue
         try:
@@ -211,7 +210,7 @@ def left_out(
         finally:
             done()
         # A prior goes with its parameter: one observation and one unknown less, or one unknown.
-        observed = bool(np.isfinite(own.prior_sigma[at]))
+        observed = bool(np.isfinite(interior.prior_sigma[at]))
         redundancy = fit.solution.degrees_of_freedom + (0 if observed else 1)
         c = float(minimum.state.cameras[camera, 0])
         estimates.append(

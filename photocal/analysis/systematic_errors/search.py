@@ -87,8 +87,8 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     shift = positions if positions is not None and positions.p_value < LEVEL else None
     last = last if shift is None else fit(shifts.with_free_shift(last.network), last.state)
     while len(rounds) < ROUNDS:
-        suspected = _suspected(last, tuple(one.parameter.candidate for one in rounds), done)
-        step = next((one for worst in suspected if (one := _corrected(last, worst)) is not None), None)
+        suspected = _suspected(last, tuple(correction.parameter.candidate for correction in rounds), done)
+        step = next(filter(None, (_corrected(last, worst) for worst in suspected)), None)
         if step is None:
             break
         rounds.append(step)
@@ -96,10 +96,9 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     before = jackknife(first, done)
     after = jackknife(last, done) if last is not first else before
     solution, rays = last.solution, last.network.rays
-    squares = (solution.residuals / rays.sigma) ** 2
-    redundancy = solution.redundancy
+    squares, redundancy = (solution.residuals / rays.sigma) ** 2, solution.redundancy
     sigma = scatter.assumed_sigma(rays.sigma, solution.residuals, redundancy)
-    factor = float(squares.sum() / redundancy.sum())
+    factor, ids = float(squares.sum() / redundancy.sum()), tuple(given.id for given in last.network.cameras)
     both = np.repeat(rays.image, 2)
     camera = last.network.exposures.camera[both]
     axis = np.tile(np.array([0, 1]), len(rays.image))
@@ -116,7 +115,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
         shifts.strip_shifts(last),
         scatter.variance_components(last.network.image_names, both, flat, checked),
         scatter.variance_components(("x", "y"), axis, flat, checked),
-        scatter.variance_components(tuple(one.id for one in last.network.cameras), camera, flat, checked),
+        scatter.variance_components(ids, camera, flat, checked),
         shifts.image_shifts(last, factor, done),
         tuple(_map(last, k, factor) for k in range(len(last.network.cameras))),
         before,
@@ -149,26 +148,26 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
     )
 
 
-def _suspected(last: Fit, found: tuple[Candidate, ...], done: Callable[[], None]) -> Iterator[ExtraParameter]:
+def _suspected(last: Fit, named: tuple[Candidate, ...], done: Callable[[], None]) -> Iterator[ExtraParameter]:
     """Test every candidate that was not yet found; give the significant ones, the worst first."""
-    known = {(one.kind, one.name, one.camera) for one in found}
+    known = {(candidate.kind, candidate.name, candidate.camera) for candidate in named}
     fresh = [
-        one
-        for one in candidates.candidates(last.network, last.state, last.computed)
-        if (one.kind, one.name, one.camera) not in known
+        candidate
+        for candidate in candidates.candidates(last.network, last.state, last.computed)
+        if (candidate.kind, candidate.name, candidate.camera) not in known
     ]
     # Rows are read one after the other, never backwards: that would be something else.
     tested = [
-        one
-        for one in candidates.estimated_amounts(last, fresh)
-        if one.candidate.kind != "rolling-shutter" or one.amount > 0.0
+        parameter
+        for parameter in candidates.estimated_amounts(last, fresh)
+        if parameter.candidate.kind != "rolling-shutter" or parameter.amount > 0.0
     ]
     for _ in fresh:
         done()
     level = LEVEL / max(len(tested), 1)
-    significant = [one for one in tested if max(one.p_value, one.by_images) < level]
-    for one in sorted(significant, key=lambda one: -one.statistic):
-        worst = _step_or_drift(last, one)
+    significant = [parameter for parameter in tested if max(parameter.p_value, parameter.by_images) < level]
+    for suspect in sorted(significant, key=lambda other: -other.statistic):
+        worst = _step_or_drift(last, suspect)
         alike = worst.alike + tuple(
             other.candidate.name
             for other in significant
@@ -184,15 +183,15 @@ def _step_or_drift(last: Fit, drift: ExtraParameter) -> ExtraParameter:
     if drift.candidate.kind != "c-drift":
         return drift
     steps = candidates.steps_of_c(last.network, last.state, last.computed, drift.candidate.camera)
-    best = max(candidates.estimated_amounts(last, steps), key=lambda one: one.statistic, default=drift)
+    best = max(candidates.estimated_amounts(last, steps), key=lambda step: step.statistic, default=drift)
     if best.statistic > drift.statistic + STEP_ADVANTAGE:
         return best
     as_good = best is not drift and best.statistic > drift.statistic - _AS_GOOD
     return replace(drift, alike=(best.candidate.name,)) if as_good else drift
 
 
-def _parallel(last: Fit, one: ExtraParameter, other: ExtraParameter) -> bool:
-    a, b = ((each.candidate.displacement / last.network.rays.sigma).ravel() for each in (one, other))
+def _parallel(last: Fit, first: ExtraParameter, second: ExtraParameter) -> bool:
+    a, b = ((each.candidate.displacement / last.network.rays.sigma).ravel() for each in (first, second))
     return bool(abs(a @ b) > ALIKE * np.linalg.norm(a) * np.linalg.norm(b))
 
 
@@ -243,28 +242,28 @@ def _groups(last: Fit, sigma: scatter.AssumedSigma) -> tuple[GroupTest, ...]:
     components = _components(last, tests)
     if components is None:
         return tests
-    applied = {one.name: one.factor for one in components.components}
-    settled = {(one.name, one.of): one for one in group_tests(components.network, components.solution)}
-    judged = list[GroupTest]()
-    for one in tests:
-        name, test = "control" if one.name in CONTROL else one.name, settled.get((one.name, one.of))
-        if test is not None and name in _STATED:
+    applied = {component.name: component.factor for component in components.components}
+    retests = group_tests(components.network, components.solution)
+    settled, judged = {(group.name, group.of): group for group in retests}, list[GroupTest]()
+    for test in tests:
+        name, retest = "control" if test.name in CONTROL else test.name, settled.get((test.name, test.of))
+        if retest is not None and name in _STATED:
             # One factor was applied before the other was found.
-            factor, lower, upper = (applied[name] * part for part in (test.factor, test.lower, test.upper))
-            one = replace(one, factor=factor, lower=lower, upper=upper)
-        judged.append(one)
+            limits = {key: applied[name] * getattr(retest, key) for key in ("factor", "lower", "upper")}
+            test = replace(test, **limits)
+        judged.append(test)
     return tuple(judged)
 
 
 def _components(last: Fit, tests: tuple[GroupTest, ...]) -> VarianceComponents | None:
     """Estimate the variances of the rays and of wrongly stated groups together; None where all is well."""
     far = {
-        "control" if one.name in CONTROL else one.name
-        for one in tests
-        if one.p_value < LEVEL / len(tests) and not 1.0 / _JUDGED_ANEW < one.factor < _JUDGED_ANEW
+        "control" if group.name in CONTROL else group.name
+        for group in tests
+        if group.p_value < LEVEL / len(tests) and not 1.0 / _JUDGED_ANEW < group.factor < _JUDGED_ANEW
     }
     wrong = far & set(_STATED)
-    hold = {one.name for one in last.solution.groups} - wrong - {"image"}
+    hold = {group.name for group in last.solution.groups} - wrong - {"image"}
     try:
         return estimate_components(last.network, None, hold, None, last.state, _SETTLED) if wrong else None
     except (IllPosedError, NotConvergedError):
@@ -275,19 +274,19 @@ def _as_residuals_agree(last: Fit) -> Fit | None:
     """The network with larger sigmas of positions, attitudes or control, where residuals ask for them."""
     components = _components(last, group_tests(last.network, last.solution))
     if components is None or all(
-        one.factor < _JUDGED_ANEW for one in components.components if one.name in _STATED
+        component.factor < _JUDGED_ANEW for component in components.components if component.name in _STATED
     ):
         return None
     return fit(components.network, components.solution.state)
 
 
 def _map(last: Fit, camera: int, factor: float) -> scatter.ResidualMap | None:
-    mine = last.network.exposures.camera[last.network.rays.image] == camera
-    if not mine.any():
+    of_camera = last.network.exposures.camera[last.network.rays.image] == camera
+    if not of_camera.any():
         return None
-    own = last.network.cameras[camera]
+    interior = last.network.cameras[camera]
     down = np.array([1.0, -1.0])
-    pixel: Floats = plane_to_pixel(own.size_px, own.pitch, last.network.rays.plane[mine])
-    residual = last.solution.residuals[mine] / np.array(own.pitch) * down
-    w = last.solution.standardised(last.network.rays.sigma)[mine] * down
-    return scatter.residual_map(own.size_px, pixel, residual, w, factor, LEVEL)
+    pixel: Floats = plane_to_pixel(interior.size_px, interior.pitch, last.network.rays.plane[of_camera])
+    residual = last.solution.residuals[of_camera] / np.array(interior.pitch) * down
+    w = last.solution.standardised(last.network.rays.sigma)[of_camera] * down
+    return scatter.residual_map(interior.size_px, pixel, residual, w, factor, LEVEL)

@@ -65,9 +65,8 @@ def position_shift(fit: Fit) -> PositionShift | None:
     c_by_shift = np.array(
         [steps[:, columns[parameters == 0]].sum(axis=1) for parameters, columns in layout.camera_columns]
     )
-    group = next(one for one in fit.solution.groups if one.name == "position")
-    rest = group.redundancy - 3.0
-    if rest < FEWEST or not _determined(fields, information):
+    group = next(part for part in fit.solution.groups if part.name == "position")
+    if group.redundancy - 3.0 < FEWEST or not _determined(fields, information):
         return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, positions.stated())
     shift, sigma, fall, p_value = _estimated(information, slope, group)
     # Standard deviations that are too small by a factor compete with it: they explain all residuals alike.
@@ -110,20 +109,20 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
     if not 2 <= len(strips) <= MOST_STRIPS or _strips_free(network):
         return ()
     fields, moved = _whitened(fit), list[StripShift]()
-    group = next(one for one in fit.solution.groups if one.name == "position")
+    group = next(part for part in fit.solution.groups if part.name == "position")
     if group.redundancy - 3.0 < FEWEST:
         return ()
     owns = [positions.strip == strip for strip in chosen.tolist()]
-    masked = np.hstack([fields * np.repeat(own, 3)[:, None] for own in owns])
+    masked = np.hstack([fields * np.repeat(in_strip, 3)[:, None] for in_strip in owns])
     informations, slopes, steps = _further(fit, masked)
-    for k, own in enumerate(owns):
-        mine = slice(3 * k, 3 * k + 3)
-        if not _determined(masked[:, mine], informations[mine, mine]):
+    for k, strip_mask in enumerate(owns):
+        columns = slice(3 * k, 3 * k + 3)
+        if not _determined(masked[:, columns], informations[columns, columns]):
             continue
-        shift, sigma, fall, p_value = _estimated(informations[mine, mine], slopes[mine], group)
+        shift, sigma, fall, p_value = _estimated(informations[columns, columns], slopes[columns], group)
         p_value = min(1.0, len(chosen) * p_value)
-        names = [network.image_names[i] for i in positions.image[own]]
-        figures = shift, sigma, fall, p_value, _on_c(fit, shift @ steps[mine]), positions.stated()
+        names = [network.image_names[i] for i in positions.image[strip_mask]]
+        figures = shift, sigma, fall, p_value, _on_c(fit, shift @ steps[columns]), positions.stated()
         moved.append(StripShift(names[0], names[-1], len(names), *figures))
     return tuple(moved)
 
@@ -147,7 +146,7 @@ def _on_c(fit: Fit, step: Floats) -> float:
     """The largest change of a principal distance with a step, in its standard deviations."""
     sigma = np.sqrt(fit.solution.camera_covariance[:, 0, 0])
     columns = fit.factored.problem.layout.camera_columns
-    change = np.array([np.abs(step[own[active == 0]]).sum() for active, own in columns])
+    change = np.array([np.abs(step[column[active == 0]]).sum() for active, column in columns])
     return float(np.max(np.divide(change, sigma, out=np.zeros_like(change), where=sigma > 0.0)))
 
 
@@ -172,19 +171,19 @@ def _further(fit: Fit, fields: Floats) -> tuple[Floats, Floats, Floats]:
 
 def gross_error(fit: Fit, level: float) -> Member | None:
     """Find the worst of the positions and control points, where it contradicts all others at a level."""
-    tested = [one for one in member_tests(fit.factored, fit.solution) if one.dimensions]
-    redundancy = {one.name: one.redundancy for one in fit.solution.groups}
+    tested = [member for member in member_tests(fit.factored, fit.solution) if member.dimensions]
+    redundancy = {group.name: group.redundancy for group in fit.solution.groups}
     rated = list[tuple[float, Member]]()
     for kind in ("position", "control"):
-        own = [one for one in tested if one.kind == kind]
-        if own:
-            rated += zip(_p_of_members(own, redundancy[kind]), own, strict=True)
+        members = [member for member in tested if member.kind == kind]
+        if members:
+            rated += zip(_p_of_members(members, redundancy[kind]), members, strict=True)
     p_value, worst = min(rated, key=lambda pair: (pair[0], -pair[1].statistic), default=(1.0, None))
     if worst is None or len(tested) * p_value >= level:
         return None
     if worst.kind == "position":
         common = position_shift(fit)
-        falls = [one.fall for one in strip_shifts(fit)] + ([] if common is None else [common.fall])
+        falls = [shift.fall for shift in strip_shifts(fit)] + ([] if common is None else [common.fall])
         if max(falls, default=0.0) >= worst.statistic:
             return None
     return worst
@@ -194,8 +193,8 @@ def _p_of_members(members: list[Member], redundancy: float) -> list[float]:
     """Probability of so large errors, where all others tell how many times the variances are those stated."""
     from scipy import stats
 
-    error = np.array([one.error for one in members])
-    covariance = np.array([one.covariance for one in members])
+    error = np.array([member.error for member in members])
+    covariance = np.array([member.covariance for member in members])
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     shares, known = error**2 / variance, np.isfinite(variance)
     others = (shares.sum(axis=0) - shares) / max(len(members) - 1, 1)
@@ -203,7 +202,7 @@ def _p_of_members(members: list[Member], redundancy: float) -> list[float]:
     covariance = np.where(known[:, :, None] & known[:, None, :], covariance, np.eye(3))
     dimensions = known.sum(axis=1)
     square = np.einsum("na,na->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
-    rest = redundancy - np.array([one.dimensions for one in members])
+    rest = redundancy - np.array([member.dimensions for member in members])
     asked = (dimensions > 0) & (rest >= FEWEST)
     count = np.maximum(dimensions, 1)
     p_value = np.where(asked, stats.f.sf(square / count, count, np.maximum(rest, FEWEST)), 1.0)
@@ -257,16 +256,16 @@ def image_shifts(
 ) -> tuple[ImageShift, ...]:
     """Test each image for a scale and a principal point of its own."""
     screened = screened_shifts(fit, variance_factor)
-    suspicious = sorted(screened, key=lambda one: one.p_value)[:MOST_JOINT]
+    suspicious = sorted(screened, key=lambda shift: shift.p_value)[:MOST_JOINT]
     if len(screened) > MOST_JOINT:
-        suspicious = [one for one in suspicious if one.p_value < 1.0]
+        suspicious = [shift for shift in suspicious if shift.p_value < 1.0]
     jointly = dict[str, ImageShift]()
-    for one in suspicious:
-        estimated = joint_shift(fit, one.image)
+    for suspect in suspicious:
+        estimated = joint_shift(fit, suspect.image)
         if estimated is not None:
-            jointly[one.image] = estimated
+            jointly[suspect.image] = estimated
         done()
-    return tuple(jointly.get(one.image, one) for one in screened)
+    return tuple(jointly.get(shift.image, shift) for shift in screened)
 
 
 def joint_shift(fit: Fit, image: str) -> ImageShift | None:
@@ -275,12 +274,12 @@ def joint_shift(fit: Fit, image: str) -> ImageShift | None:
 
     network = fit.network
     i = network.image_names.index(image)
-    mine = network.rays.image == i
-    sigma = network.rays.sigma[mine]
-    columns = _own_geometry(fit.computed[mine])
+    in_image = network.rays.image == i
+    sigma = network.rays.sigma[in_image]
+    columns = _own_geometry(fit.computed[in_image])
     step = 1.0 / np.linalg.norm((columns / sigma[:, :, None]).reshape(-1, 3), axis=0)
     fields = np.zeros((3, *network.rays.plane.shape))
-    fields[:, mine] = -np.moveaxis(columns * step, -1, 0)
+    fields[:, in_image] = -np.moveaxis(columns * step, -1, 0)
     joint = score(fit.factored, fit.solution.residuals, fields)
     values, vectors = np.linalg.eigh(joint.information)
     seen = values > INDEPENDENT**2
@@ -298,7 +297,7 @@ def joint_shift(fit: Fit, image: str) -> ImageShift | None:
     hidden = np.linalg.norm(vectors[:, ~seen], axis=1) > 0.5
     spread = np.where(hidden, np.nan, np.sqrt(np.diag(inverse))) * unit
     follows = followed_by(fit.factored, amount @ joint.steps, np.tensordot(amount, joint.moved, 1))
-    moved = (np.tensordot(amount, fields[:, mine], 1) - follows[mine]) / pitch
+    moved = (np.tensordot(amount, fields[:, in_image], 1) - follows[in_image]) / pitch
     return ImageShift(
         image,
         float(amount[0] * unit[0]),
@@ -311,9 +310,9 @@ def joint_shift(fit: Fit, image: str) -> ImageShift | None:
 
 def _own_geometry(plane: Floats) -> Floats:
     """Displacement of image plane coordinates by a scale and a shift of one image, (n, 2, 3)."""
-    zero, one = np.zeros(len(plane)), np.ones(len(plane))
+    zero, ones = np.zeros(len(plane)), np.ones(len(plane))
     x, y = plane.T
-    return np.stack([np.column_stack(pair) for pair in ((x, y), (one, zero), (zero, one))], axis=-1)
+    return np.stack([np.column_stack(pair) for pair in ((x, y), (ones, zero), (zero, ones))], axis=-1)
 
 
 def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
@@ -334,8 +333,8 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     # Residuals are computed minus measured: what must be added to the measurements.
     normal, slope = np.empty((len(tested), 9, 9)), np.empty((len(tested), 9))
     for k, i in enumerate(tested.tolist()):
-        mine = slice(2 * (ends[i] - shown[i]), 2 * ends[i])
-        normal[k], slope[k] = weighted[mine].T @ weighted[mine], weighted[mine].T @ residual[mine]
+        rows = slice(2 * (ends[i] - shown[i]), 2 * ends[i])
+        normal[k], slope[k] = weighted[rows].T @ weighted[rows], weighted[rows].T @ residual[rows]
     size = np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
     normal, slope = normal / size[:, :, None] / size[:, None, :], slope / size
     follows = np.linalg.solve(normal[:, :6, :6], normal[:, :6, 6:])
@@ -350,15 +349,15 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     amount = np.einsum("iab,ib->ia", vectors, along / values)
     change = np.hstack([-np.einsum("iab,ib->ia", follows, amount), amount]) / size
     p_value = np.minimum(1.0, images * stats.f.sf(statistic, number, fit.solution.degrees_of_freedom))
-    found = []
+    shifts = []
     for k in np.flatnonzero(number).tolist():
         i = int(tested[k])
         pitch = np.array(network.cameras[network.exposures.camera[i]].pitch)
         moved = columns[ends[i] - shown[i] : ends[i]] @ change[k] / pitch
         effect = float(np.linalg.norm(moved, axis=1).max())
         scale, shift = float(change[k, 6]), change[k, 7:] / pitch
-        found.append(ImageShift(network.image_names[i], scale, shift, effect, float(p_value[k])))
-    return tuple(found)
+        shifts.append(ImageShift(network.image_names[i], scale, shift, effect, float(p_value[k])))
+    return tuple(shifts)
 
 
 def pose_derivatives(fit: Fit, state: State) -> Floats:

@@ -50,7 +50,7 @@ def test_map_coordinates_and_local_ones_agree(tmp_path: Path) -> None:
     block = read_block(fly(tmp_path / "flight", np.random.default_rng(8), plan=Plan(tie=50)))
     local = check_block(block, (), Question())
     mapped = check_block(in_utm(block), (), Question())
-    assert [one.found.method for one in mapped.judged] == ["direct", "integrated", "indirect"]
+    assert [one.result.method for one in mapped.judged] == ["direct", "integrated", "indirect"]
     indirect = [one.of("indirect") for one in (local, mapped)]
     assert indirect[0] is not None
     assert indirect[1] is not None

@@ -42,7 +42,7 @@ def test_sxb_indirect_as_in_dbat(sxb: Path) -> None:
     assert indirect.check.ratio > 3
     direct = result.of("direct")
     assert direct is not None
-    assert "SIMULATED" in direct.found.label
+    assert "SIMULATED" in direct.result.label
     assert 0.2 < direct.check.ratio < 2
     assert result.exposures is not None
     np.testing.assert_allclose(result.exposures.rmse[3:], 0.08, rtol=0.7)
@@ -57,7 +57,7 @@ def test_sxb_integrated_with_camera_positions(sxb: Path) -> None:
     held = np.array([k for k in np.flatnonzero(block.points.of_role("control")) if k not in _of(index)])
     block = with_roles(block, held)
     result = check_block(block, (), Question())
-    methods = [one.found.method for one in result.judged]
+    methods = [one.result.method for one in result.judged]
     assert methods == ["integrated", "indirect"]
     integrated, indirect = result.judged
     assert set(integrated.check.names) == set(indirect.check.names) == set(DBAT)

@@ -74,14 +74,14 @@ def test_injected_error_is_found_estimated_and_named(
     flown: Flown, errors: Errors, name: str, truth: dict[str, float]
 ) -> None:
     found = systematic_errors(flown(errors, 21))
-    assert [error.found.name for error in found.errors] == [name]
+    assert [error.hypothesis.name for error in found.errors] == [name]
     assert found.errors[0].same == ()
     within_three_sigma(found, truth)
 
 
 def test_two_errors_at_once(flown: Flown) -> None:
     found = systematic_errors(flown(Errors(boresight_deg=(0.0, 0.5, 0.0), datum_m=(0.3, 0.0, 0.0)), 23))
-    assert {error.found.name for error in found.errors} == {"boresight", "datum-shift"}
+    assert {error.hypothesis.name for error in found.errors} == {"boresight", "datum-shift"}
     within_three_sigma(found, {"boresight_y": 0.5, "shift_x": 0.3})
 
 
@@ -115,7 +115,7 @@ def test_wrong_sigmas_of_positions_are_named_as_that(flown: Flown, factor: float
 def test_an_error_is_not_taken_for_wrong_sigmas(flown: Flown) -> None:
     found = systematic_errors(flown(Errors(datum_m=(0.0, 0.0, 0.085)), 33))
     assert found.sigmas == ()
-    assert "datum-shift" in {found.errors[0].found.name, *found.errors[0].same}
+    assert "datum-shift" in {found.errors[0].hypothesis.name, *found.errors[0].same}
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_strips_that_jump_are_an_error_beyond_what_is_stated_of_each_position(
     found = systematic_errors(replace(block, positions=stated))
     (strips,) = [one for one in found.tested if one.name == "strip-shifts"]
     assert strips.significant
-    assert [error.found.name for error in found.errors] == named
+    assert [error.hypothesis.name for error in found.errors] == named
 
 
 def test_c_is_judged_as_it_was_stated_where_smaller_sigmas_of_positions_agree() -> None:
@@ -175,8 +175,8 @@ def test_vertical_lever_arm_is_said_to_be_like_a_height_datum(flown: Flown) -> N
     found = systematic_errors(flown(Errors(lever_arm_m=(0.0, 0.0, 0.3)), 27))
     error = found.errors[0]
     # Over two heights two principal distances look the same, too.
-    assert {error.found.name, *error.same} == {"lever-arm", "datum-shift", "camera-change"}
-    assert error.found.name != "camera-change"
+    assert {error.hypothesis.name, *error.same} == {"lever-arm", "datum-shift", "camera-change"}
+    assert error.hypothesis.name != "camera-change"
 
 
 def test_one_height_does_not_separate_c_height_and_lever_arm(tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_values_left_free_in_the_block_are_estimated(tmp_path: Path) -> None:
     )
     found = systematic_errors(block)
     assert found.errors == ()
-    values = {e.name: e for e in found.own}
+    values = {e.name: e for e in found.free_in_block}
     truth = {"lever_arm_x": 0.16, "lever_arm_y": 0.12, "boresight_x": 0.3, "boresight_y": -0.4}
     for name, true in truth.items():
         assert abs(values[name].value - true) < 3 * values[name].sigma, name
@@ -227,7 +227,7 @@ def test_a_new_fault_is_one_entry_and_its_texts(flown: Flown) -> None:
     new = Fault("worn-zoom", ("camera",), ("c",), prior=0.1)
     found = systematic_errors(flown(Errors(focal_mm=0.03), 21), table=(new,))
     (error,) = found.errors
-    assert error.found.name == "worn-zoom"
+    assert error.hypothesis.name == "worn-zoom"
     within_three_sigma(found, {"c[cam]": 12.03})
     (finding,) = named(found.errors)
     assert (finding.code, finding.severity) == ("worn-zoom", "grave")
