@@ -67,7 +67,7 @@ def block_of_arrays(
     image, point = np.nonzero(np.isfinite(pixels).all(axis=2))
     names = tuple(point_names) or tuple(str(k + 1) for k in range(len(points)))
     roles = ["check" if name in set(check) else "tie" if sigma_m is None else "control" for name in names]
-    role = np.array([ROLES.index(one) for one in roles], dtype=np.int64)
+    role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     known = np.full(points.shape, np.inf)
     known[role == ROLES.index("control")] = np.inf if sigma_m is None else sigma_m
     return Block(

@@ -98,11 +98,9 @@ def geopackage(path: Path, system: ReferenceSystem) -> Iterator[sqlite3.Connecti
     with closing(sqlite3.connect(path)) as database:
         database.executescript(_TABLES)
         database.executemany(
-            "INSERT OR IGNORE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, NULL)",
-            [
-                (one.name, one.number, one.organization, one.number, one.definition)
-                for one in (LOCAL, _UNDEFINED_GEOGRAPHIC, wgs84(), system)
-            ],
+            "INSERT OR IGNORE INTO gpkg_spatial_ref_sys "
+            "VALUES (:name, :number, :organization, :number, :definition, NULL)",
+            map(vars, (LOCAL, _UNDEFINED_GEOGRAPHIC, wgs84(), system)),
         )
         yield database
         database.commit()

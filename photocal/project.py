@@ -292,7 +292,7 @@ class Contents(Table):
         given = [name for name in sections if getattr(self, name)]
         if self.measurements is not None and self.measurements.block is not None and given:
             raise ValueError(f"[{given[0]}] stands beside a ready block, which has all of this: remove one")
-        if len({one.id for one in self.camera}) < len(self.camera):
+        if len({camera.id for camera in self.camera}) < len(self.camera):
             raise ValueError("two cameras have the same id: rename one")
         return self
 

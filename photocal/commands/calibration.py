@@ -165,7 +165,7 @@ def certificate(
     from photocal.run.summary import flown_beside, told_beside
 
     pictures = told_conditions([read_facts(path) for path in list_images(images)] if images else [])
-    own = own_key()
+    key = own_key()
     with progress("certificate", 4) as step:
         document = issue(
             run,
@@ -176,7 +176,7 @@ def certificate(
             particulars=particulars,
             client=client,
             operator=operator,
-            key=own.fingerprint if own else "",
+            key=key.fingerprint if key else "",
             warnings=told_beside(run),
             pictures=pictures,
             flown=flown_beside(run),

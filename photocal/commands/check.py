@@ -23,7 +23,7 @@ Judged: TypeAlias = tuple[dict[str, Any], str]
 
 
 def judge_product(
-    found: Discrepancies | ProductCheck,
+    product: Discrepancies | ProductCheck,
     path: Path,
     standards: tuple[Standard, ...],
     question: Question,
@@ -38,10 +38,10 @@ def judge_product(
 
     more: dict[str, object] = {}
     remarks: tuple[str, ...] = ()
-    if not isinstance(found, Discrepancies):
-        likeness, remarks = [finite(v) for v in found.likeness.tolist()], found.remarks
-        more, found = {"likeness": likeness, "remarks": list(remarks)}, found.discrepancies
-    result = assess(found, standards, question)
+    if not isinstance(product, Discrepancies):
+        likeness, remarks = [finite(v) for v in product.likeness.tolist()], product.remarks
+        more, product = {"likeness": likeness, "remarks": list(remarks)}, product.discrepancies
+    result = assess(product, standards, question)
     if figures is not None:
         from acquire.outputs import output_folder
         from photocal.accuracy.maps import check_figures, save_figures
@@ -52,7 +52,7 @@ def judge_product(
         from photocal.accuracy.maps import reference_system, write_geopackage
         from photocal.geopackage import changed_utc
 
-        write_geopackage(geopackage, (("check", found),), reference_system(crs), changed_utc(path))
+        write_geopackage(geopackage, (("check", product),), reference_system(crs), changed_utc(path))
     return to_json(result) | more, "\n".join([to_text(result), *remarks])
 
 
@@ -318,7 +318,7 @@ def check(
     elif points is not None:
         from photocal.products.product_check import check_products, read_check_points
 
-        found = check_products(
+        product = check_products(
             read_check_points(points),
             ortho=ortho,
             target_diameter_m=target_diameter,
@@ -327,5 +327,5 @@ def check(
             height_kind=height_kind,
             dtm_height_kind=dtm_height_kind,
         )
-        judged = judge_product(found, points, standards, question, folder, geopackage, crs)
+        judged = judge_product(product, points, standards, question, folder, geopackage, crs)
     answer(as_json, lambda: judged[0], lambda: judged[1])

@@ -92,13 +92,13 @@ def compare(
         lambda: {
             **_figures(asked, len(pixels), pairs, followed),
             "repeatability": as_plain(repeats),
-            "heads": [as_plain(one) | {"different": one.different} for one in heads],
+            "heads": [as_plain(head) | {"different": head.different} for head in heads],
             "exchange": as_plain(uses),
         },
         lambda: "\n\n".join(
             [
                 _text(asked, pairs, followed),
-                *(repeatability_text(found) for found in repeats.values()),
+                *(repeatability_text(repeat) for repeat in repeats.values()),
                 *([heads_text(heads)] if heads else []),
                 *([uses_text(uses)] if uses else []),
             ]
@@ -150,7 +150,7 @@ def _figures(
             }
             for pair in pairs
         ],
-        "published": [as_plain(one) | {"follows": one.follows} for one in followed],
+        "published": [as_plain(row) | {"follows": row.follows} for row in followed],
         "findings": list(sentences(pairs, how.thresholds_px, followed)),
     }
 

@@ -138,15 +138,15 @@ def targets(
 
 
 def _numbers(text: str) -> list[int]:
-    found: list[int] = []
+    numbers: list[int] = []
     try:
         for part in text.split(","):
             first, _, last = part.partition("-")
-            found += range(int(first), int(last or first) + 1)
+            numbers += range(int(first), int(last or first) + 1)
     except ValueError:
-        found = []
-    if not found or len(found) > 1000:
+        numbers = []
+    if not numbers or len(numbers) > 1000:
         raise ConfigurationError(
             f"numbers {text!r} are not understood", "write them as 1-20 or 3,7 (at most 1000)"
         )
-    return found
+    return numbers

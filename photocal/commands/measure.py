@@ -245,19 +245,19 @@ def _tie_lines(record: dict[str, Any]) -> list[str]:
         f"sigma of an image coordinate: {record['sigma_px']:.2f} px; rms {record['rms_px']:.2f} px",
         *(record["warnings"] if record["kind"] == "tie points" else ()),
         *(f"c from: {source}" for source in record.get("principal_distance_from", ())),
-        *(line for own in record["cameras"] for line in _camera_lines(own)),
+        *(line for camera in record["cameras"] for line in _camera_lines(camera)),
         *_left_out(record),
     ]
 
 
-def _camera_lines(own: dict[str, Any]) -> list[str]:
-    released = own["released"]
-    if not own["held"]:
+def _camera_lines(camera: dict[str, Any]) -> list[str]:
+    released, held = camera["released"], ", ".join(camera["held"])
+    if not held:
         return []
-    lines = [f"camera {own['camera']}: {', '.join(own['held'])} held; to calibrate, name them under estimate"]
+    lines = [f"camera {camera['camera']}: {held} held; to calibrate, name them under estimate"]
     if released is None:
         return lines
-    unit, digits = own["unit"], 1 if own["unit"] == "px" else 4
+    unit, digits = camera["unit"], 1 if camera["unit"] == "px" else 4
     says = (
         f"released, c becomes {released['c']:.{digits}f} +- {released['sigma']:.{digits}f} {unit} "
         f"({100 * released['change']:+.1f} %); the relief is {100 * released['relief']:.0f} % of the distance"

@@ -132,10 +132,10 @@ def debrief(
         from acquire.operating_system import stopped_by_signals
         from photocal.debrief.live import follow
 
-        def told(so_far: "Debrief") -> None:
+        def report(so_far: "Debrief") -> None:
             typer.echo(finding_text(so_far.verdict, say), err=True)
 
-        made = follow(known, crew, stopped_by_signals(), told, last)
+        made = follow(known, crew, stopped_by_signals(), report, last)
     else:
         made = judged(known, crew, progress, last)
     answer(as_json, lambda: debrief_json(made), lambda: debrief_text(made, say))

@@ -37,7 +37,7 @@ def radiometry(
     from photocal.measurement.image_facts import read_facts
     from photocal.measurement.image_file import list_images, read_grey
 
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     if edge is not None:
         grey = read_grey(edge)
         if region is not None:
@@ -45,26 +45,26 @@ def radiometry(
                 int, numbers_of(region, "--region", "COLUMN,ROW,WIDTH,HEIGHT: px")
             )
             grey = grey[row : row + height, column : column + width]
-        frequency, transfer, found["edge_slant_deg"] = measure.edge_mtf(grey)
-        found["mtf50_cycles_px"] = measure.falls_to(frequency, transfer, 0.5)
-        found["mtf10_cycles_px"] = measure.falls_to(frequency, transfer, measure.RESOLVED)
-        found["mtf_at_nyquist"] = float(np.interp(0.5, frequency, transfer))
+        frequency, transfer, figures["edge_slant_deg"] = measure.edge_mtf(grey)
+        figures["mtf50_cycles_px"] = measure.falls_to(frequency, transfer, 0.5)
+        figures["mtf10_cycles_px"] = measure.falls_to(frequency, transfer, measure.RESOLVED)
+        figures["mtf_at_nyquist"] = float(np.interp(0.5, frequency, transfer))
     if star is not None:
         if place is None:
             raise ConfigurationError("--star needs --place", remedy="give COLUMN,ROW,RADIUS in pixels")
         column_, row_, radius = numbers_of(place, "--place", "COLUMN,ROW,RADIUS: px")
         frequency, contrast = measure.siemens_star(read_grey(star), (column_, row_), radius, spokes)
-        limit = found["star_limit_cycles_px"] = measure.falls_to(frequency, contrast, measure.RESOLVED)
+        limit = figures["star_limit_cycles_px"] = measure.falls_to(frequency, contrast, measure.RESOLVED)
         if gsd_cm is not None:
-            found["ground_resolution_cm"] = gsd_cm / limit
+            figures["ground_resolution_cm"] = gsd_cm / limit
     if flat is not None:
         pictures = ((read_facts(path).exposure_s, read_grey(path)) for path in list_images(flat))
-        found |= measure.even_surface(pictures)
-    if not found:
+        figures |= measure.even_surface(pictures)
+    if not figures:
         raise ConfigurationError("there is nothing to measure", remedy="give --edge, --star or --flat")
-    told = {name: float(f"{value:.4g}") for name, value in found.items() if math.isfinite(value)}
-    lines = [f"{name} = {value}" for name, value in told.items()]
+    rounded = {name: float(f"{value:.4g}") for name, value in figures.items() if math.isfinite(value)}
+    lines = [f"{name} = {value}" for name, value in rounded.items()]
     if output is not None:
         with output_file(output) as aside:
             aside.write_text("\n".join(["[radiometry]", *lines, ""]), encoding="utf-8")
-    answer(as_json, lambda: told, lambda: "\n".join(lines))
+    answer(as_json, lambda: rounded, lambda: "\n".join(lines))

@@ -36,12 +36,12 @@ def keys(
         return
     if new is not None:
         signing.new_key(new, passphrase)
-    own, known = signing.own_key(), signing.known_keys()
-    mine, folder = "" if own is None else own.fingerprint, str(settings_folder())
-    known_lines = [f"{digits}  {name}{'  (own)' * (digits == mine)}" for digits, name in known.items()]
+    key, known = signing.own_key(), signing.known_keys()
+    fingerprint, folder = "" if key is None else key.fingerprint, str(settings_folder())
+    known_lines = [f"{digits}  {name}{'  (own)' * (digits == fingerprint)}" for digits, name in known.items()]
     answer(
         as_json,
-        lambda: {"own": mine or None, "known": known, "folder": folder},
+        lambda: {"own": fingerprint or None, "known": known, "folder": folder},
         lambda: "\n".join([*(known_lines or ["no key is known"]), f"in {folder}"]),
     )
 
@@ -113,19 +113,19 @@ def verify(
     certified, folder = read_record(certificate)
     files = changed_files(certified, folder)
     changed: list[str] = []
-    found: list[Difference] = []
+    differences: list[Difference] = []
     if not any(name.endswith(" is a link") for name in files):
-        changed, found, pages = _repeat(certified, folder, block)
+        changed, differences, pages = _repeat(certified, folder, block)
         files += pages
     responsible = certified["particulars"].get("responsible", {})
     named_key = str(responsible.get("key", "")) if isinstance(responsible, dict) else ""
     signed = authenticity(folder, named_key, known_keys(keys))
-    if trust and signed.trust == "unknown" and not (changed or files or found):
+    if trust and signed.trust == "unknown" and not (changed or files or differences):
         from photocal.report.signing import trust as remember
 
         remember(signed.name, signed.fingerprint)
         signed = replace(signed, trust="trusted")
-    problems = [*changed, *files, *(f"{d.place} is {d.found}, certified {d.certified}" for d in found)]
+    problems = [*changed, *files, *(f"{d.place} is {d.found}, certified {d.certified}" for d in differences)]
     reproducible = not problems
     problems += signed.problems
     if signed.trust == "changed":
@@ -145,7 +145,7 @@ def verify(
             "signature": {"trust": signed.trust, "name": signed.name, "fingerprint": signed.fingerprint},
             "changed_inputs": changed,
             "changed_files": files,
-            "differences": as_plain(found),
+            "differences": as_plain(differences),
             "problems": problems,
         },
         lambda: "\n".join(
@@ -189,11 +189,11 @@ def _repeat(
     with progress("repeating", None) as step:
         run = verification.repeated(certified, folder, source, lambda: step(1))
         run = verification.as_certified(run, certified, folder)
-        found = verification.differences(certified, verification.record_of(run, certified))
+        differences = verification.differences(certified, verification.record_of(run, certified))
         pages: list[str] = []
-        if not found and all((folder / name).is_file() for name in verification.PAGES):
+        if not differences and all((folder / name).is_file() for name in verification.PAGES):
             pages = verification.changed_pages(folder, verification.pages_of(run, certified))
-    return [], found, pages
+    return [], differences, pages
 
 
 def _printed(path: Path, as_json: bool) -> None:

@@ -33,21 +33,21 @@ _STOP_S = 300.0
 class Row:
     """One quantity.
 
-    true, found, sigma: truth, estimate and its standard deviation.
+    true, estimate, sigma: truth, estimate and its standard deviation.
     limit: largest deviation in standard deviations at which they agree.
     """
 
     name: str
     unit: str
     true: float
-    found: float
+    estimate: float
     sigma: float
     limit: float = _WITHIN
 
     @property
     def deviation(self) -> float:
         """Estimate less truth in standard deviations."""
-        return (self.found - self.true) / self.sigma
+        return (self.estimate - self.true) / self.sigma
 
     @property
     def agrees(self) -> bool:
@@ -80,21 +80,21 @@ def _mounting(true: dict[str, Any], result: Result) -> Iterator[Row]:
     truths = [*rig["camera_to_antenna_m"], *rig["boresight_deg"], rig["time_offset_s"]]
     units = ["m"] * 3 + ["deg"] * 3 + ["s"]
     for name, value, unit in zip((*_LEVER, *_BORESIGHT, "time_offset"), truths, units, strict=True):
-        found = mounting[name]
-        if found.estimated:
-            yield Row(name.replace("_", " "), unit, value, found.value, found.sigma)
+        parameter = mounting[name]
+        if parameter.estimated:
+            yield Row(name.replace("_", " "), unit, value, parameter.value, parameter.sigma)
 
 
 def _positions(truth: Path, work: Path) -> Iterator[Row]:
     """Antenna positions at the events by PPK: root mean square of their errors against 3 cm."""
     true = {row["image"]: row for row in _rows(truth / "exposures.csv")}
-    found = _rows(work / "block" / "positions.csv")
+    rows = _rows(work / "block" / "positions.csv")
     for axis, key, word in (
         ("X", "antenna_E", "east"),
         ("Y", "antenna_N", "north"),
         ("Z", "antenna_h", "height"),
     ):
-        squares = [(float(row[axis]) - float(true[row["image"]][key])) ** 2 for row in found]
+        squares = [(float(row[axis]) - float(true[row["image"]][key])) ** 2 for row in rows]
         rms = math.sqrt(sum(squares) / len(squares))
         yield Row(f"antenna positions, rms {word}", "m", 0.0, rms, 0.03, 1.0)
 
@@ -119,7 +119,7 @@ def table(rows: tuple[Row, ...]) -> str:
     lines = [f"{'':<36}{'truth':>13}{'found':>13}{'sigma':>11}{'deviation':>11}"]
     for row in rows:
         mark = "" if row.agrees else "  <--"
-        cells = f"{_number(row.true):>13}{_number(row.found):>13}{_number(row.sigma):>11}"
+        cells = f"{_number(row.true):>13}{_number(row.estimate):>13}{_number(row.sigma):>11}"
         name = f"{row.name} {row.unit}".rstrip()
         lines.append(f"{name:<36}{cells}{row.deviation:>11.2f}{mark}")
     return "\n".join(lines)
@@ -185,12 +185,12 @@ def record(flight: Path, speed: float) -> None:
             writer = [*_ACQUIRE, "record", str(settings)]
             with _started(writer) as log:
                 try:
-                    _, said = devices.communicate()
-                    _succeeded(devices, said)
+                    _, errors = devices.communicate()
+                    _succeeded(devices, errors)
                 finally:
                     interrupt(log)
-                    _, said = log.communicate(timeout=_STOP_S)
-                _succeeded(log, said)
+                    _, errors = log.communicate(timeout=_STOP_S)
+                _succeeded(log, errors)
         finally:
             devices.kill()
     recorded = sorted((flight / "site" / "recording").glob("*.mcap"))
@@ -208,10 +208,10 @@ def _started(command: list[str]) -> subprocess.Popen[str]:
 def _require(process: subprocess.Popen[str], limit: float, what: str) -> None:
     if process.poll() is not None or time.monotonic() > limit:
         process.kill()
-        _, said = process.communicate()
-        raise DeviceError(f"{what} ({said.strip()})", "run `acquire simulate serve` by hand")
+        _, errors = process.communicate()
+        raise DeviceError(f"{what} ({errors.strip()})", "run `acquire simulate serve` by hand")
 
 
-def _succeeded(process: subprocess.Popen[str], said: str) -> None:
+def _succeeded(process: subprocess.Popen[str], errors: str) -> None:
     if process.returncode != 0:
-        raise DeviceError(f"the recording failed ({said.strip()})", "look at free ports and disk")
+        raise DeviceError(f"the recording failed ({errors.strip()})", "look at free ports and disk")

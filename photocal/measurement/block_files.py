@@ -80,11 +80,11 @@ def write_block(folder: Path, block: Block, record: dict[str, Any]) -> None:
     )
     relations = block.relations
     for code, kind in enumerate(RELATIONS):
-        mine = np.flatnonzero(relations.kind == code)
-        if len(mine):
+        of_kind = np.flatnonzero(relations.kind == code)
+        if len(of_kind):
             scale = 180 / np.pi if kind in ANGLES else 1.0
-            named = ([points.names[j] for j in ends if j >= 0] for ends in relations.ends[mine])
-            figures = {"value": relations.values[mine] * scale, "sigma": relations.sigma[mine] * scale}
+            named = ([points.names[j] for j in ends if j >= 0] for ends in relations.ends[of_kind])
+            figures = {"value": relations.values[of_kind] * scale, "sigma": relations.sigma[of_kind] * scale}
             if kind == "line":
                 del figures["value"]
             rows = zip(named, np.column_stack(list(figures.values())), strict=True)
@@ -126,8 +126,8 @@ def _setup(block: Block) -> str:
         'unit = "px"',
         'axes = "pixel"',
     ]
-    for own in block.cameras:
-        lines += ["", "[[camera]]", *_camera(own)]
+    for camera in block.cameras:
+        lines += ["", "[[camera]]", *_camera(camera)]
     # A head whose images were all left out is none of the block's; one alone is no frame.
     ids = {camera.id for camera in block.cameras}
     heads = tuple(head for head in block.heads if {head.camera, head.of} <= ids)

@@ -76,13 +76,13 @@ def _block(facts: Sequence[ImageFacts], views: Sequence[BoardView], board: Board
     xyz = board.points()
     cameras, poses = [], np.zeros((len(views), 6))
     for k, camera_name in enumerate(names):
-        mine = [j for j in range(len(views)) if member[j] == k]
-        size = facts[mine[0]].size_px
-        planes = [pixel_to_plane(size, (1.0, 1.0), views[j].pixels) for j in mine]
-        flat = [xyz[views[j].corners, :2] for j in mine]
-        c = plane_principal_distance(flat, planes) or principal_distance_px(facts[mine[0]])[0]
-        cameras.append(start_camera(camera_name, facts[mine[0]], c, ESTIMATE))
-        for j, plane in zip(mine, planes, strict=True):
+        members = [j for j in range(len(views)) if member[j] == k]
+        size = facts[members[0]].size_px
+        planes = [pixel_to_plane(size, (1.0, 1.0), views[j].pixels) for j in members]
+        flat = [xyz[views[j].corners, :2] for j in members]
+        c = plane_principal_distance(flat, planes) or principal_distance_px(facts[members[0]])[0]
+        cameras.append(start_camera(camera_name, facts[members[0]], c, ESTIMATE))
+        for j, plane in zip(members, planes, strict=True):
             pose = resection(xyz[views[j].corners], plane / c)
             if pose is None:
                 raise IllPosedError(

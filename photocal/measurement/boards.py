@@ -89,16 +89,16 @@ def find_board(grey: Grey, board: Board) -> BoardView | None:
         return None
     corners, places = rough
     spacing = _spacing(corners, places, board)
-    found, centres = [], []
+    measured, centres = [], []
     for corner, place, reach in zip(corners, places, spacing, strict=True):
         radius = float(np.clip(_WINDOW * reach, _SMALLEST_WINDOW_PX, _LARGEST_WINDOW_PX))
         centre = saddle_centre(grey, (float(place[0]), float(place[1])), radius)
         if centre is not None:
-            found.append(corner)
+            measured.append(corner)
             centres.append(centre)
-    if len(found) < FEWEST_CORNERS:
+    if len(measured) < FEWEST_CORNERS:
         return None
-    return BoardView(np.array(found, dtype=np.int64), tuple(centres))
+    return BoardView(np.array(measured, dtype=np.int64), tuple(centres))
 
 
 def charuco_board(board: Board) -> Any:
@@ -116,13 +116,13 @@ def _chessboard(eight: Bytes, board: Board) -> tuple[Integers, Floats] | None:
     across, down = board.inner
     # From the quick search to the thorough one: only the rough places are wanted here.
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
-    found, corners = cv2.findChessboardCorners(eight, (across, down), flags=flags)
+    success, corners = cv2.findChessboardCorners(eight, (across, down), flags=flags)
     for thorough in (0, cv2.CALIB_CB_EXHAUSTIVE):
-        if found:
+        if success:
             break
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | thorough
-        found, corners = cv2.findChessboardCornersSB(eight, (across, down), flags=flags)
-    if not found:
+        success, corners = cv2.findChessboardCornersSB(eight, (across, down), flags=flags)
+    if not success:
         return None
     grid = np.asarray(corners, dtype=float).reshape(down, across, 2)
     # Seen from the front, rows follow columns clockwise (rows point down): else the order is mirrored.

@@ -101,8 +101,8 @@ def _block(views: Sequence[_View], codes: list[int], distances: Path | None, nam
     facts = [view.facts for view in views]
     camera_names, member = group_cameras(facts)
     cameras = tuple(
-        start_camera(own, first, principal_distance_px(first)[0], ESTIMATE)
-        for k, own in enumerate(camera_names)
+        start_camera(camera_name, first, principal_distance_px(first)[0], ESTIMATE)
+        for k, camera_name in enumerate(camera_names)
         for first in [facts[int(np.flatnonzero(member == k)[0])]]
     )
     row = {code: k for k, code in enumerate(codes)}

@@ -74,17 +74,17 @@ def measure_images(
     principal = {"principal_distance_from": sorted({stated_camera("", f).source for f in sighted.facts})}
     if control is None:
         places, origin = local_places(sighted.facts)
-        found = _oriented(start_block(sighted.facts, places, name), sighted, plan, progress)
+        oriented = _oriented(start_block(sighted.facts, places, name), sighted, plan, progress)
         at = dict(zip(("latitude_deg", "longitude_deg", "height_m"), origin, strict=True))
         record = {
-            **tie_record(sighted, found),
+            **tie_record(sighted, oriented),
             "kind": "tie points",
-            **as_record(found.findings),
+            **as_record(oriented.findings),
             **principal,
             "positions": position_figures(sighted.facts, position_sigma(sighted.facts)),
             "origin": at if np.isfinite(origin[0]) else None,
         }
-        return Measured(found.adjusted.block, record)
+        return Measured(oriented.adjusted.block, record)
     sizes = {image.name: image.size_px for image in sighted.facts}
     given = control.read(sizes)
     local = given.crs == "local"
@@ -101,21 +101,23 @@ def measure_images(
     if len(marked_control(start)) >= FEWEST_CONTROL:
         known = np.isfinite(start.images.sigma[:, 5])
         start.images.sigma[known, 5] = OTHER_SURFACE_M
-    found = _oriented(start, sighted, plan, progress)
-    suspects = suspected_marks(found.adjusted, given.points)
+    oriented = _oriented(start, sighted, plan, progress)
+    suspects = suspected_marks(oriented.adjusted, given.points)
     bare = [Finding("no-coordinates", "doubtful", point) for point in given.without_coordinates]
     file = {"file": control.path.name, "sigma_assumed_m": list(control.sigma_m), "marks": len(given.marks)}
     record = {
-        **tie_record(sighted, found),
+        **tie_record(sighted, oriented),
         "kind": "tie and control points",
         **principal,
         "system": {"crs": given.crs, "height": control.height},
         "control": file,
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "suspected_marks": suspects,
-        **as_record([*bare, *found.findings, *findings_of_marks(unknown, (), suspects, found.left_out)]),
+        **as_record(
+            [*bare, *oriented.findings, *findings_of_marks(unknown, (), suspects, oriented.left_out)]
+        ),
     }
-    return Measured(found.adjusted.block, record)
+    return Measured(oriented.adjusted.block, record)
 
 
 def _oriented(start: Block, sighted: Sighted, plan: MatchingPlan, progress: Progress) -> Oriented:

@@ -184,7 +184,7 @@ def _velocity(xmp: Mapping[str, str]) -> Triple:
     """Velocity of Parrot's Sequoia, which counts it east, north, up; no other maker's is known."""
     if not _of_sequoia(xmp):
         return _NOT_GIVEN
-    values = tuple(_number(one) for one in xmp.get("IMULinearVelocity", "").split(","))
+    values = tuple(_number(cell) for cell in xmp.get("IMULinearVelocity", "").split(","))
     return values if len(values) == 3 and all(map(math.isfinite, values)) else _NOT_GIVEN
 
 
@@ -256,8 +256,8 @@ def _altitude(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> float:
 
 
 def _taken(stamp: str, fraction: str) -> str:
-    found = re.match(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d:\d\d)", stamp)
-    if not found or found.group(1) == "0000":
+    match = re.match(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d:\d\d)", stamp)
+    if not match or match.group(1) == "0000":
         return ""
-    year, month, day, clock = found.groups()
+    year, month, day, clock = match.groups()
     return f"{year}-{month}-{day}T{clock}" + (f".{fraction}" if fraction.isdigit() else "")

@@ -47,15 +47,15 @@ def with_chosen_lenses(
     """
     given, used = {camera.id: camera for camera in block.cameras}, adjusted.assembly.network.cameras
     choices = {
-        own.id: _preferred(adjusted, place)
-        for place, own in enumerate(adjusted.start.cameras)
-        if _is_open(given[own.id]) and _is_open(used[place])
+        camera.id: _preferred(adjusted, place)
+        for place, camera in enumerate(adjusted.start.cameras)
+        if _is_open(given[camera.id]) and _is_open(used[place])
     }
     # What a rolling shutter feigned is taken back: the scale first.
     for nth in range(1 + max(map(len, choices.values()), default=0)):
         lenses = {name: lens[nth] for name, lens in choices.items() if nth < len(lens)}
         plain = without_readouts(adjusted.start.cameras) if lenses else adjusted.start.cameras
-        cameras = [lenses[own.id][0] if own.id in lenses else own for own in plain]
+        cameras = [lenses[camera.id][0] if camera.id in lenses else camera for camera in plain]
         cameras = [
             camera if camera.rolling else replace(camera, shutter=given[camera.id].shutter)
             for camera in cameras
@@ -98,14 +98,14 @@ def _is_open(camera: Camera) -> bool:
 def _preferred(adjusted: Adjusted, place: int) -> list[Chosen]:
     """Lenses of least v'Pv and what is to be said of them, with a scale and without; none that is the own."""
     cameras = without_readouts(adjusted.start.cameras)
-    own = cameras[place]
-    with_k4 = own.estimated | _K4
-    variants = [own, replace(own, estimated=with_k4)]
-    other: Model = _MODELS[1 - _MODELS.index(own.model)]
+    camera = cameras[place]
+    with_k4 = camera.estimated | _K4
+    variants = [camera, replace(camera, estimated=with_k4)]
+    other: Model = _MODELS[1 - _MODELS.index(camera.model)]
     # The inverse of a polynomial begins with the opposite sign.
-    values = own.values.copy()
+    values = camera.values.copy()
     values[_POLYNOMIALS] *= -1.0
-    turned = replace(own, model=other, values=values)
+    turned = replace(camera, model=other, values=values)
     variants += [turned, replace(turned, estimated=with_k4)]
     fits = list[tuple[float, float, Camera]]()
     for lens in variants:
@@ -115,26 +115,26 @@ def _preferred(adjusted: Adjusted, place: int) -> list[Chosen]:
             if not fits:
                 return []
             continue
-        fits.append((chi_squared + _needed(lens, own), chi_squared, lens))
+        fits.append((chi_squared + _needed(lens, camera), chi_squared, lens))
     given, best = fits[0][1], min(fits, key=lambda fit: fit[0])
-    found = [best[1:]] if best is not fits[0] else []
+    preferred = [best[1:]] if best is not fits[0] else []
     scaled = with_loose_sides(best[2])
     with suppress(IllPosedError, NotConvergedError):
         chi_squared, scaled = _least(adjusted, (*cameras[:place], scaled, *cameras[place + 1 :]), place)
         if chi_squared + _needed(scaled, best[2]) < best[1]:
-            found.insert(0, (chi_squared, scaled))
+            preferred.insert(0, (chi_squared, scaled))
     return [
         (
             lens,
             {
                 "model": lens.model,
                 "names": tuple(name for name in lens.free if name in (*lens.lens.terms, "B1", "B2")),
-                "given": own.model,
+                "given": camera.model,
                 "found": given,
                 "fall": given - chi_squared,
             },
         )
-        for chi_squared, lens in found
+        for chi_squared, lens in preferred
     ]
 
 

@@ -107,18 +107,18 @@ def _stated_lens(name: str, facts: ImageFacts) -> StatedCamera:
     if len(fisheye) == 4 and fisheye[0] > 0:
         # Pixels for a quarter turn: what the picture shows is wider than that of a perspective.
         c = fisheye[0] / (math.pi / 2)
-        own = start_camera(name, facts, c, ())
+        lens = start_camera(name, facts, c, ())
         bend = _numbers(xmp.get("FisheyePolynomial", ""))
         if len(place) == 2 and pitch > 0 and 2 < len(bend) <= 5 and bend[:2] == [0.0, 1.0]:
             values = {"c": c, "x0": place[0] / pitch - width / 2, "y0": height / 2 - place[1] / pitch}
             values |= {f"K{n}": value for n, value in enumerate(bend[2:], start=1)}
-            own = camera(name, "pix4d-fisheye", "px", facts.size_px, (1.0, 1.0), values, affinity="after")
-            return StatedCamera(own, "XMP fisheye of its maker", DESIGNED)
-        return StatedCamera(own, "XMP fisheye of its maker, at the middle of the picture", STATED)
+            lens = camera(name, "pix4d-fisheye", "px", facts.size_px, (1.0, 1.0), values, affinity="after")
+            return StatedCamera(lens, "XMP fisheye of its maker", DESIGNED)
+        return StatedCamera(lens, "XMP fisheye of its maker, at the middle of the picture", STATED)
     designed = _numbers(xmp.get("CalibratedFocalLength", ""))
     if len(designed) == 1 and 0.2 < designed[0] / max(facts.size_px) < 50:
-        own = from_pinhole(Pinhole(flat.size_px, designed[0], designed[0], *middle), name, facts.name)
-        return StatedCamera(own, "CalibratedFocalLength of its maker", DESIGNED)
+        lens = from_pinhole(Pinhole(flat.size_px, designed[0], designed[0], *middle), name, facts.name)
+        return StatedCamera(lens, "CalibratedFocalLength of its maker", DESIGNED)
     c, source = principal_distance_px(facts)
     guessed = source.startswith(("assumed", "guess"))
     return StatedCamera(start_camera(name, facts, c, ()), source, GUESSED if guessed else STATED)
@@ -126,8 +126,7 @@ def _stated_lens(name: str, facts: ImageFacts) -> StatedCamera:
 
 def _numbers(text: str) -> list[float]:
     """Numbers of a list with commas; none where one is not finite."""
-    found = re.findall(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?", text)
-    values = [float(one) for one in found]
+    values = [float(number) for number in re.findall(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?", text)]
     return values if np.isfinite(values).all() else []
 
 

@@ -65,8 +65,8 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
     fit = fit_template(window, patterns.quadrilateral, start, sizes)
     if fit is None or fit.parameters[10] > 0:
         return None
-    found = _corners(fit.parameters)
-    if np.abs(found - local).max() > max(2.0, 0.15 * side):
+    fitted = _corners(fit.parameters)
+    if np.abs(fitted - local).max() > max(2.0, 0.15 * side):
         return None
     step = np.eye(11) * 1e-5
     slope = np.column_stack(
@@ -76,7 +76,7 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
     refined = replace(fit, parameters=place, cofactor=slope @ fit.cofactor @ slope.T)
     target = (float(middle[0]), float(middle[1]))
     centre = accepted(window, refined, -fit.parameters[10], target, 0.15 * side + 1, fit.parameters[:9])
-    return None if centre is None else (centre, found + window.middle)
+    return None if centre is None else (centre, fitted + window.middle)
 
 
 def _corners(p: Floats) -> Floats:
@@ -130,7 +130,7 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
     corners, identities, _ = detected
     if identities is None:
         return ()
-    found: dict[int, list[Marker]] = {}
+    by_identity: dict[int, list[Marker]] = {}
     for identity, quadrilateral in zip(np.ravel(identities), corners, strict=True):
         rough = np.asarray(quadrilateral, dtype=float).reshape(4, 2)
         side = float(np.hypot(*(np.roll(rough, -1, axis=0) - rough).T).min())
@@ -140,8 +140,8 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
         centre, refined = measured
         if centre.contrast < LEAST_CONTRAST or centre.noise > WORST_MISFIT * centre.contrast:
             continue
-        found.setdefault(int(identity), []).append(Marker(int(identity), centre, refined))
-    return tuple(marks[0] for _, marks in sorted(found.items()) if len(marks) == 1)
+        by_identity.setdefault(int(identity), []).append(Marker(int(identity), centre, refined))
+    return tuple(marks[0] for _, marks in sorted(by_identity.items()) if len(marks) == 1)
 
 
 def find_coded_targets(
@@ -155,8 +155,8 @@ def find_coded_targets(
     dictionary(dictionary_name)
     marks, strangers = [], []
     tasks = ((source, dictionary_name) for source in sources)
-    for source, found in zip(sources, run_tasks(_find, tasks, processes, done), strict=True):
-        for code, x, y, sx, sy in found.tolist():
+    for source, targets in zip(sources, run_tasks(_find, tasks, processes, done), strict=True):
+        for code, x, y, sx, sy in targets.tolist():
             name = names.get(str(int(code)))
             if name is None:
                 strangers.append(f"code {int(code)} in {source.path.name}")
@@ -170,8 +170,8 @@ def _find(task: tuple[Source, str]) -> Floats:
     source, dictionary_name = task
 
     def make() -> Arrays:
-        found = find_markers(read_grey(source.path), dictionary_name)
-        rows = [(m.identity, m.centre.column, m.centre.row, *m.centre.sigma) for m in found]
+        markers = find_markers(read_grey(source.path), dictionary_name)
+        rows = [(m.identity, m.centre.column, m.centre.row, *m.centre.sigma) for m in markers]
         return {"targets": np.array(rows, dtype=float).reshape(-1, 5)}
 
     key = combined_key(VERSION, "coded targets", source.key, dictionary_name)

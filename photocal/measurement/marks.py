@@ -152,12 +152,12 @@ def _chunk(path: Path) -> Element:
 
 def _marks(chunk: Element, path: Path) -> tuple[Mark, ...]:
     """Pinned projections; the upper-left pixel's centre is (0.5, 0.5) there."""
-    images = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("cameras//camera")}
-    names = {own.get("id", ""): own.get("label", "") for own in chunk.iterfind("markers//marker")}
+    images = {camera.get("id", ""): camera.get("label", "") for camera in chunk.iterfind("cameras//camera")}
+    names = {marker.get("id", ""): marker.get("label", "") for marker in chunk.iterfind("markers//marker")}
     marks = []
-    for own in chunk.iterfind("frames/frame/markers/marker"):
-        name = names.get(own.get("marker_id", ""), "")
-        for seen in own.iterfind("location"):
+    for marker in chunk.iterfind("frames/frame/markers/marker"):
+        name = names.get(marker.get("marker_id", ""), "")
+        for seen in marker.iterfind("location"):
             image = images.get(seen.get("camera_id", ""))
             # What is not pinned was predicted, not measured.
             if image is not None and seen.get("pinned", "true").lower() not in ("false", "0"):
@@ -193,15 +193,15 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         entries, bare, marks = [], [], []
-        for own in content["points"]:
-            name = str(own["id"])
-            place = own.get("position")
+        for point in content["points"]:
+            name = str(point["id"])
+            place = point.get("position")
             if place is None:
                 bare.append(name)
                 continue
             xyz = [float(place[key]) for key in ("longitude", "latitude", "altitude")]
             entries.append(PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)))
-            for seen in own["observations"]:
+            for seen in point["observations"]:
                 image = str(seen["shot_id"])
                 x, y = (float(value) for value in seen["projection"])
                 if image in sizes:
@@ -256,7 +256,7 @@ def named_after(marks: Iterable[Mark], images: Iterable[str]) -> tuple[Mark, ...
 def _text(path: Path) -> tuple[Mark, ...]:
     lines = read_lines(path)
     first = lines[0].text.strip() if lines else ""
-    delimiter = next((one for one in ("\t", ";", ",") if one in first), None)
+    delimiter = next((character for character in ("\t", ";", ",") if character in first), None)
     if delimiter is None:
         # Blanks between coordinates, and the system in the first line.
         return read_control_marks(path, (1.0, 1.0), {}).marks

@@ -41,7 +41,7 @@ def disc(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
 def ring(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
     """Ring between two concentric circles, in perspective."""
     hole = np.r_[p[:2], p[2:5] * p[5]]
-    outer, inner = (_edge(inside_circle(own, x, y, bend), p[6]) for own in (p[:5], hole))
+    outer, inner = (_edge(inside_circle(circle, x, y, bend), p[6]) for circle in (p[:5], hole))
     return np.asarray(p[7] + p[8] * 0.5 * (outer - inner))
 
 

@@ -73,7 +73,7 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     views = views_of(block, frame)
     tracks = replace(tracks, pixels=views.at_the_middle(tracks.image, tracks.pixels))
     whole = with_ties(block, tracks, np.full((tracks.count, 3), np.nan), np.ones(len(tracks.track)))
-    cameras = tuple(replace(own, estimated=own.estimated | LENS) for own in block.cameras)
+    cameras = tuple(replace(camera, estimated=camera.estimated | LENS) for camera in block.cameras)
     seen = bearings(cameras, block.images.camera, len(whole.points.names), _rays(whole))
     models = free_models(seen)
     if not models or models[0].oriented.sum() < 2:
@@ -97,13 +97,13 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     unreached = "its tie points do not orient it to the other images"
     reasons = np.where(model.oriented, "", unreached).astype(object)
     for more in models[1:]:
-        own = more.oriented & ~model.oriented
-        count = int(own.sum())
-        reasons[own] = f"belongs to another block of {count} images; no point of three images joins the two"
+        added = more.oriented & ~model.oriented
+        count = int(added.sum())
+        reasons[added] = f"belongs to another block of {count} images; no point of three images joins the two"
         move, _ = _placing(more, control, given, _position_sigma(block, given))
         if determined and count >= FEWEST_JOINED and _turn_sigma(more, move, given) < JOINED_TURN:
-            model = _together(model, _moved(more, move), own)
-            reasons[own] = ""
+            model = _together(model, _moved(more, move), added)
+            reasons[added] = ""
     lost = ~model.oriented
     poses = np.hstack([angles_from_matrix(model.rotation), model.centre])
     # What was known of an image before is better than nothing.
@@ -124,33 +124,32 @@ def _rays(block: Block) -> Rays:
 
 def _calibrated(model: Model, given: tuple[Camera, ...]) -> tuple[Model, list[Finding]]:
     """The model with principal distances as given, where it bears them, else with its own."""
-    wanted = [own.estimated[0] for own in given]
+    wanted = [camera.estimated[0] for camera in given]
     if all(wanted):
         return model, []
     held = held_to_given(model)
     share = [b.value("c") / o.value("c") for o, b in zip(given, model.bearings.cameras, strict=True)]
-    credible = all(CREDIBLE[0] < one < CREDIBLE[1] for one in share)
+    credible = all(CREDIBLE[0] < ratio < CREDIBLE[1] for ratio in share)
     bears = misfit(held) < KEPT_MISFIT * misfit(model) and support(held) > KEPT_SUPPORT * support(model)
     if held.oriented.sum() >= 2 and ((bears and (held.oriented == model.oriented).all()) or not credible):
         return held, []
     findings = []
-    for own, better in zip(given, model.bearings.cameras, strict=True):
-        if not own.estimated[0]:
-            figures = {"given": own.value("c"), "unit": own.unit, "value": better.value("c")}
-            findings.append(Finding("c-refuted-by-rays", "doubtful", own.id, figures))
+    for camera, better in zip(given, model.bearings.cameras, strict=True):
+        if not camera.estimated[0]:
+            figures = {"given": camera.value("c"), "unit": camera.unit, "value": better.value("c")}
+            findings.append(Finding("c-refuted-by-rays", "doubtful", camera.id, figures))
     return model, findings
 
 
 def _cameras(given: tuple[Camera, ...], model: Model) -> tuple[Camera, ...]:
     """Cameras with the values of the model; c is estimated where the model could not keep the given one."""
     cameras = []
-    for own, better in zip(given, model.bearings.cameras, strict=True):
-        estimated = own.estimated.copy()
-        estimated[0] |= better.value("c") != own.value("c")
+    for camera, better in zip(given, model.bearings.cameras, strict=True):
+        estimated = camera.estimated.copy()
+        estimated[0] |= better.value("c") != camera.value("c")
         # What is held keeps its value.
-        cameras.append(
-            replace(own, estimated=estimated, values=np.where(estimated, better.values, own.values))
-        )
+        values = np.where(estimated, better.values, camera.values)
+        cameras.append(replace(camera, estimated=estimated, values=values))
     return tuple(cameras)
 
 
@@ -170,9 +169,9 @@ def _placing(model: Model, control: Floats, given: Floats, sigma: float) -> tupl
     )
     # Heights of positions may count from another surface: control alone, where it suffices.
     for source, target, error in ((model.points[points], control[points], 0.0), (*both, sigma)):
-        found = robust_similarity(source, target)
-        if found is not None:
-            move, fits = found
+        fit = robust_similarity(source, target)
+        if fit is not None:
+            move, fits = fit
             if _turn(target[fits], misses_of(move, source, target)[fits], error) < OPEN_TURN:
                 return move, True
     axes, goals = _directions(model, given)
@@ -217,11 +216,11 @@ def _moved(model: Model, move: Similarity) -> Model:
     )
 
 
-def _together(model: Model, more: Model, own: Flags) -> Model:
+def _together(model: Model, more: Model, added: Flags) -> Model:
     return replace(
         model,
-        rotation=np.where(own[:, None, None], more.rotation, model.rotation),
-        centre=np.where(own[:, None], more.centre, model.centre),
+        rotation=np.where(added[:, None, None], more.rotation, model.rotation),
+        centre=np.where(added[:, None], more.centre, model.centre),
     )
 
 
@@ -237,15 +236,15 @@ def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[F
     returns shift (3,): what all positions are off by, m.
     """
     sigma, shift = images.sigma.copy(), np.zeros(3)
-    own = sigma[:, 3:]
-    observed = np.isfinite(values[:, 3]) & np.isfinite(own).all(axis=1) & (own > 0).all(axis=1)
+    stated = sigma[:, 3:]
+    observed = np.isfinite(values[:, 3]) & np.isfinite(stated).all(axis=1) & (stated > 0).all(axis=1)
     if observed.sum() < FEWEST_JOINED:
         return sigma, shift, []
     miss = values[observed, 3:] - images.values[observed, 3:]
     if shifted:
         shift = np.median(miss, axis=0)
         miss = miss - shift
-    ratio = np.linalg.norm(miss / own[observed], axis=1) / np.sqrt(3)
+    ratio = np.linalg.norm(miss / stated[observed], axis=1) / np.sqrt(3)
     factor = max(1.0, float(np.median(ratio)) / USUAL_RATIO)
     wrong = ratio > WRONG_POSITION * factor
     findings = [
@@ -282,8 +281,8 @@ def pictures_turned(names: Sequence[str], values: Floats, gimbal: Floats) -> lis
     turned = along < -SAME_WAY
     if not turned.any() or np.mean(np.abs(along[known]) > SAME_WAY) < MOST:
         return []
-    told = tuple(name for name, own in zip(names, turned, strict=True) if own)
-    return [Finding("pictures-turned", "doubtful", figures={"names": told, "count": len(told)})]
+    listed = tuple(names[k] for k in np.flatnonzero(turned).tolist())
+    return [Finding("pictures-turned", "doubtful", figures={"names": listed, "count": len(listed)})]
 
 
 def softened(images: Images, values: Floats, *, shifted: bool) -> Images:

@@ -73,26 +73,26 @@ def find_plain_targets(
 ) -> PlainMarks:
     """Find uncoded targets in images."""
     predicted = predicted_sights(orientation, points, wanted)
-    sights = {name: tuple(s for s in own if s.look.large_enough) for name, own in predicted.items()}
+    sights = {name: tuple(s for s in in_image if s.look.large_enough) for name, in_image in predicted.items()}
     tasks = [(source, sights.get(source.path.name, ())) for source in sources]
     marks: list[Mark] = []
     doubts: dict[str, list[str]] = {}
-    for (source, predictions), found in zip(tasks, run_tasks(_find, tasks, processes, done), strict=True):
+    for (source, predictions), targets in zip(tasks, run_tasks(_find, tasks, processes, done), strict=True):
         name = source.path.name
-        mine, doubtful = identified(predictions, found)
-        marks += [replace(mark, image=name) for mark in mine]
+        named, doubtful = identified(predictions, targets)
+        marks += [replace(mark, image=name) for mark in named]
         for point, doubt in doubtful.items():
             doubts.setdefault(point, []).append(f"{doubt} in {name}")
     # What stands beside a target stands there in all images, though some may not show both.
     sure = tuple(mark for mark in marks if mark.point not in doubts)
     sought = sum(len(predictions) for _, predictions in tasks)
-    ambiguous = tuple(f"point {name}: {own[0]}" for name, own in doubts.items())
+    ambiguous = tuple(f"point {name}: {reasons[0]}" for name, reasons in doubts.items())
     return PlainMarks(sure, ambiguous, sought, _too_small(predicted.values()))
 
 
 def _too_small(predicted: Iterable[Sequence[Sight]]) -> tuple[str, ...]:
     largest: dict[str, Sight] = {}
-    for sight in (one for own in predicted for one in own):
+    for sight in (candidate for in_image in predicted for candidate in in_image):
         known = largest.get(sight.point)
         if known is None or sight.look.semi_axes[1] > known.look.semi_axes[1]:
             largest[sight.point] = sight
@@ -129,18 +129,18 @@ def predicted_sights(
     return {name: tuple(of_image) for name, of_image in sights.items()}
 
 
-def identified(sights: Sequence[Sight], found: Floats) -> tuple[list[Mark], dict[str, str]]:
+def identified(sights: Sequence[Sight], targets: Floats) -> tuple[list[Mark], dict[str, str]]:
     """Give the targets of an image the names of the points that predict them, where that is beyond doubt."""
     marks, doubts = [], {}
     for k, sight in enumerate(sights):
-        mine = found[found[:, 0] == k]
-        if len(mine) > 1:
-            doubts[sight.point] = f"{len(mine)} targets fit it"
-        if len(mine) != 1:
+        fitting = targets[targets[:, 0] == k]
+        if len(fitting) > 1:
+            doubts[sight.point] = f"{len(fitting)} targets fit it"
+        if len(fitting) != 1:
             continue
-        _, x, y, sx, sy = mine[0].tolist()
-        here = np.hypot(*(found[:, 1:3] - (x, y)).T) < sight.look.size / 3
-        rivals = sorted({sights[int(row[0])].point for row in found[here & (found[:, 0] != k)]})
+        _, x, y, sx, sy = fitting[0].tolist()
+        here = np.hypot(*(targets[:, 1:3] - (x, y)).T) < sight.look.size / 3
+        rivals = sorted({sights[int(row[0])].point for row in targets[here & (targets[:, 0] != k)]})
         if rivals:
             doubts[sight.point] = f"its target fits {' and '.join(rivals)}, too,"
             continue
@@ -211,8 +211,8 @@ def targets_of_project(
     _require_points(project, control)
     for coded in given.coded_targets:
         with progress("looking for coded targets", len(sources)) as done:
-            found, unnamed = find_coded_targets(sources, coded.dictionary, coded.names, workers, done)
-        marks += found
+            coded_marks, unnamed = find_coded_targets(sources, coded.dictionary, coded.names, workers, done)
+        marks += coded_marks
         strangers += unnamed
     record: dict[str, Any] = {"coded": len(marks)}
     kinds = ", ".join(dict.fromkeys(target.kind for target in given.plain_targets))

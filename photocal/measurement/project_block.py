@@ -101,8 +101,8 @@ def measure_project(
     camera_of, exposure = pictures_of_heads(project)
     if starts is not None:
         camera_of |= dict(zip(starts.names, starts.camera.tolist(), strict=True))
-    sighted, camera = _with_cameras(sighted, project.cameras, camera_of)
-    given = _starts(project, sighted.facts, camera, starts, exposure)
+    sighted, member = _with_cameras(sighted, project.cameras, camera_of)
+    given = _starts(project, sighted.facts, member, starts, exposure)
     block = Block(
         project.name,
         project.crs,
@@ -111,7 +111,7 @@ def measure_project(
         project.cameras,
         given,
         control,
-        heads=make_heads(project.contents.head, [own.id for own in project.cameras], project.path),
+        heads=make_heads(project.contents.head, [camera.id for camera in project.cameras], project.path),
     )
     targets = targets_of_project(project, sighted.sources, exposures, control, plan.processes, progress)
     block, unknown = with_marks(block, (*by_hand, *targets.marks))
@@ -174,16 +174,16 @@ def _with_cameras(
     """Camera of each image: as the table says, else the one of its size; others are left out."""
     if not cameras:
         raise ConfigurationError("the project has no [[camera]]", "add one: see docs/block-folder.md")
-    camera, reasons = [], []
+    member, reasons = [], []
     for image in sighted.facts:
-        alike = [k for k, one in enumerate(cameras) if one.size_px == image.size_px]
+        alike = [k for k, camera in enumerate(cameras) if camera.size_px == image.size_px]
         k = stated.get(image.name, alike[0] if alike else 0)
-        camera.append(k)
+        member.append(k)
         fits = cameras[k].size_px == image.size_px
         width, height = image.size_px
         reasons.append("" if fits else f"its {width} x {height} px are not those of camera {cameras[k].id}")
     sighted = sighted.without(reasons)
-    return sighted, np.array([k for k, why in zip(camera, reasons, strict=True) if not why], dtype=np.int64)
+    return sighted, np.array([k for k, why in zip(member, reasons, strict=True) if not why], dtype=np.int64)
 
 
 def from_two_exposures(tracks: Tracks, exposure: Sequence[str]) -> Tracks:
@@ -203,9 +203,9 @@ def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]
         return {}, {}
     table = read_table(path, ("image", "camera"), ("exposure",))
     names = table.unique_names("image")
-    camera = known_rows(table, "camera", tuple(own.id for own in project.cameras), project.path.name)
+    member = known_rows(table, "camera", tuple(camera.id for camera in project.cameras), project.path.name)
     exposure = table.texts("exposure") if table.has("exposure") else ("",) * len(names)
-    return dict(zip(names, camera.tolist(), strict=True)), dict(zip(names, exposure, strict=True))
+    return dict(zip(names, member.tolist(), strict=True)), dict(zip(names, exposure, strict=True))
 
 
 def _starts(
@@ -265,13 +265,13 @@ def _footprints(
     row = {name: k for k, name in enumerate(starts.names)}
     rows = [row.get(f.name) for f in facts]
     unknown = np.full(6, np.nan)
-    mine = np.array([unknown if k is None else poses[k] for k in rows])
+    image_poses = np.array([unknown if k is None else poses[k] for k in rows])
     looks = np.array([unknown[:3] if k is None else view[k] for k in rows])
     yaw_pitch = np.column_stack([np.arctan2(looks[:, 0], looks[:, 1]), np.arcsin(looks[:, 2])])
     cameras = [project.cameras[0 if k is None else starts.camera[k]] for k in rows]
     return footprints(
-        mine[:, 3:5],
-        mine[:, 5] - ground,
+        image_poses[:, 3:5],
+        image_poses[:, 5] - ground,
         yaw_pitch,
         np.array([f.size_px for f in facts], dtype=float),
         np.array([camera.value("c") / camera.pitch[0] for camera in cameras]),
@@ -360,13 +360,13 @@ def _released(
     )
     findings = []
     used = np.isin(np.arange(len(kept)), released.start.images.camera)
-    for own, before, in_use in zip(kept, block.cameras, used, strict=True):
-        gone = before.estimated & ~own.estimated
+    for camera, before, in_use in zip(kept, block.cameras, used, strict=True):
+        gone = before.estimated & ~camera.estimated
         if in_use and gone.any():
             names = tuple(n for n, lost in zip(PARAMETERS, gone, strict=True) if lost)
             clause = "would-become" if "value" in refusal else "run-away"
             findings.append(
-                Finding("camera-held", "doubtful", own.id, {"names": names, **refusal}, (clause,))
+                Finding("camera-held", "doubtful", camera.id, {"names": names, **refusal}, (clause,))
             )
     return released, replace(block, cameras=kept), findings
 
@@ -375,10 +375,11 @@ def _not_borne(
     released: Adjusted, given: Mapping[str, Camera], wanted: Sequence[Camera]
 ) -> dict[str, Figure]:
     """What shows that a block does not bear the parameters that were to be estimated; empty when it does."""
-    wanted = [own for own in wanted if own.id in {camera.id for camera in released.start.cameras}]
-    for own, used in zip(wanted, released.assembly.network.cameras, strict=True):
-        if (own.estimated & ~used.estimated).any():
-            return {"camera": own.id}
+    ids = {camera.id for camera in released.start.cameras}
+    wanted = [camera for camera in wanted if camera.id in ids]
+    for camera, used in zip(wanted, released.assembly.network.cameras, strict=True):
+        if (camera.estimated & ~used.estimated).any():
+            return {"camera": camera.id}
     for camera in released.start.cameras:
         first = given[camera.id]
         away, prior = abs(camera.value("c") - first.value("c")), float(first.prior_sigma[0])
@@ -419,9 +420,9 @@ def _outdated(finding: Finding, cameras: Sequence[Camera]) -> bool:
         return True
     if finding.code != "c-refuted-by-rays":
         return False
-    own = next(camera for camera in cameras if camera.id == finding.subject)
+    camera = next(camera for camera in cameras if camera.id == finding.subject)
     change = abs(finding.figures["value"] - finding.figures["given"])
-    return bool(own.estimated[0]) and change <= CREDIBLE_SIGMAS * float(own.prior_sigma[0])
+    return bool(camera.estimated[0]) and change <= CREDIBLE_SIGMAS * float(camera.prior_sigma[0])
 
 
 def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str, Any]]:
@@ -457,7 +458,7 @@ def findings_of_marks(
     """Find what must not pass silently: images, marks and targets that take no part, marks far off."""
     findings = []
     for cause in dict.fromkeys(entry.get("code", "unusable") for entry in left_out):
-        images = tuple(one["image"] for one in left_out if one.get("code", "unusable") == cause)
+        images = tuple(entry["image"] for entry in left_out if entry.get("code", "unusable") == cause)
         findings.append(Finding("image-left-out", "doubtful", figures={"images": images}, cause=cause))
     findings += [Finding("unknown-mark", "doubtful", f"{mark.point} ({mark.image})") for mark in unknown]
     findings += [Finding("unknown-target", "doubtful", name) for name in strangers]
@@ -468,9 +469,9 @@ def _marks_off(suspects: Sequence[dict[str, Any]]) -> list[Finding]:
     """Each mark that is far off; of many the worst, with their number and those that come next."""
     places = [f"{suspect['point']} ({suspect['image']})" for suspect in suspects]
     findings = []
-    for one, name in zip(suspects, places, strict=True):
-        figures = {"point": one["point"], "image": one["image"]}
-        figures |= {"px": one["residual_px"], "sigmas": one["in_sigmas"]}
+    for suspect, name in zip(suspects, places, strict=True):
+        figures = {"point": suspect["point"], "image": suspect["image"]}
+        figures |= {"px": suspect["residual_px"], "sigmas": suspect["in_sigmas"]}
         if len(suspects) > MARKS_NAMED:
             figures |= {"n": float(len(suspects) - 1), "marks": tuple(places[1 : MARKS_NAMED + 1])}
             return [Finding("mark-off", "doubtful", name, figures, ("marks-off",))]

@@ -52,12 +52,12 @@ def edge_mtf(grey: Grey | Floats) -> tuple[Floats, Floats, float]:
     spread = np.bincount(index[used] + reach, values[used], 2 * reach + 1) / np.maximum(count, 1)
     spread = np.interp(np.arange(len(spread)), np.flatnonzero(count), spread[count > 0])
     line_spread = np.gradient(spread)[1:-1] * np.hamming(len(spread) - 2)
-    found = np.abs(np.fft.rfft(line_spread))
+    spectrum = np.abs(np.fft.rfft(line_spread))
     frequency: Floats = np.fft.rfftfreq(len(line_spread), 1.0 / OVERSAMPLING).astype(np.float64)
     # The difference over two bins and the width of a bin are filters of the method, not of the camera.
-    own = np.sinc(2.0 * frequency / OVERSAMPLING) * np.sinc(frequency / OVERSAMPLING)
+    response = np.sinc(2.0 * frequency / OVERSAMPLING) * np.sinc(frequency / OVERSAMPLING)
     low = frequency <= 1.0
-    return np.asarray(frequency[low]), np.asarray(found[low] / found[0] / own[low]), slant
+    return np.asarray(frequency[low]), np.asarray(spectrum[low] / spectrum[0] / response[low]), slant
 
 
 def falls_to(frequency: Floats, transfer: Floats, level: float) -> float:
@@ -85,15 +85,15 @@ def siemens_star(
         """Of rings, and the share of the first one's variance that is the star."""
         x, y = column - middle[0], row - middle[1]
         apart, angle = np.hypot(x, y), np.arctan2(y, x)
-        found, shares = [], []
+        contrasts, shares = [], []
         for r in radii:
             ring = np.abs(apart - r) < 0.7
             turn = spokes * angle[ring]
             design = np.column_stack([np.ones(len(turn)), np.cos(turn), np.sin(turn)])
             mean, a, b = np.linalg.lstsq(design, values[ring], rcond=None)[0]
-            found.append(np.hypot(a, b) / max(abs(mean), 1e-12))
+            contrasts.append(np.hypot(a, b) / max(abs(mean), 1e-12))
             shares.append((a**2 + b**2) / 2.0 / max(float(np.var(values[ring])), 1e-12))
-        return np.array(found), float(shares[0])
+        return np.array(contrasts), float(shares[0])
 
     smallest = max(4.0, spokes / np.pi)
     if radius < 2 * smallest or not all(
@@ -109,11 +109,11 @@ def siemens_star(
         lambda at: -contrast(at, inner)[0].sum(), centre, xtol=0.01, initial_simplex=corners, disp=0
     )
     radii = np.geomspace(0.95 * radius, smallest, 60)
-    found, share = contrast(middle, radii)
+    contrasts, share = contrast(middle, radii)
     # Sectors of two tones have 8 / pi^2 of their variance in the first harmonic.
-    if share < 0.4 or found[:6].mean() < 0.05:
+    if share < 0.4 or contrasts[:6].mean() < 0.05:
         raise InputMalformedError(f"has no star of {spokes} spokes there", remedy="count its bright sectors")
-    return spokes / (2.0 * np.pi * radii), found / found[:6].mean()
+    return spokes / (2.0 * np.pi * radii), contrasts / contrasts[:6].mean()
 
 
 def even_surface(pictures: Iterable[tuple[float, Grey]]) -> dict[str, float]:
@@ -133,12 +133,12 @@ def even_surface(pictures: Iterable[tuple[float, Grey]]) -> dict[str, float]:
         total = total + np.asarray(grey, dtype=np.float64) / means[-1]
     if not means:
         raise InputMalformedError("the even surface is saturated in all pictures", remedy="expose it anew")
-    found = {"corner_brightness": vignetting(np.asarray(total))[0]}
+    figures = {"corner_brightness": vignetting(np.asarray(total))[0]}
     known = np.isfinite(exposures)
     if len(np.unique(np.array(exposures)[known])) > 1:
         error, correlation = linearity(np.array(exposures)[known], np.array(means)[known])
-        found |= {"linearity_error": error, "linearity_r2": correlation}
-    return found
+        figures |= {"linearity_error": error, "linearity_r2": correlation}
+    return figures
 
 
 def vignetting(flat: Floats) -> tuple[float, Floats]:

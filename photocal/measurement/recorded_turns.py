@@ -33,9 +33,9 @@ def recorded_turns(packet: str, offset_ns: float) -> Floats:
     returns (n, 4): times since the first line was read, s, and rates about the axes of the camera, rad/s;
         empty where there is none that can be read.
     """
-    found = _RECORDS.search(packet)
+    match = _RECORDS.search(packet)
     try:
-        octets = base64.b64decode(html.unescape(found.group(1) if found else ""))
+        octets = base64.b64decode(html.unescape(match.group(1) if match else ""))
         records = np.frombuffer(octets, _RECORD)
     except (binascii.Error, ValueError):
         return np.zeros((0, 4))

@@ -77,13 +77,13 @@ def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable
     often = [head for head, count in heads.items() if count >= MISSED * len(exposures)]
     if not (1 < len(often) <= MOST_HEADS) or len(shared) < max(FEWEST_EXPOSURES, MISSED * len(exposures)):
         return
-    head = {path: own for path, (own, _) in keys.items() if own in often}
-    for own in often:
+    head = {path: name for path, (name, _) in keys.items() if name in often}
+    for name in often:
         # A head is one camera.
-        if len({_camera(pictures[path]) for path, other in head.items() if other == own}) > 1:
+        if len({_camera(pictures[path]) for path, other in head.items() if other == name}) > 1:
             return
     if all(_together([pictures[path] for path in paths]) for paths in shared.values()):
-        order = sorted(often, key=lambda own: _rank(own, head, pictures))
+        order = sorted(often, key=lambda name: _rank(name, head, pictures))
         yield Frame(tuple(order), head, {path: keys[path][1] for path in head}, by)
 
 
@@ -98,8 +98,8 @@ def _together(facts: Sequence[ImageFacts]) -> bool:
     return len(captures) < 2 and (not times or max(times) - min(times) < TOGETHER_S)
 
 
-def _rank(own: str, head: Mapping[Path, str], pictures: Mapping[Path, ImageFacts]) -> tuple[int, str]:
+def _rank(name: str, head: Mapping[Path, str], pictures: Mapping[Path, ImageFacts]) -> tuple[int, str]:
     """The head that its maker numbers 0 comes first, then by number and name."""
-    first = next(path for path, other in head.items() if other == own)
+    first = next(path for path, other in head.items() if other == name)
     index = pictures[first].maker_camera.get("RigCameraIndex", "")
-    return (int(index) if index.isdigit() else MOST_HEADS), own
+    return (int(index) if index.isdigit() else MOST_HEADS), name

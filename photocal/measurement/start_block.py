@@ -43,10 +43,10 @@ def explained(
     pictures = [grey for path in others[:OTHERS] if (grey := _read(path)) is not None]
     sharp = [_sharpness(grey) for grey in pictures]
     for entry in entries:
-        own, path = of_image.get(entry["image"]), paths.get(entry["image"])
-        if own is None or path is None:
+        image, path = of_image.get(entry["image"]), paths.get(entry["image"])
+        if image is None or path is None:
             continue
-        also = [f"taken by another camera ({_camera(own)})"] if usual and _camera(own) != usual else []
+        also = [f"taken by another camera ({_camera(image)})"] if usual and _camera(image) != usual else []
         also += _appearance(_read(path), sharp)
         entry["reason"] = "; ".join([entry["reason"], *also])
     return entries

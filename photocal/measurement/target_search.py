@@ -40,7 +40,7 @@ _CROSS, _HOURGLASS = 0.92, 0.85
 def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tuple[Centre, ...]:
     """Find all targets of a look where one is predicted."""
     inverse = np.linalg.inv(covariance + 1e-6 * np.eye(2))
-    found: list[tuple[float, Centre]] = []
+    candidates: list[tuple[float, Centre]] = []
     for start, turn in _worth_a_fit(grey, place, covariance, look):
         centre = _fitted(grey, start, look)
         if centre is not None:
@@ -51,9 +51,9 @@ def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tu
         away = np.array([centre.column - place[0], centre.row - place[1]])
         likeness = _likeness(grey, centre, look, turn)
         if away @ inverse @ away <= WITHIN**2 and likeness >= LIKE[look.kind]:
-            found.append((likeness, centre))
+            candidates.append((likeness, centre))
     kept: list[Centre] = []
-    for _, centre in sorted(found, key=lambda one: -one[0]):
+    for _, centre in sorted(candidates, key=lambda candidate: -candidate[0]):
         if all(
             np.hypot(centre.column - other.column, centre.row - other.row) >= look.size / 3 for other in kept
         ):

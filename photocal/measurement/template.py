@@ -83,9 +83,9 @@ def fit_template(window: Window, template: Template, start: Floats, sizes: Float
         return np.asarray(template(p[:-2], window.x, window.y) * (1 + across @ p[-2:]))
 
     def slopes(p: Floats) -> Floats:
-        own, light = _jacobian(window, template, p[:-2], sizes[:-2]), 1 + across @ p[-2:]
+        partials, light = _jacobian(window, template, p[:-2], sizes[:-2]), 1 + across @ p[-2:]
         even = template(p[:-2], window.x, window.y)
-        return np.column_stack([own * light[:, None], even[:, None] * across * _UNEVEN])
+        return np.column_stack([partials * light[:, None], even[:, None] * across * _UNEVEN])
 
     count = len(start)
     parameters, sizes = np.r_[start.astype(float), 0, 0], np.r_[sizes, _UNEVEN, _UNEVEN]
@@ -135,12 +135,12 @@ def odd_variance(window: Window, fit: Fit, middle: Floats) -> float:
     number[y - low, x - low] = np.arange(len(x))
     across_x, across_y = u - x - low, v - y - low
     inside = (across_x >= 0) & (across_x < side) & (across_y >= 0) & (across_y < side)
-    one = np.flatnonzero(inside)
-    other = number[across_y[one], across_x[one]]
-    one, other = one[other >= 0], other[other >= 0]
-    squares = float(np.sum((fit.residual[one] - fit.residual[other]) ** 2)) / 4
-    taken = np.einsum("ik,ik->i", fit.basis[one], fit.basis[one] - fit.basis[other])
-    free = float(np.sum((one != other) - taken)) / 2
+    pixel = np.flatnonzero(inside)
+    opposite = number[across_y[pixel], across_x[pixel]]
+    pixel, opposite = pixel[opposite >= 0], opposite[opposite >= 0]
+    squares = float(np.sum((fit.residual[pixel] - fit.residual[opposite]) ** 2)) / 4
+    taken = np.einsum("ik,ik->i", fit.basis[pixel], fit.basis[pixel] - fit.basis[opposite])
+    free = float(np.sum((pixel != opposite) - taken)) / 2
     # Grey values are whole numbers: rounding alone leaves 1/12.
     return max(squares / free, 1 / 12) if free >= _FEWEST_FREE else np.inf
 

@@ -102,22 +102,22 @@ def at_instants(track: AttitudeTrack, time: GpsTime, sigma: Floats | None) -> At
     before = after - 1
     gap = (stamps[after] - stamps[before]) / 1e9
     near = (time.ns >= stamps[0]) & (time.ns <= stamps[-1]) & (gap <= LARGEST_GAP_S)
-    found = no_attitudes(n)
+    attitudes = no_attitudes(n)
     if not near.any():
-        return found
+        return attitudes
     before, after, gap = before[near], after[near], gap[near]
     u = (time.ns[near] - stamps[before]) / (stamps[after] - stamps[before])
     start = track.rotation[before]
     turn = _turn(start, track.rotation[after])
-    found.rotation[near] = _turned(start, turn * u[:, None])
-    found.rate[near] = turn / gap[:, None]
+    attitudes.rotation[near] = _turned(start, turn * u[:, None])
+    attitudes.rate[near] = turn / gap[:, None]
     q = _wander(track, time[near])
-    own = q**2 * (4 * u * (1 - u) * gap)[:, None]
+    variance = q**2 * (4 * u * (1 - u) * gap)[:, None]
     if sigma is not None:
-        part = Attitudes(found.rotation[near], found.rate[near], np.zeros((int(near.sum()), 3, 3)))
+        part = Attitudes(attitudes.rotation[near], attitudes.rate[near], np.zeros((int(near.sum()), 3, 3)))
         stated = from_angles(part.angles, sigma).covariance
-        found.covariance[near] = stated + own[:, :, None] * np.eye(3)
-    return found
+        attitudes.covariance[near] = stated + variance[:, :, None] * np.eye(3)
+    return attitudes
 
 
 def left_out_turns(track: AttitudeTrack) -> tuple[GpsTime, Floats, Floats]:

@@ -119,8 +119,8 @@ def common_text(figures: dict[str, Any]) -> list[str]:
     shift = " ".join(f"{v:.3f}" for v in figures["shift_sigma_m"])
     base = "" if figures["base_sigma_m"] else "; the base's own sigma was not stated"
     lasts = figures["correlation_time_s"]
-    told = "" if lasts is None else f", errors last {lasts:.0f} s"
-    lines = [f"common to all positions: sigma {shift} m (E N U){told}{base}"]
+    lasting = "" if lasts is None else f", errors last {lasts:.0f} s"
+    lines = [f"common to all positions: sigma {shift} m (E N U){lasting}{base}"]
     if figures["shift_by_zenith_delay"] is not None:
         moved = 1e3 * figures["correction_per_metre"][2]
         spread = 1e3 * figures["zenith_scale_sigma"]

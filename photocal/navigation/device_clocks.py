@@ -100,18 +100,18 @@ def fit_clock(
         )
     edges = [0, *(np.flatnonzero(np.diff(device_ns) < 0) + 1).tolist(), len(device_ns)]
     pieces = [(a, b) for a, b in itertools.pairwise(edges) if b - a >= _LEAST_READINGS]
-    found: list[tuple[int, int]] = []
+    segments: list[tuple[int, int]] = []
     while pieces:
         start, stop = pieces.pop(0)
         cut = _jump(device_ns[start:stop], reference_ns[start:stop], least_jump_s)
         if cut is None:
-            found.append((start, stop))
+            segments.append((start, stop))
         else:
             halves = [(start, start + cut), (start + cut, stop)]
             pieces = [h for h in halves if h[1] - h[0] >= _LEAST_READINGS] + pieces
-    if not found:
+    if not segments:
         raise IllPosedError("the clock restarts too often to be followed", "check the recording")
-    return ClockModel(tuple(_fit(device_ns[a:b], reference_ns[a:b], resolution_s) for a, b in found))
+    return ClockModel(tuple(_fit(device_ns[a:b], reference_ns[a:b], resolution_s) for a, b in segments))
 
 
 def _seconds(ns: Integers) -> Floats:
@@ -299,19 +299,19 @@ def device_by_arrival(name: str, device_ns: Integers, host_ns: Integers) -> Comp
 
 def clock_sentences(clocks: list[ComparedClocks]) -> list[str]:
     """Return what a person should know of the clocks: restarts, jumps, wrong speeds."""
-    found = []
+    sentences = []
     for clock in clocks:
         if len(clock.cycles) > 1:
-            found.append(f"{clock.name}: started anew {len(clock.cycles) - 1} times")
+            sentences.append(f"{clock.name}: started anew {len(clock.cycles) - 1} times")
         jumps = [jump for model in clock.cycles for jump in model.jumps_s]
         if jumps:
-            told = ", ".join(f"{jump:+.3f} s" for jump in jumps[:5])
-            found.append(f"{clock.name}: {len(jumps)} jumps, {told}{', ...' if len(jumps) > 5 else ''}")
+            listed = ", ".join(f"{jump:+.3f} s" for jump in jumps[:5])
+            sentences.append(f"{clock.name}: {len(jumps)} jumps, {listed}{', ...' if len(jumps) > 5 else ''}")
         if clock.played_back:
             stretches = [stretch for model in clock.cycles for stretch in model.segments]
             speed = max(stretches, key=lambda stretch: stretch.readings).rate
-            found.append(
+            sentences.append(
                 f"{clock.name}: not real time, mostly {speed:.2f} times the speed: "
                 "times of arrival are not used"
             )
-    return found
+    return sentences

@@ -164,5 +164,5 @@ def _run(program: str, arguments: list[str]) -> None:
         )
     done = subprocess.run([path, *arguments], capture_output=True, check=False)  # noqa: S603
     if done.returncode != 0:
-        said = done.stderr.decode("latin-1").replace("\r", "\n").strip().splitlines()
-        raise IllPosedError(f"{program} failed: {said[-1] if said else done.returncode}")
+        lines = done.stderr.decode("latin-1").replace("\r", "\n").strip().splitlines()
+        raise IllPosedError(f"{program} failed: {lines[-1] if lines else done.returncode}")

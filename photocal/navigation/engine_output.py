@@ -166,8 +166,8 @@ def read_satellite_residuals(path: Path) -> SatelliteResiduals:
     # A file that the engine did not write tells of none.
     if path.exists():
         with path.open(encoding="latin-1") as stream:
-            told = (line.split(",") for line in stream if line.startswith("$SAT"))
-            rows = [fields[1:9] for fields in told if len(fields) >= _FIELDS and fields[9] == "1"]
+            records = (line.split(",") for line in stream if line.startswith("$SAT"))
+            rows = [fields[1:9] for fields in records if len(fields) >= _FIELDS and fields[9] == "1"]
     week, tow, satellite, frequency, azimuth, elevation, _, residual = (
         zip(*rows, strict=True) if rows else [()] * 8
     )
@@ -239,14 +239,14 @@ def _centred(satellites: SatelliteResiduals, at: Integers, epochs: int) -> Float
     names, column = np.unique(signal, return_inverse=True)
     table = np.full((epochs, len(names)), np.nan)
     table[at, column] = satellites.residual_m
-    group = np.array([name[0] + name[-1] for name in names.tolist()])
-    for own in np.unique(group):
-        part = table[:, group == own]
+    groups = np.array([name[0] + name[-1] for name in names.tolist()])
+    for group in np.unique(groups):
+        part = table[:, groups == group]
         known = np.isfinite(part)
         count = known.sum(axis=1, keepdims=True)
         mean = np.where(known, part, 0.0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
         # Alone, or with one other, a satellite says nothing.
-        table[:, group == own] = np.where(count > 2, part - mean, np.nan)
+        table[:, groups == group] = np.where(count > 2, part - mean, np.nan)
     return table
 
 

@@ -88,10 +88,10 @@ def time_marks(fields: NDArray[Any], edge: str, link: str, stream_ns: Integers |
     raises InputMalformedError: when the marks are in the receiver's own time, which nothing ties to GPS time.
     """
     new = ubx.time_marks(fields, rising=edge == RISING)
-    own = new.valid & (new.base == ubx.BASE_RECEIVER)
-    if own.any():
+    receiver_time = new.valid & (new.base == ubx.BASE_RECEIVER)
+    if receiver_time.any():
         raise InputMalformedError(
-            f"{int(own.sum())} time marks are in the receiver's own time base",
+            f"{int(receiver_time.sum())} time marks are in the receiver's own time base",
             "set the time base of CFG-TIMEx or TIM-TM2 to GNSS or UTC",
             where=f"link {link}",
         )
@@ -134,33 +134,33 @@ def logged_exposures(log: FlightLog) -> list[Events]:
     Exposures without a device time are left out and counted: the time of receipt is not that of the
     exposure. An exposure that came twice (over two links) counts once.
     """
-    found: dict[str, dict[tuple[int, int], tuple[float, ...]]] = {}
+    exposures: dict[str, dict[tuple[int, int], tuple[float, ...]]] = {}
     untimed: dict[str, int] = {}
     for messages in log.topic(EXPOSURES):
         rows = zip(messages.payloads, messages.log_ns.tolist(), messages.publish_ns.tolist(), strict=True)
         for payload, log_ns, publish_ns in rows:
             try:
-                _note(json.loads(payload), log_ns == publish_ns, found, untimed)
+                _note(json.loads(payload), log_ns == publish_ns, exposures, untimed)
             except (LookupError, TypeError, ValueError, OverflowError, RecursionError) as damage:
                 raise InputMalformedError(
                     f"holds an exposure that cannot be read ({type(damage).__name__})",
                     "run acquire recover",
                     where=log,
                 ) from damage
-    return [_logged(source, rows, untimed.get(source, 0)) for source, rows in found.items()]
+    return [_logged(source, rows, untimed.get(source, 0)) for source, rows in exposures.items()]
 
 
 def _note(
     row: dict[str, Any],
     arrived_as_told: bool,
-    found: dict[str, dict[tuple[int, int], tuple[float, ...]]],
+    exposures: dict[str, dict[tuple[int, int], tuple[float, ...]]],
     untimed: dict[str, int],
 ) -> None:
     """Take one exposure of the log."""
     source = str(row["source"])
     if source == "TIM-TM2":
         return
-    rows = found.setdefault(source, {})
+    rows = exposures.setdefault(source, {})
     time = row.get("time")
     # MAVLink without a time of the device repeats the time of arrival.
     if time is None or (arrived_as_told and source in _MAVLINK):
@@ -174,32 +174,33 @@ def _note(
 def _logged(source: str, rows: dict[tuple[int, int], tuple[float, ...]], untimed: int) -> Events:
     keys = sorted(rows)
     stamp = np.array(keys, np.int64).reshape(-1, 2)
-    told = np.array([rows[key] for key in keys]).reshape(-1, 1 + len(_CLAIMED))
+    values = np.array([rows[key] for key in keys]).reshape(-1, 1 + len(_CLAIMED))
     remarks = counter_jumps(stamp[:, 1], source)
     if untimed:
         remarks.append(f"{source}: {untimed} exposures without a device time left out")
     time = UtcTime(stamp[:, 0]).to_gps()
-    accuracy = np.nan_to_num(told[:, 0], nan=0.0) * 1e-9
-    return Events(source, time, stamp[:, 1], accuracy, remarks, told[:, 1:])
+    accuracy = np.nan_to_num(values[:, 0], nan=0.0) * 1e-9
+    return Events(source, time, stamp[:, 1], accuracy, remarks, values[:, 1:])
 
 
 def boot_exposures(log: FlightLog, link: str | None, clock: AutopilotClock) -> dict[str, Events]:
     """Return the exposures whose only device time is that since boot, by the message that told them."""
     dialect = ardupilotmega()
-    found: dict[str, list[tuple[Integers, Integers, Integers]]] = {}
+    by_message: dict[str, list[list[Integers]]] = {}
     for _, messages in log.raw(Wire.MAVLINK, link=link):
         batch = batch_of_payloads(Wire.MAVLINK, messages.payloads, dialect)
         for name, (member, unit_ns, count) in _KINDS.items():
             got = decode(batch, dialect.number(name), dialect)
             boot = got.fields[member].astype(np.int64) * unit_ns
-            own = boot < _EARLIEST_UTC_NS
+            boot_only = boot < _EARLIEST_UTC_NS
             if name == "CAMERA_IMAGE_CAPTURED":
-                own &= got.fields["time_utc"] == 0
-            if own.any():
-                number = got.fields[count].astype(np.int64)
-                found.setdefault(name, []).append((boot[own], messages.log_ns[got.index][own], number[own]))
+                boot_only &= got.fields["time_utc"] == 0
+            if boot_only.any():
+                columns = (boot, messages.log_ns[got.index], got.fields[count].astype(np.int64))
+                by_message.setdefault(name, []).append([column[boot_only] for column in columns])
     joined = {
-        name: [np.concatenate(column) for column in zip(*parts, strict=True)] for name, parts in found.items()
+        name: [np.concatenate(column) for column in zip(*parts, strict=True)]
+        for name, parts in by_message.items()
     }
     return {name: _placed(name, boot, host, number, clock) for name, (boot, host, number) in joined.items()}
 
@@ -244,14 +245,14 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        found = parse_event(line)
-        if found is None:
+        values = parse_event(line)
+        if values is None:
             raise InputMalformedError(
                 "is no event (number, time, week, offsets N E V, Lat, Lon, Ellh, sigmas, Q)",
                 "give the file as the vehicle wrote it",
                 where=f"{path}, line {number}",
             )
-        rows.append(found)
+        rows.append(values)
     if not rows:
         raise InputMalformedError("has no events", "check the flight's folder", where=path)
     t = np.array(rows)
@@ -259,5 +260,5 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
     time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])
     events = Events(name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
     status = [_STATUS.get(int(q), "single") for q in t[:, 12]]
-    placed = Placed.told(t[:, 6:9], t[:, [10, 9, 11]], status)
+    placed = Placed.stated(t[:, 6:9], t[:, [10, 9, 11]], status)
     return CameraEventList(events, np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3, placed)

@@ -77,12 +77,12 @@ def _height_kind(e: Evidence) -> Finding:
     code = "height-kind"
     if e.trajectory is None:
         return untested(code, "no-trajectory")
-    told = [*(e.rover.geoid_m if e.rover is not None else [])]
-    if not told and e.vehicle is not None and e.vehicle.geoid_m is not None:
-        told = [e.vehicle.geoid_m]
-    if not told:
+    undulations = [*(e.rover.geoid_m if e.rover is not None else [])]
+    if not undulations and e.vehicle is not None and e.vehicle.geoid_m is not None:
+        undulations = [e.vehicle.geoid_m]
+    if not undulations:
         return untested(code, "no-geoid-told")
-    geoid = float(np.median(told))
+    geoid = float(np.median(undulations))
     apart = _above_sea(e)
     base = None if e.ppk is None else e.ppk["base"].get("up_off_code_solution_m")
     figures = {"geoid_m": geoid, "less_sea_level_m": apart, "base_up_off_code_m": base}
@@ -128,20 +128,20 @@ def _autopilot_clock(e: Evidence) -> Finding:
     unknown = np.full((int(rows.sum()), 3, 3), np.nan)
     pairs = PositionPairs(here, theirs, ours.velocity_m_s[rows] * [1, 1, 0], unknown, None, "shift")
     try:
-        found = compare_positions(pairs)
+        comparison = compare_positions(pairs)
     except IllPosedError as refusal:
         return untested(code, "ill-posed", {"reason": str(refusal)})
-    best = found.best
+    best = comparison.best
     # A position that is ahead of ours was measured later than its stamp says.
     late = 0.0 if best is None else float(best.value[0])
     figures = {
         "late_s": late,
         "late_ms": abs(late) * 1e3,
-        "detectable_s": found.detectable_s,
-        "detectable_ms": found.detectable_s * 1e3,
-        "rms_m": found.rms_m.tolist(),
+        "detectable_s": comparison.detectable_s,
+        "detectable_ms": comparison.detectable_s * 1e3,
+        "rms_m": comparison.rms_m.tolist(),
     }
-    if abs(late) <= max(_LATE_ATTITUDE_S, found.detectable_s):
+    if abs(late) <= max(_LATE_ATTITUDE_S, comparison.detectable_s):
         return Finding(code, "passed", figures=figures)
     return Finding(code, "grave", figures=figures, clauses=("slow" if late > 0 else "fast",))
 
@@ -150,18 +150,19 @@ def _other_positions(e: Evidence) -> list[Finding]:
     """Hold the exposures against every other position that was told for them."""
     if e.trajectory is None:
         return []
-    found, at_antenna = [], replace(e.rig, lever_m=None)
+    findings, at_antenna = [], replace(e.rig, lever_m=None)
     if e.listed is not None:
-        found.append(judge_positions("vehicle-event-list", e.antenna, e.listed.placed.place, e.rig, "shift"))
+        places = e.listed.placed.place
+        findings.append(judge_positions("vehicle-event-list", e.antenna, places, e.rig, "shift"))
     if e.events.claimed is not None:
         claimed = e.events.claimed[:, :3]
-        found.append(judge_positions("event-source", e.antenna, claimed, at_antenna, "shift"))
+        findings.append(judge_positions("event-source", e.antenna, claimed, at_antenna, "shift"))
     by_name = {image.name: image.facts for image in e.images}
     facts = [by_name.get(name.split(" ")[0]) for name in e.antenna.image]
     if any(f is not None and f.has_position for f in facts):
         stated = stated_places(facts)
-        found.append(judge_positions("image-positions", e.antenna, stated, at_antenna, "shift"))
-    return found
+        findings.append(judge_positions("image-positions", e.antenna, stated, at_antenna, "shift"))
+    return findings
 
 
 def _out_of_sight(e: Evidence) -> list[Finding]:

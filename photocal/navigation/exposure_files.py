@@ -52,11 +52,11 @@ def _places(run: ExposureRun, minutes: Floats, track: Any, height: Any) -> None:
     east, north, _ = p.offsets(origin).T
     sigma = np.sqrt(np.maximum(p.covariance_m2[:, 2, 2], 0.0))
     for status, colour in COLOURS.items():
-        own = rows & (p.status == status)
-        if own.any():
-            track.plot(east[own], north[own], ".", ms=4, color=colour, label=f"{status} {int(own.sum())}")
-            bars = np.nan_to_num(sigma[own])
-            height.errorbar(minutes[own], p.height_m[own], bars, fmt=".", ms=4, lw=0.8, color=colour)
+        mask = rows & (p.status == status)
+        if mask.any():
+            track.plot(east[mask], north[mask], ".", ms=4, color=colour, label=f"{status} {int(mask.sum())}")
+            bars = np.nan_to_num(sigma[mask])
+            height.errorbar(minutes[mask], p.height_m[mask], bars, fmt=".", ms=4, lw=0.8, color=colour)
     track.legend()
     track.set(xlabel="east / m", ylabel="north / m", title="Exposures", aspect="equal")
     kind = "ellipsoidal" if run.exposures.height_kind.startswith("ell") else "kind: see summary"
@@ -209,8 +209,8 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
             where=crs,
         ) from refusal
     convergence = np.arctan2(east_n - east, north_n - north)
-    s, c, zero, one = np.sin(convergence), np.cos(convergence), np.zeros_like(lat), np.ones_like(lat)
-    turn = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]])
+    s, c, zeros, ones = np.sin(convergence), np.cos(convergence), np.zeros_like(lat), np.ones_like(lat)
+    turn = np.array([[c, s, zeros], [-s, c, zeros], [zeros, zeros, ones]])
     return np.stack([east, north, up], axis=1), np.moveaxis(turn, -1, 0)
 
 
@@ -248,7 +248,7 @@ def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str,
     # Without points there are no footprints: the camera gives its name only.
     given = Reconstruction(
         (nominal(camera, "brown-ideal", "px", (2, 2), (1.0, 1.0), {"c": 1.0}),),
-        tuple(name for own in names for name in own),
+        tuple(name for of_row in names for name in of_row),
         np.zeros(len(every), np.int64),
         np.hstack([angles, xyz])[every],
         (),

@@ -30,7 +30,7 @@ def exposure_figures(
     placed = exposures.placed
     status = placed.status[placed.placed]
     failed = [check for check in checks if not check.small]
-    found = (*failed, *_unmatched(cameras, events), *_missing(exposures))
+    findings = (*failed, *_unmatched(cameras, events), *_missing(exposures))
     return {
         "schema": "photocal.exposures/1",
         "events": len(events),
@@ -53,7 +53,7 @@ def exposure_figures(
             finding_json(check, catalogue("en")) | {"verdict": _VERDICTS.get(check.severity, "failed")}
             for check in checks
         ],
-        "findings": [finding_json(one, catalogue("en")) for one in found],
+        "findings": [finding_json(finding, catalogue("en")) for finding in findings],
         "common": None if ppk is None else ppk.get("common"),
         "ppk": ppk,
     }  # fmt: skip
@@ -84,13 +84,13 @@ def _medians(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float] | Non
     return [float(v) for v in np.median(known, axis=0)] if len(known) else None
 
 
-def _camera(found: CameraMatch, events: Events) -> dict[str, Any]:
-    m = found.matching
+def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
+    m = camera.matching
     return {
-        "camera": found.camera,
+        "camera": camera.camera,
         "matched": len(m.image),
-        "unmatched_images": [found.names[i] for i in m.unmatched_images.tolist()],
-        "ambiguous_images": [found.names[i] for i in m.ambiguous_images.tolist()],
+        "unmatched_images": [camera.names[i] for i in m.unmatched_images.tolist()],
+        "ambiguous_images": [camera.names[i] for i in m.ambiguous_images.tolist()],
         "unmatched_events": [int(events.number[i]) for i in m.unmatched_events.tolist()],
         "clock_offset_s": m.offset_s,
         "clock_offset_sigma_s": m.offset_sigma_s,
@@ -143,8 +143,8 @@ def exposures_text(figures: dict[str, Any]) -> str:
     if sigma["position_enu_m"]:
         lines.append("sigma (median) E N U " + " ".join(f"{v:.3f}" for v in sigma["position_enu_m"]) + " m")
     if sigma["roll_pitch_yaw_deg"]:
-        told = " ".join(f"{v:.2f}" for v in sigma["roll_pitch_yaw_deg"])
-        lines.append(f"sigma (median) roll pitch yaw {told} deg")
+        angles = " ".join(f"{v:.2f}" for v in sigma["roll_pitch_yaw_deg"])
+        lines.append(f"sigma (median) roll pitch yaw {angles} deg")
     if figures["common"] is not None:
         lines += common_text(figures["common"])
     lines += figures["remarks"]

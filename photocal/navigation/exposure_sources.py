@@ -37,23 +37,24 @@ def events_of(
     sources: Sources, edge: str, receivers: dict[str, ReceiverRecording], vehicle: VehicleTrack | None
 ) -> tuple[Events | None, list[Events]]:
     """Return the best events of the logs, and all others."""
-    found = []
+    best_first = []
     rover = receivers.get(sources.rover_link)
     if rover is not None:
         marks = time_marks(rover.marks(), edge, rover.link, stream_ns=rover.epochs_before_marks())
         if len(marks):
-            found.append(marks)
+            best_first.append(marks)
     logged = {events.source: events for events in logged_exposures(sources.log) if len(events)}
     clock_sigma_s = 0.0 if vehicle is None else vehicle.clock_sigma_s
     logged = {
-        name: replace(own, accuracy_s=np.hypot(own.accuracy_s, clock_sigma_s)) for name, own in logged.items()
+        name: replace(events, accuracy_s=np.hypot(events.accuracy_s, clock_sigma_s))
+        for name, events in logged.items()
     }
     if vehicle is not None and vehicle.clocks.clock is not None and not logged:
         logged = boot_exposures(sources.log, sources.vehicle_link, vehicle.clocks.clock)
     order = (*_LOGGED, *(name for name in logged if name not in _LOGGED))
     # The whole of an imported event list is read elsewhere.
-    found += [logged[source] for source in order if source in logged and source != _LISTED]
-    return (found[0], found[1:]) if found else (None, [])
+    best_first += [logged[source] for source in order if source in logged and source != _LISTED]
+    return (best_first[0], best_first[1:]) if best_first else (None, [])
 
 
 def placed_by(
@@ -83,9 +84,9 @@ def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: Rig) 
     """Return the autopilot's attitudes at instants, with what its own clock adds to their uncertainty."""
     if vehicle is None or vehicle.attitude is None:
         return no_attitudes(len(time))
-    found = at_instants(vehicle.attitude, time, rig.angle_sigma)
-    turn = found.rate[:, :, None] * found.rate[:, None, :] * vehicle.clock_sigma_s**2
-    return replace(found, covariance=found.covariance + turn)
+    attitudes = at_instants(vehicle.attitude, time, rig.angle_sigma)
+    turn = attitudes.rate[:, :, None] * attitudes.rate[:, None, :] * vehicle.clock_sigma_s**2
+    return replace(attitudes, covariance=attitudes.covariance + turn)
 
 
 def attitudes_of_images(
@@ -118,4 +119,4 @@ def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
     time = UtcTime(np.array([round(t * 1e9) for t in time_s[order].tolist()], np.int64)).to_gps()
     remark = "times are the camera's own clock, taken for UTC: zone and offset are not known"
     events = Events("the images themselves", time, np.arange(n), np.zeros(n), [remark])
-    return events, Placed.told(place, sigma, ["single"] * n)
+    return events, Placed.stated(place, sigma, ["single"] * n)

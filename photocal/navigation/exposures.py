@@ -55,9 +55,9 @@ class Exposures:
     def angle_sigma(self) -> Floats:
         """Standard deviations of roll, pitch, yaw, rad (n, 3); NaN where unknown."""
         (sr, sp, _), (cr, cp, _) = np.sin(self.angles).T, np.cos(self.angles).T
-        one, zero = np.ones_like(sp), np.zeros_like(sp)
+        ones, zeros = np.ones_like(sp), np.zeros_like(sp)
         # The inverse of the turn per angle of the aerospace sequence (Diebel 2006, eq. 292).
-        rows = [[one, sr * sp / cp, cr * sp / cp], [zero, cr, -sr], [zero, sr / cp, cr / cp]]
+        rows = [[ones, sr * sp / cp, cr * sp / cp], [zeros, cr, -sr], [zeros, sr / cp, cr / cp]]
         inverse = np.moveaxis(np.array(rows), (0, 1), (1, 2))
         covariance = inverse @ self.attitude.covariance @ np.swapaxes(inverse, 1, 2)
         return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)))
@@ -97,7 +97,7 @@ def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
     if rig.lever_m is None:
         return exposures
     there = exposures.placed.placed
-    own = exposures.carrier is None
+    correlated = exposures.carrier is None
     body = exposures.carrier if exposures.carrier is not None else exposures.attitude
     lacking = there & ~body.known
     if lacking.any():
@@ -114,7 +114,7 @@ def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
     covariance = p.covariance_m2 + back @ np.diag(rig.lever_sigma_m**2) @ np.swapaxes(back, 1, 2)
     covariance = covariance + jacobian @ body.covariance @ transposed
     cross = exposures.cross
-    if own:
+    if correlated:
         both = cross @ transposed
         covariance = covariance + both + np.swapaxes(both, 1, 2)
         cross = cross + jacobian @ body.covariance
@@ -156,10 +156,10 @@ def orientations(exposures: Exposures, rig: Rig) -> Orientations:
     """
     to_camera = np.asarray(Rotation.from_rotvec(rig.boresight).as_matrix() @ rig.axes)
     jacobian = left_jacobian(rig.boresight)
-    own = jacobian @ np.diag(rig.boresight_sigma**2) @ jacobian.T
+    of_boresight = jacobian @ np.diag(rig.boresight_sigma**2) @ jacobian.T
     covariance = np.empty((len(exposures), 6, 6))
     covariance[:, :3, :3] = exposures.placed.covariance_m2
-    covariance[:, 3:, 3:] = to_camera @ exposures.attitude.covariance @ to_camera.T + own
+    covariance[:, 3:, 3:] = to_camera @ exposures.attitude.covariance @ to_camera.T + of_boresight
     covariance[:, :3, 3:] = -exposures.cross @ to_camera.T
     covariance[:, 3:, :3] = np.swapaxes(covariance[:, :3, 3:], 1, 2)
     return Orientations(to_camera @ exposures.attitude.rotation, covariance)
@@ -179,15 +179,15 @@ def match_images(
 ) -> tuple[list[str], list[CameraMatch]]:
     """Match images to events, camera by camera."""
     names = [""] * len(events)
-    found = []
+    matches = []
     event_s = (events.time.ns - events.time.ns[0]) / 1e9
     origin_s = float(events.time.to_utc().ns[0]) / 1e9
     for camera in dict.fromkeys(image.camera for image in images):
-        own = [image for image in images if image.camera == camera]
-        image_s = np.array([clock_time_s(image) - origin_s for image in own])
-        resolution = max(image.resolution_s for image in own)
+        of_camera = [image for image in images if image.camera == camera]
+        image_s = np.array([clock_time_s(image) - origin_s for image in of_camera])
+        resolution = max(image.resolution_s for image in of_camera)
         matching = match(image_s, event_s, resolution_s=resolution, largest_offset_s=largest_offset_s)
         for i, e in zip(matching.image.tolist(), matching.event.tolist(), strict=True):
-            names[e] = f"{names[e]} {own[i].name}".strip()
-        found.append(CameraMatch(camera, [image.name for image in own], matching))
-    return names, found
+            names[e] = f"{names[e]} {of_camera[i].name}".strip()
+        matches.append(CameraMatch(camera, [image.name for image in of_camera], matching))
+    return names, matches

@@ -102,9 +102,9 @@ def _carried_on(fixed: Flags, disagree: Flags, steps_m: Floats) -> Flags:
         run, number = label(unconfirmed[:, direction])
         for k in range(1, number + 1):
             refuted = (run == k) & disagree
-            own, other = rough[refuted].sum(axis=0)[[direction, 1 - direction]]
+            this, other = rough[refuted].sum(axis=0)[[direction, 1 - direction]]
             # The direction that keeps to the Doppler velocity where the other leaps is the right one.
-            if refuted.any() and not own < other / 4:
+            if refuted.any() and not this < other / 4:
                 doubtful |= run == k
     return doubtful & ~both
 
@@ -224,5 +224,5 @@ def _local_rms(time: GpsTime, separation: Floats, floating: Flags, window_ns: fl
     number = (count[high] - count[low])[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         rms = np.sqrt((sums[high] - sums[low]) / number)
-    own = np.where(known[:, None], np.abs(separation), 0.0)
-    return np.asarray(np.where(number > 0, np.maximum(rms, own), np.nan))
+    at_epoch = np.where(known[:, None], np.abs(separation), 0.0)
+    return np.asarray(np.where(number > 0, np.maximum(rms, at_epoch), np.nan))

@@ -80,11 +80,11 @@ def stored_turns(pairs: list[PairRotation]) -> dict[int, int]:
             turns[pair.first], group[pair.first] = 0, number
         turns[pair.second] = (turns[pair.first] + pair.quarter_turns) % 4
         group[pair.second] = group[pair.first]
-    for own in set(group.values()):
-        members = [row for row in turns if group[row] == own]
+    for number in set(group.values()):
+        members = [row for row in turns if group[row] == number]
         votes = np.zeros(4)
         for pair in pairs:
-            if group[pair.first] == own and np.isfinite(pair.along):
+            if group[pair.first] == number and np.isfinite(pair.along):
                 # Pictures stored upside down see their follower behind them.
                 votes[(turns[pair.first] + (0 if pair.along > 0 else 2)) % 4] += abs(pair.along)
         if not votes.any():
@@ -144,7 +144,7 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
     recorded = orientations(exposures, rig).rotation
     place = places_of(exposures)
     rows = _common(exposures, oriented)
-    found = []
+    pairs = []
     for a, b in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
         measured = oriented.rotation[b] @ oriented.rotation[a].T
         turns, angle = least_turn(measured, recorded[b] @ recorded[a].T)
@@ -153,8 +153,8 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
             for rotation, where in ((oriented.rotation, oriented.station), (recorded, place))
         )
         along = float(next(ways) @ next(ways))
-        found.append(PairRotation(a, b, 0, turns, angle, along))
-    return found
+        pairs.append(PairRotation(a, b, 0, turns, angle, along))
+    return pairs
 
 
 def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) -> Finding:
@@ -177,8 +177,8 @@ def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) ->
     spread = 1.4826 * np.median(np.abs(turn - value), axis=0)
     # The median of n normal values has pi / 2 times the variance of their mean; neighbours err alike.
     sigma = spread * np.sqrt(np.pi / 2 / len(rows) * _inflation(turn - value))
-    told = np.radians(ROUGH_DEG) if rig.angle_sigma is None else float(np.max(rig.angle_sigma))
-    limit = _SIGMAS * np.sqrt(sigma**2 + rig.boresight_sigma**2 + told**2)
+    stated = np.radians(ROUGH_DEG) if rig.angle_sigma is None else float(np.max(rig.angle_sigma))
+    limit = _SIGMAS * np.sqrt(sigma**2 + rig.boresight_sigma**2 + stated**2)
     figures: dict[str, Any] = {
         "images": len(rows),
         "turn_deg": np.degrees(value).tolist(),
@@ -214,12 +214,12 @@ class TieMatching:
 
 def check_oriented(oriented: OrientedImages, exposures: Exposures, rig: Rig, source: str) -> list[Finding]:
     """Hold exposures against images that an adjustment oriented."""
-    found = [judge_positions("adjusted-images", exposures, oriented.station, rig, "similarity")]
+    findings = [judge_positions("adjusted-images", exposures, oriented.station, rig, "similarity")]
     pairs = compare_with_oriented(exposures, oriented, rig)
     if pairs:
-        found.append(rotation_check(exposures, pairs, source))
-        found.append(boresight_check(exposures, oriented, rig))
-    return found
+        findings.append(rotation_check(exposures, pairs, source))
+        findings.append(boresight_check(exposures, oriented, rig))
+    return findings
 
 
 def check_images(
@@ -249,9 +249,8 @@ def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
     angles = np.radians(table.matrix(("omega", "phi", "kappa"), empty=np.nan))
     values = np.hstack([angles, table.matrix("XYZ")])
     names = table.unique_names("image")
-    found = OrientedImages(names, (), np.full(len(names), -1), values)
-    return _in_order(found, images)
+    return _in_order(OrientedImages(names, (), np.full(len(names), -1), values), images)
 
 
-def _in_order(found: OrientedImages, images: list[str]) -> OrientedImages:
-    return found.named([name.split(" ")[0] for name in images])
+def _in_order(oriented: OrientedImages, images: list[str]) -> OrientedImages:
+    return oriented.named([name.split(" ")[0] for name in images])

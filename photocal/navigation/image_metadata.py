@@ -110,7 +110,7 @@ def _table(path: Path) -> list[ImageMetadata]:
         raise InputMalformedError("lacks the column image or taken", "give image,taken[,camera]", where=path)
     if not rows:
         raise InputNotFoundError("has no images", "give one row for each image", where=path)
-    found = []
+    images = []
     for number, row in enumerate(rows, 2):
         time = _parsed((row["taken"] or "").strip())
         if not row["image"] or time is None or not math.isfinite(time[0]):
@@ -120,5 +120,5 @@ def _table(path: Path) -> list[ImageMetadata]:
                 where=f"{path}, line {number}",
             )
         camera = (row.get("camera") or "").strip() or "camera"
-        found.append(ImageMetadata(row["image"].strip(), camera, *time, False))
-    return sorted(found, key=lambda image: image.name)
+        images.append(ImageMetadata(row["image"].strip(), camera, *time, False))
+    return sorted(images, key=lambda image: image.name)

@@ -167,13 +167,13 @@ class _Model:
         normal = (a / scale).T @ (a / scale) + np.diag((weight / scale) ** 2)
         inverse = np.linalg.pinv(normal, rcond=1e-10)
         y = self.difference.ravel()
-        found = inverse @ (a / scale).T @ y / scale
+        estimates = inverse @ (a / scale).T @ y / scale
         x = np.zeros(len(sigma))
-        x[used] = found
-        residual = y - a @ found
+        x[used] = estimates
+        residual = y - a @ estimates
         cofactor = np.zeros((len(sigma), len(sigma)))
         cofactor[np.ix_(used, used)] = inverse / np.outer(scale, scale)
-        squares = float(residual @ residual + np.sum((weight * found) ** 2))
+        squares = float(residual @ residual + np.sum((weight * estimates) ** 2))
         return max(squares, 1e-18), x, residual.reshape(self.difference.shape), cofactor
 
 
@@ -229,7 +229,7 @@ def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats)
     rss0 = model.solved(sigma)[0]
     size = model.size
     dof = max(size - float(np.isinf(sigma).sum()), 1.0)
-    found = []
+    explanations = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             meant = np.array(signs) * lever_m[list(order)]
@@ -241,10 +241,10 @@ def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats)
             p = float(stats.f.sf(max(rss0 / rss - 1, 0.0) * dof, 1, dof))
             text = ", ".join(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))
             gain = float(size * np.log(rss0 / rss))
-            found.append(Explanation(AXES, meant - lever_m, np.zeros(3), text, gain, p))
+            explanations.append(Explanation(AXES, meant - lever_m, np.zeros(3), text, gain, p))
     # Exchanges that differ only where the lever arm is zero are the same.
-    found.sort(key=lambda e: -e.gain)
-    return found[:1]
+    explanations.sort(key=lambda e: -e.gain)
+    return explanations[:1]
 
 
 def _detectable(model: _Model, sigma: Floats, place: int) -> float:
@@ -283,27 +283,27 @@ def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: Rig, free
         here, there, velocity, turn, rig.lever_m, free, rig.time_offset_sigma_s, lever_sigma
     )
     try:
-        found = compare_positions(pairs)
+        comparison = compare_positions(pairs)
     except IllPosedError as refusal:
         return untested(code, "ill-posed", {**beside, "reason": str(refusal)})
-    return _judged(found, beside, rig.lever_m)
+    return _judged(comparison, beside, rig.lever_m)
 
 
-def _judged(found: PositionComparison, beside: dict[str, str], lever_m: Floats | None) -> Finding:
-    best, seen = found.best, bool(np.isfinite(found.detectable_s))
+def _judged(comparison: PositionComparison, beside: dict[str, str], lever_m: Floats | None) -> Finding:
+    best, seen = comparison.best, bool(np.isfinite(comparison.detectable_s))
     figures: dict[str, Any] = {
         **beside,
-        "exposures": found.n,
-        "rms_enu_m": found.rms_m.tolist(),
-        "shift_enu_m": found.shift_m.tolist(),
-        "detectable_time_offset_s": found.detectable_s if seen else None,
-        "detectable_ms": found.detectable_s * 1e3 if seen else None,
-        "numbers": tuple(f"{v:.3f}" for v in found.rms_m),
+        "exposures": comparison.n,
+        "rms_enu_m": comparison.rms_m.tolist(),
+        "shift_enu_m": comparison.shift_m.tolist(),
+        "detectable_time_offset_s": comparison.detectable_s if seen else None,
+        "detectable_ms": comparison.detectable_s * 1e3 if seen else None,
+        "numbers": tuple(f"{v:.3f}" for v in comparison.rms_m),
     }
     if best is None:
         return Finding("positions", "passed", figures=figures, clauses=("would-show" if seen else "one-way",))
     figures |= {"explanation": best.name, "value": best.value.tolist(), "sigma": best.sigma.tolist()}
-    figures["as_good"] = list(found.same)
+    figures["as_good"] = list(comparison.same)
     clauses = []
     if best.name == TIME:
         figures |= {"late_ms": abs(best.value[0]) * 1e3, "late_sigma_ms": best.sigma[0] * 1e3}
@@ -315,12 +315,12 @@ def _judged(found: PositionComparison, beside: dict[str, str], lever_m: Floats |
         parts = zip(best.value, AXIS_NAMES, strict=True)
         figures["lever"] = tuple(f"mm {1e3 * v:+.0f} {name}" for v, name in parts)
         clauses.append("wrong-by" if lever_m is not None else "there-is")
-    if found.exchange is not None and best is not found.exchange:
-        figures["exchanged_axes"] = found.exchange.axes
-        figures["exchanged"] = _axes(found.exchange.axes)
+    if comparison.exchange is not None and best is not comparison.exchange:
+        figures["exchanged_axes"] = comparison.exchange.axes
+        figures["exchanged"] = _axes(comparison.exchange.axes)
         clauses.append("or-exchanged")
-    elif found.same:
-        figures["same"] = found.same
+    elif comparison.same:
+        figures["same"] = comparison.same
         clauses.append("as-good")
     return Finding(best.name, "grave", figures=figures, clauses=tuple(clauses))
 

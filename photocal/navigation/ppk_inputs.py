@@ -101,7 +101,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
             sigma = base_recording.position_sigma_m()
     else:
         precise = read_precise_result(Path(given))
-        position, source, sigma = precise.position_m, f"{given}{precise.said}", precise.sigma_enu_m
+        position, source, sigma = precise.position_m, f"{given}{precise.description}", precise.sigma_enu_m
     files = [path for path in navigation if path.exists()]
     sigma = sigma if sources.base_sigma_m is None else sources.base_sigma_m
     return Inputs(rover, base, files, position, source, sigma, sources.weather), remarks
@@ -148,10 +148,10 @@ def converted(
 def _base_position(sources: Sources, recording: ReceiverRecording | None) -> tuple[Floats, str]:
     if sources.base_position is not None:
         return parse_position(sources.base_position), "--base-position"
-    found = None if recording is None else recording.position_m()
-    if found is None:
+    position = None if recording is None else recording.position_m()
+    if position is None:
         raise ConfigurationError(
             "the base's position is not known: neither RTCM 1005/1006 nor a survey-in tells it",
             "give --base-position LAT,LON,H (ellipsoidal height)",
         )
-    return found
+    return position

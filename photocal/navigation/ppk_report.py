@@ -83,7 +83,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
         "rover_epochs_without_position": len(rover) - len(trajectory) if result.mode != "static" else 0,
         "fixed_percent": 100.0 * counts["fixed"] / len(trajectory),
         "remarks": remarks,
-        "findings": [finding_json(one, say) for one in _findings(result, counts, len(trajectory))],
+        "findings": [finding_json(finding, say) for finding in _findings(result, counts, len(trajectory))],
     }
     if result.judgement is not None:
         figures["validation"] = _validation(result, result.judgement)
@@ -191,7 +191,7 @@ def ppk_text(figures: dict[str, Any]) -> str:
         lines += common_text(figures["common"])
     if "position" in figures:
         lines.append("position {lat_deg:.9f} {lon_deg:.9f} {height_m:.4f} m".format(**figures["position"]))
-    warnings = [f"WARNING {found['text']}" for found in figures["findings"]]
+    warnings = [f"WARNING {finding['text']}" for finding in figures["findings"]]
     return "\n".join([*lines, *figures["remarks"], *warnings])
 
 
@@ -200,14 +200,14 @@ def _validation_text(validation: dict[str, Any]) -> list[str]:
     lines = [f"fixed by the engine {validation['fixed_by_the_engine']}, of these made float:"]
     lines += [f"  {count} {reason}" for reason, count in demoted.items()] or ["  none"]
     if validation["combinations_replaced"]:
-        told = "replaced because the combination lay apart from both directions"
-        lines.append(f"{told}: {validation['combinations_replaced']}")
+        replaced = "replaced because the combination lay apart from both directions"
+        lines.append(f"{replaced}: {validation['combinations_replaced']}")
     if validation["median_ratio_of_fixes"] is not None:
         lines.append(f"ratio of the fixes (median): {validation['median_ratio_of_fixes']:.1f}")
     for kind, rms in validation["forward_minus_backward_rms_enu_m"].items():
         if rms is not None:
-            told = " ".join(f"{v:.3f}" for v in rms)
-            lines.append(f"forward less backward, {kind}: {told} m rms (E N U)")
+            spread = " ".join(f"{v:.3f}" for v in rms)
+            lines.append(f"forward less backward, {kind}: {spread} m rms (E N U)")
     places = validation["directions_apart"]
     for place in places[:_LISTED_PLACES]:
         other = {"forward": "backward", "backward": "forward"}.get(place["taken"], "the other")

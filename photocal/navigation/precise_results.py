@@ -71,13 +71,13 @@ def read_observation_file(path: Path) -> ObservationFile:
         elif label == "TIME OF FIRST OBS" and line[48:51].strip() not in ("", "GPS"):
             raise malformed(f"counts {line[48:51]} time", "convert it with GPS time")
     epoch = _EPOCH_2 if second else _EPOCH_3
-    found = [match for line in lines[end:] if (match := epoch.match(line))]
+    epochs = [match for line in lines[end:] if (match := epoch.match(line))]
     if second:
         systems = set("GR")
-    if not found:
+    if not epochs:
         raise malformed("has no epochs", "check the recording")
     try:
-        time = GpsTime(np.array([_gps_ns(*match.groups()) for match in found], np.int64))
+        time = GpsTime(np.array([_gps_ns(*match.groups()) for match in epochs], np.int64))
     except (ValueError, OverflowError) as failure:
         raise malformed(f"has an epoch that no calendar has ({failure})", "was it damaged?") from failure
     return ObservationFile(path, time, frozenset(systems), frozenset(bands), antenna, antenna_m)
@@ -132,7 +132,7 @@ class PreciseResult:
         return np.asarray(np.sqrt(np.diag(turn @ self.covariance_m2 @ turn.T)))
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Frame and epoch for a person: nothing is transformed to those of the control."""
         epoch = "" if np.isnan(self.epoch) else f", epoch {self.epoch:.4f}"
         return f" ({self.frame or 'frame not told'}{epoch})"
@@ -208,7 +208,7 @@ def read_antennas(path: Path) -> tuple[str, ...]:
         lines = path.read_text(encoding="latin-1").splitlines()
     if not any(line[60:].startswith("ANTEX VERSION") for line in lines[:5]):
         raise InputMalformedError("is no ANTEX file", "name one, such as igs20.atx", where=path)
-    found = []
+    names = []
     starts = [k for k, line in enumerate(lines) if line[60:].startswith("START OF ANTENNA")]
     for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
         try:
@@ -218,8 +218,8 @@ def read_antennas(path: Path) -> tuple[str, ...]:
                 "is damaged", "fetch the file again", where=f"{path}, antenna of line {start + 1}"
             ) from refusal
         if name is not None:
-            found.append(name)
-    return tuple(found)
+            names.append(name)
+    return tuple(names)
 
 
 def _name(lines: list[str]) -> str | None:

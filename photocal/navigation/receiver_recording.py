@@ -137,11 +137,11 @@ class ReceiverRecording:
 
     def position_sigma_m(self) -> Floats | None:
         """Return the standard deviations of a position that a survey-in found; None of any other."""
-        found = self.position_m()
-        if found is None or self.surveyed_m is None or self.surveyed_sigma_m is None:
+        position = self.position_m()
+        if position is None or self.surveyed_m is None or self.surveyed_sigma_m is None:
             return None
         # An announced position is that of the survey-in, or was typed in.
-        if np.linalg.norm(found[0] - self.surveyed_m) > _SAME_MARK_M:
+        if np.linalg.norm(position[0] - self.surveyed_m) > _SAME_MARK_M:
             return None
         return np.full(3, self.surveyed_sigma_m / np.sqrt(3))
 
@@ -149,13 +149,13 @@ class ReceiverRecording:
 @lru_cache(maxsize=1)
 def read_receivers(log: FlightLog) -> dict[str, ReceiverRecording]:
     """Read the raw frames of every receiver in a flight log; those of the same log are decoded once."""
-    found: dict[str, ReceiverRecording] = {}
+    recordings: dict[str, ReceiverRecording] = {}
     for wire, messages in log.raw(Wire.UBX, Wire.RTCM3, Wire.NMEA):
         link = link_of(messages.channel)
-        recording = found.setdefault(link, ReceiverRecording(link))
+        recording = recordings.setdefault(link, ReceiverRecording(link))
         recording.first_log_ns = recording.first_log_ns or int(messages.log_ns[0])
         recording.add(wire, messages.payloads, messages.log_ns)
-    return found
+    return recordings
 
 
 def pick(receivers: dict[str, ReceiverRecording], link: str, role: str, log: FlightLog) -> ReceiverRecording:
@@ -199,12 +199,12 @@ def told_by_receiver(batch: Batch) -> list[float]:
     Receivers take it from a coarse model: u-blox interpolates EGM 96 in a grid of 10 degrees, some metres off
     in places.
     """
-    found: list[float] = []
+    undulations: list[float] = []
     for kind in (ubx.NAV_PVT, ubx.NAV_POSLLH):
         fields = ubx.decode(batch, kind).fields
         if kind == ubx.NAV_PVT:
             fields = fields[(fields["flags"] & 1) != 0]
-        found += ((fields["height"].astype(float) - fields["hMSL"]) * 1e-3).tolist()
+        undulations += ((fields["height"].astype(float) - fields["hMSL"]) * 1e-3).tolist()
     gga = decode_gga(batch)
-    found += gga.geoid_m[(gga.quality > 0) & np.isfinite(gga.geoid_m)].tolist()
-    return found
+    undulations += gga.geoid_m[(gga.quality > 0) & np.isfinite(gga.geoid_m)].tolist()
+    return undulations

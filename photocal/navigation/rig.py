@@ -54,12 +54,12 @@ def check_mounting(rig: Rig, mounting: Mounting) -> list[Finding]:
     The parameters count from the body's origin, the lever arm from the camera: the difference is where the
     camera would sit on the body. No check where the vehicle tells nothing.
     """
-    found = []
+    findings = []
     code, antenna = "vehicle-antenna", mounting.camera_to_antenna_m
     if antenna is not None:
         figures: dict[str, Any] = {"numbers": _signed(antenna), "sigma_m": CAMERA_PLACE_SIGMA_M}
         if rig.lever_m is None:
-            found.append(Finding("vehicle-antenna-offered", "note", figures=figures))
+            findings.append(Finding("vehicle-antenna-offered", "note", figures=figures))
         else:
             camera = np.asarray(antenna) - rig.lever_m
             figures |= {"stated": _signed(rig.lever_m), "difference": _signed(camera)}
@@ -67,7 +67,7 @@ def check_mounting(rig: Rig, mounting: Mounting) -> list[Finding]:
             far = bool((np.abs(camera) > limit).any())
             turned = far and bool((np.abs(np.asarray(antenna) + rig.lever_m) < limit).all())
             clauses = ("lever-reversed",) if turned else ()
-            found.append(Finding(code, "doubtful" if far else "passed", figures=figures, clauses=clauses))
+            findings.append(Finding(code, "doubtful" if far else "passed", figures=figures, clauses=clauses))
     if mounting.mount_deg is not None:
         # The mount's forward axis on the body (yaw, pitch, roll), and where the project has the camera look.
         roll, pitch, yaw = mounting.mount_deg
@@ -76,8 +76,9 @@ def check_mounting(rig: Rig, mounting: Mounting) -> list[Finding]:
         apart = float(np.degrees(np.arccos(np.clip(ahead @ looks, -1.0, 1.0))))
         limit_deg = 3.0 * float(np.hypot(MOUNT_SIGMA_DEG, np.degrees(rig.boresight_sigma.max())))
         figures = {"numbers": _signed(mounting.mount_deg), "apart_deg": apart, "limit_deg": limit_deg}
-        found.append(Finding("vehicle-mount", "doubtful" if apart > limit_deg else "passed", figures=figures))
-    return found
+        far = apart > limit_deg
+        findings.append(Finding("vehicle-mount", "doubtful" if far else "passed", figures=figures))
+    return findings
 
 
 def camera_axes(directions: tuple[str, ...]) -> Floats:

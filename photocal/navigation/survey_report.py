@@ -45,21 +45,21 @@ def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) ->
 
 def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
     """Return what undetected errors of a baseline do to the marks, the mark that moves most first."""
-    found = []
+    effects = []
     for component, name in enumerate(("east", "north", "up")):
         shifts = solution.effects_m[row, component]
         if not np.isfinite(shifts).all():
             continue
         order = np.argsort(-np.linalg.norm(shifts, axis=1), kind="stable")
         marks = {solution.names[k]: shifts[k].tolist() for k in order.tolist()}
-        found.append({"error_of": name, "marks_move_enu_m": marks})
-    return found
+        effects.append({"error_of": name, "marks_move_enu_m": marks})
+    return effects
 
 
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
     lat, lon, height = geodetic(solution.xyz_m)
     local = _local_covariances(solution)
-    found, sigma = ellipses(local, _PROBABILITY), _sigma(local)
+    confidence, sigma = ellipses(local, _PROBABILITY), _sigma(local)
     return [
         {
             "name": name,
@@ -67,8 +67,8 @@ def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
             "lon_deg": float(lon[i]),
             "height_m": float(height[i]),
             "sigma_enu_m": sigma[i].tolist(),
-            "ellipse_95_m": found.semi_axes[i].tolist(),
-            "ellipse_azimuth_deg": float(np.degrees(found.azimuth[i])),
+            "ellipse_95_m": confidence.semi_axes[i].tolist(),
+            "ellipse_azimuth_deg": float(np.degrees(confidence.azimuth[i])),
         }
         for i, name in enumerate(solution.names)
     ]
@@ -96,7 +96,7 @@ def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict
     figures = np.hstack([xyz, _sigma(covariance), covariance[:, [0, 0, 1], [1, 2, 2]]]).tolist()
     forms = [".5f"] * 3 + [".6f"] * 3 + [".10f"] * 3
     rows = [
-        [name, *map(format, own, forms), "control"] for name, own in zip(solution.names, figures, strict=True)
+        [name, *map(format, row, forms), "control"] for name, row in zip(solution.names, figures, strict=True)
     ]
     write_rows(path, COLUMNS, rows)
     return frame
@@ -112,7 +112,7 @@ def survey_text(figures: dict[str, Any]) -> str:
     named = {s["name"]: s for s in figures["sessions"]}
     for b in figures["blunders"]:
         heights = named.get(b["name"], {})
-        told = (
+        advice = (
             f"; check its antenna heights (base {heights['base_antenna_m']:.3f} m, "
             f"rover {heights['rover_antenna_m']:.3f} m)"
             if b["component"] == "height" and heights
@@ -120,7 +120,7 @@ def survey_text(figures: dict[str, Any]) -> str:
         )
         lines.append(
             f"left out: {b['name']} ({b['start']} to {b['end']}), {b['component']} wrong by "
-            f"{b['size_m']:+.3f} m (sigma {b['size_sigma_m']:.3f} m), test {b['test']:.1f}{told}"
+            f"{b['size_m']:+.3f} m (sigma {b['size_sigma_m']:.3f} m), test {b['test']:.1f}{advice}"
         )
     for mark in figures["marks"]:
         sigma = " ".join(f"{1e3 * v:.1f}" for v in mark["sigma_enu_m"])

@@ -66,8 +66,8 @@ def time_sync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> 
         "autopilot's time since boot by the recording computer (TIMESYNC)",
     )
     constant = float(round_trip_ns.min()) / 1e9 / np.sqrt(12)
-    one, other = (ComparedClocks(name, (model,), constant) for name, model in zip(names, models, strict=True))
-    return TimeSync(one, other)
+    compared = (ComparedClocks(name, (model,), constant) for name, model in zip(names, models, strict=True))
+    return TimeSync(*compared)
 
 
 def clock_through_host(
@@ -99,13 +99,13 @@ class VehicleClocks:
 
     clock: UTC of its time since boot.
     sync: its time since boot against the recording computer's clock.
-    told: whether the autopilot itself told UTC (SYSTEM_TIME).
+    utc_told: whether the autopilot itself told UTC (SYSTEM_TIME).
     """
 
     clock: AutopilotClock | None = None
     sync: TimeSync | None = None
     compared: tuple[ComparedClocks, ...] = ()
-    told: bool = False
+    utc_told: bool = False
 
 
 def vehicle_clocks(
@@ -113,7 +113,7 @@ def vehicle_clocks(
 ) -> VehicleClocks:
     """Fit an autopilot's clock to UTC and to the recording computer's clock."""
     clocks: list[ComparedClocks] = []
-    clock, synced, told = None, None, False
+    clock, synced, utc_told = None, None, False
     if system is not None:
         host, _, fields = system
         boot = fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS
@@ -126,7 +126,7 @@ def vehicle_clocks(
             "autopilot's UTC by the recording computer's clock (SYSTEM_TIME)", utc[good], host[good]
         )
         clocks += [c for c in (clock.compared if clock else None, arrival) if c is not None]
-        told = clock is not None
+        utc_told = clock is not None
     if exchanges is not None:
         host, _, fields = exchanges
         trip = host - fields["ts1"]
@@ -137,4 +137,4 @@ def vehicle_clocks(
         if clock is None and gnss is not None:
             clock = clock_through_host(boot, host[answered], trip, gnss)
             clocks += [] if clock is None else [clock.compared]
-    return VehicleClocks(clock, synced, tuple(clocks), told)
+    return VehicleClocks(clock, synced, tuple(clocks), utc_told)

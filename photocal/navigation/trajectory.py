@@ -123,7 +123,7 @@ class Placed(Geodetic):
     status: NDArray[np.str_]
 
     @classmethod
-    def told(cls, place: Floats, sigma_m: Floats, status: ArrayLike) -> Self:
+    def stated(cls, place: Floats, sigma_m: Floats, status: ArrayLike) -> Self:
         """Positions that somebody tells: latitude, longitude, height (n, 3), their sigmas east, north, up."""
         there, (lat, lon, height) = np.isfinite(place.sum(axis=1)), place.T
         gap, velocity = np.where(there, 0.0, np.inf), np.full(place.shape, np.nan)
@@ -200,8 +200,8 @@ def interpolate(
     # Errors of neighbouring epochs are nearly the same: their mean is no better than either of them.
     w = u[:, None, None]
     covariance = (1 - w) * trajectory.covariance_m2[before] + w * trajectory.covariance_m2[after]
-    own = q * (gap**1.5 * (4 * u * (1 - u)) ** 1.5)[:, None]
-    covariance = covariance + own[:, :, None] ** 2 * np.eye(3)
+    sigma = q * (gap**1.5 * (4 * u * (1 - u)) ** 1.5)[:, None]
+    covariance = covariance + sigma[:, :, None] ** 2 * np.eye(3)
     covariance = covariance + time_sigma_s[:, None, None] ** 2 * velocity[:, :, None] * velocity[:, None, :]
     lat, lon, height = geodetic(position @ enu_axes(*origin[:2]) + geocentric(*origin))
     rank = np.array([{"fixed": 0, "float": 1}.get(s, 2) for s in trajectory.status.tolist()])

@@ -53,11 +53,11 @@ class VehicleTrack:
 def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks | None = None) -> VehicleTrack:
     """Read positions, attitudes and clocks of the autopilot from a flight log."""
     # Raw MAVLink frames go first; what was imported from an autopilot's own log stands in decoded topics.
-    found = _received(log, link)
-    if not found:
+    received = _received(log, link)
+    if not received:
         return _of_topics(log, link or "vehicle")
-    clocks = vehicle_clocks(found.get("SYSTEM_TIME"), found.get("TIMESYNC"), gnss)
-    tracks = {name: _timed(found.get(name), clocks) for name in _TRACKS}
+    clocks = vehicle_clocks(received.get("SYSTEM_TIME"), received.get("TIMESYNC"), gnss)
+    tracks = {name: _timed(received.get(name), clocks) for name in _TRACKS}
     p = tracks["GLOBAL_POSITION_INT"]
     none = np.empty(0, np.int64)
     scale = {"lat": 1e-7, "lon": 1e-7, "alt": 1e-3}
@@ -68,7 +68,7 @@ def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks |
         _attitude(tracks),
         0.0 if clocks.clock is None else clocks.clock.sigma_s,
         clocks,
-        _geoid(found.get("GPS_RAW_INT")),
+        _geoid(received.get("GPS_RAW_INT")),
         told_mounting(log, link or "vehicle"),
     )
 
@@ -95,7 +95,7 @@ def _received(log: FlightLog, link: str | None) -> dict[str, Received]:
     """Messages by their kinds: arrival, the device's UTC as the log has it, and fields."""
     dialect = ardupilotmega()
     kinds = {name: dialect.number(name) for name in _KINDS}
-    found: dict[str, list[Received]] = {}
+    received: dict[str, list[Received]] = {}
     owner: int | None = None
     for _, messages in log.raw(Wire.MAVLINK, link=link):
         batch = batch_of_payloads(Wire.MAVLINK, messages.payloads, dialect)
@@ -105,11 +105,11 @@ def _received(log: FlightLog, link: str | None) -> dict[str, Received]:
                 continue
             if owner is None and name in _TRACKS:
                 owner = int(got.system[0])
-            own = np.ones(len(got), bool) if owner is None else got.system == owner
-            rows = got.index[own]
-            parts = found.setdefault(name, [])
-            parts.append((messages.log_ns[rows], messages.publish_ns[rows], got.fields[own]))
-    columns = {name: zip(*parts, strict=True) for name, parts in found.items()}
+            of_owner = np.ones(len(got), bool) if owner is None else got.system == owner
+            rows = got.index[of_owner]
+            parts = received.setdefault(name, [])
+            parts.append((messages.log_ns[rows], messages.publish_ns[rows], got.fields[of_owner]))
+    columns = {name: zip(*parts, strict=True) for name, parts in received.items()}
     return {
         name: (np.concatenate(host), np.concatenate(device), np.concatenate(fields))
         for name, (host, device, fields) in columns.items()
@@ -122,7 +122,7 @@ def _timed(received: Received | None, clocks: VehicleClocks) -> Received | None:
         return None
     host, device, fields = received
     # Where the device told no time the log repeats the time of arrival.
-    timed = np.ones(len(host), bool) if clocks.clock is not None and not clocks.told else host != device
+    timed = np.ones(len(host), bool) if clocks.clock is not None and not clocks.utc_told else host != device
     host, device, fields = host[timed], device[timed], fields[timed]
     kept = np.flatnonzero(~_strays(device))
     host, device, fields = host[kept], device[kept], fields[kept]
@@ -151,10 +151,10 @@ def _geoid(received: Received | None) -> float | None:
     if received is None or "alt_ellipsoid" not in (received[2].dtype.names or ()):
         return None
     fields = received[2]
-    told = (fields["alt_ellipsoid"] != 0) & (fields["fix_type"] >= 3)
-    if not told.any():
+    known = (fields["alt_ellipsoid"] != 0) & (fields["fix_type"] >= 3)
+    if not known.any():
         return None
-    return float(np.median(fields["alt_ellipsoid"][told].astype(float) - fields["alt"][told])) * 1e-3
+    return float(np.median(fields["alt_ellipsoid"][known].astype(float) - fields["alt"][known])) * 1e-3
 
 
 def _strays(device: Integers) -> Flags:
@@ -169,8 +169,8 @@ def _strays(device: Integers) -> Flags:
 
 def decoded_positions(log: FlightLog, link: str) -> tuple[Integers, Integers, Floats]:
     """Return the positions in `/<link>/position`, or where there are none in `/gnss/<link>/fix`."""
-    found = _fixes(log, f"/{link}/position")
-    return found if len(found[0]) else _fixes(log, f"/gnss/{link}/fix")
+    positions = _fixes(log, f"/{link}/position")
+    return positions if len(positions[0]) else _fixes(log, f"/gnss/{link}/fix")
 
 
 def _fixes(log: FlightLog, topic: str) -> tuple[Integers, Integers, Floats]:
@@ -195,9 +195,9 @@ def decoded_attitude(log: FlightLog, link: str) -> AttitudeTrack | None:
     for messages in log.topic(f"/{link}/attitude"):
         source = messages.channel.metadata.get("source", "attitude")
         for payload in messages.payloads:
-            found = FrameTransform.FromString(payload)
-            stamps.append(found.timestamp.seconds * SECOND_NS + found.timestamp.nanos)
-            q = found.rotation
+            transform = FrameTransform.FromString(payload)
+            stamps.append(transform.timestamp.seconds * SECOND_NS + transform.timestamp.nanos)
+            q = transform.rotation
             turns.append((q.w, q.x, q.y, q.z))
     wxyz = np.array(turns).reshape(-1, 4)
     sound = np.abs(np.linalg.norm(wxyz, axis=1) - 1) < 0.01
@@ -212,9 +212,9 @@ def told_mounting(log: FlightLog, link: str) -> Mounting:
     parameters: dict[str, float] = {}
     for messages in log.topic(f"/{link}/parameter"):
         for payload in messages.payloads:
-            told = read_json(bytes(payload), log.paths[0])
-            if isinstance(told.get("value"), int | float):
-                parameters[str(told.get("name"))] = float(told["value"])
+            parameter = read_json(bytes(payload), log.paths[0])
+            if isinstance(parameter.get("value"), int | float):
+                parameters[str(parameter.get("name"))] = float(parameter["value"])
     return mounting_of(parameters)
 
 

@@ -76,16 +76,16 @@ def sigma_figures(
     """What each group of observations was promised to be, and what its residuals show."""
     tie, seen = ties_of(result), result.residuals
     rows: list[dict[str, Any]] = []
-    for name, mine in (("image coordinates of tie points", tie), ("marks of surveyed points", ~tie)):
-        free = float(seen.redundancy[mine].sum())
+    for name, rays in (("image coordinates of tie points", tie), ("marks of surveyed points", ~tie)):
+        free = float(seen.redundancy[rays].sum())
         if free > 1:
-            stated = float(np.sqrt(np.mean(foreign.block.observations.sigma[mine] ** 2)))
-            sigma = float(np.sqrt((seen.residual[mine] ** 2).sum() / free))
+            stated = float(np.sqrt(np.mean(foreign.block.observations.sigma[rays] ** 2)))
+            sigma = float(np.sqrt((seen.residual[rays] ** 2).sum() / free))
             rows.append(
                 {
                     "group": name,
                     "unit": "px",
-                    "n": int(mine.sum()),
+                    "n": int(rays.sum()),
                     "stated": stated if foreign.weighted else None,
                     "found": sigma,
                 }
@@ -117,16 +117,16 @@ def ties_of(result: Result) -> Flags:
 def _group(name: str, axes: slice, error: Floats, stated: Floats, factor: float | None) -> dict[str, Any]:
     """Some axes of a group; the errors share among them what was found for all together."""
     usable = np.isfinite(stated) & np.isfinite(error)
-    mine = usable[:, axes]
+    used = usable[:, axes]
     row = {"group": name, "unit": "m", "n": len(error), "stated": None, "found": None}
-    if not mine.any():
+    if not used.any():
         return row
-    typical = float(np.sqrt(np.mean(stated[:, axes][mine] ** 2)))
+    typical = float(np.sqrt(np.mean(stated[:, axes][used] ** 2)))
     if factor is None:
         return {**row, "stated": typical}
     # Residuals are smaller than errors by what the adjustment takes from their observations.
     whole = np.sqrt(np.mean((error[usable] / stated[usable]) ** 2))
-    share = np.sqrt(np.mean((error[:, axes][mine] / stated[:, axes][mine]) ** 2)) / whole
+    share = np.sqrt(np.mean((error[:, axes][used] / stated[:, axes][used]) ** 2)) / whole
     return {**row, "stated": typical, "found": float(typical * factor * share)}
 
 
@@ -212,8 +212,8 @@ def adoption_text(figures: dict[str, Any]) -> str:
         kept = (
             "" if not row["stated"] or row["found"] is None else f": {row['found'] / row['stated']:.2f} times"
         )
-        found = "-" if row["found"] is None else f"{row['found']:.3g} {row['unit']}"
-        lines.append(f"{row['group']} ({row['n']}): {stated}, found {found}{kept}")
+        shown = "-" if row["found"] is None else f"{row['found']:.3g} {row['unit']}"
+        lines.append(f"{row['group']} ({row['n']}): {stated}, found {shown}{kept}")
     shift = figures["positions"]
     if shift is not None and shift["estimated"]:
         text = ", ".join(f"{shift['common_shift_m'][a]:+.3f} +- {shift['sigma_m'][a]:.3f}" for a in "xyz")
@@ -402,15 +402,15 @@ def _weighted(folder: Path, foreign: ForeignProject) -> None:
         result = _solved(folder)
         residuals, tie = result.residuals, ties_of(result)
         sigma = foreign.block.observations.sigma.copy()
-        free = [float(residuals.redundancy[mine].sum()) for mine in (tie, ~tie)]
-        squares = [float((residuals.residual[mine] ** 2).sum()) for mine in (tie, ~tie)]
+        free = [float(residuals.redundancy[rays].sum()) for rays in (tie, ~tie)]
+        squares = [float((residuals.residual[rays] ** 2).sum()) for rays in (tie, ~tie)]
         sigma[:] = np.sqrt(sum(squares) / sum(free))
         # Marks get a sigma of their own where theirs is another for certain.
         if min(free) > FEWEST_FREE:
             ratio = squares[1] / free[1] / (squares[0] / free[0])
             if not LEAST < float(f.cdf(ratio, free[1], free[0])) < 1 - LEAST:
-                for mine, square, count in zip((tie, ~tie), squares, free, strict=True):
-                    sigma[mine] = np.sqrt(square / count)
+                for rays, square, count in zip((tie, ~tie), squares, free, strict=True):
+                    sigma[rays] = np.sqrt(square / count)
         observations = replace(foreign.block.observations, sigma=sigma)
         _write(folder, replace(foreign, block=replace(foreign.block, observations=observations)))
 

@@ -44,8 +44,8 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
     A certificate keeps its day until something that it says has changed.
     """
     keys = project.contents.certificate
-    own = own_key()
-    fingerprint = own.fingerprint if own else ""
+    key = own_key()
+    fingerprint = key.fingerprint if key else ""
     inputs = {} if keys.particulars is None else {"particulars": keys.particulars}
 
     def make(folder: Path, show: Progress) -> None:

@@ -75,16 +75,16 @@ def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
 
     raises InputNotFoundError: when there is no calibration, or fewer than two.
     """
-    found: list[Calibrated] = []
+    flights: list[Calibrated] = []
     for path in paths:
-        one = _calibrated(path)
-        taken = sum(one.name == other.name for other in found)
-        found.append(replace(one, name=f"{one.name} ({path})") if taken else one)
-    if len(found) < 2:
+        flight = _calibrated(path)
+        taken = sum(flight.name == other.name for other in flights)
+        flights.append(replace(flight, name=f"{flight.name} ({path})") if taken else flight)
+    if len(flights) < 2:
         raise InputNotFoundError(
             "one calibration has nothing to be compared with", "name two or more runs or projects"
         )
-    return tuple(found)
+    return tuple(flights)
 
 
 def _calibrated(path: Path) -> Calibrated:
@@ -142,10 +142,9 @@ def repeated(flights: Sequence[Calibrated]) -> dict[str, tuple[Repeatability, ..
     occasions: dict[str, list[Occasion]] = {}
     for flight in flights:
         for name, camera in flight.cameras.items():
-            one = Occasion(flight.name, camera, flight.day, flight.temperature_c)
-            occasions.setdefault("camera" if alone else name, []).append(one)
-    judged = {name: repeatability(own) for name, own in occasions.items()}
-    return {name: found for name, found in judged.items() if found}
+            occasion = Occasion(flight.name, camera, flight.day, flight.temperature_c)
+            occasions.setdefault("camera" if alone else name, []).append(occasion)
+    return {name: repeats for name, series in occasions.items() if (repeats := repeatability(series))}
 
 
 def exchanged(flights: Sequence[Calibrated], done: Callable[[], None] = lambda: None) -> tuple[Use, ...]:

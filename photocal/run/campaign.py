@@ -52,7 +52,7 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         georeferencing_stage(project, block),
         analysis_stage(block, calibration),
     )
-    return (*made, certificate_stage(project, work, day, tuple(work / one.name for one in made)))
+    return (*made, certificate_stage(project, work, day, tuple(work / stage.name for stage in made)))
 
 
 def run_project(
@@ -62,7 +62,7 @@ def run_project(
     until: str | None = None,
     again: str | None = None,
     rehash: bool = False,
-    told: Callable[[StageResult], None] = lambda _: None,
+    report: Callable[[StageResult], None] = lambda _: None,
 ) -> tuple[StageResult, ...]:
     """Bring the stages of a project up to date.
 
@@ -90,7 +90,7 @@ def run_project(
                         made.append(
                             update_stage(stage, project.output, digests, shown, again=stage.name == again)
                         )
-                        told(made[-1])
+                        report(made[-1])
                         continue
                 except PhotocalError as refusal:
                     failure = failure or refusal
@@ -107,12 +107,12 @@ def run_project(
 class Outcome:
     """How the run of one project ended.
 
-    told: what it said on the way, where nobody could listen.
+    lines: what it said on the way, where nobody could listen.
     """
 
     figures: dict[str, Any]
     failure: PhotocalError | None
-    told: tuple[str, ...] = ()
+    lines: tuple[str, ...] = ()
 
 
 def run_projects(
@@ -144,14 +144,14 @@ def run_projects(
 
         crew = min(workers, len(tasks)) if cluster is None else Cluster(cluster)
         outcomes = []
-        for one in run_tasks(_elsewhere, tasks, crew):
-            outcomes.append(one)
-            for line in one.told:
+        for outcome in run_tasks(_elsewhere, tasks, crew):
+            outcomes.append(outcome)
+            for line in outcome.lines:
                 _say(line)
-    for one in outcomes:
-        if one.failure is not None:
-            raise one.failure
-    return [one.figures for one in outcomes]
+    for outcome in outcomes:
+        if outcome.failure is not None:
+            raise outcome.failure
+    return [outcome.figures for outcome in outcomes]
 
 
 def _say(line: str) -> None:
@@ -160,9 +160,9 @@ def _say(line: str) -> None:
 
 def _elsewhere(task: Task) -> Outcome:
     """Run a project in another process: what it says and what ends it come back with its figures."""
-    told: list[str] = []
-    one = _outcome(task, quiet, told.append)
-    return Outcome(one.figures, one.failure, tuple(told))
+    lines: list[str] = []
+    outcome = _outcome(task, quiet, lines.append)
+    return Outcome(outcome.figures, outcome.failure, tuple(lines))
 
 
 def _outcome(task: Task, progress: Progress, say: Callable[[str], None]) -> Outcome:
@@ -185,17 +185,17 @@ def run_one(
     project = read_project(path)
     made: list[StageResult] = []
 
-    def told(one: StageResult) -> None:
-        made.append(one)
-        say(f"{project.name}: {one.name}: " + ("kept" if one.kept else f"{one.seconds:.1f} s"))
-        for line in one.foreign:
-            say(f"{project.name}: {one.name}: {line}")
+    def report(result: StageResult) -> None:
+        made.append(result)
+        say(f"{project.name}: {result.name}: " + ("kept" if result.kept else f"{result.seconds:.1f} s"))
+        for line in result.foreign:
+            say(f"{project.name}: {result.name}: {line}")
 
     try:
-        run_project(project, day, progress, until, again, rehash, told)
+        run_project(project, day, progress, until, again, rehash, report)
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
-        for warning in gather(project.output, {one.name for one in made}):
+        for warning in gather(project.output, {result.name for result in made}):
             text = finding_text(warning, catalogue("en"), plain)
             say(f"{project.name}: {kind(warning)}: {warning.code}: {text}")
         raise

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.table import Table, read_columns
-from photocal.exchange.parts import Mark, PointEntry, object_points
+from photocal.exchange.parts import Mark, object_points
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES
@@ -96,9 +96,9 @@ def survey(folder: Path) -> Survey:
             seen.positions.append(path)
             seen.pictures = placed
         elif kind in (*_TABLES, ".xml", ".json", ".psz"):
-            found = _control(path, sizes, seen.unread)
-            if found is not None:
-                (seen.marks if found.points is None else seen.control).append(found)
+            control = _control(path, sizes, seen.unread)
+            if control is not None:
+                (seen.marks if control.points is None else seen.control).append(control)
     return seen
 
 
@@ -188,10 +188,10 @@ def _micmac(path: Path, _: Sizes) -> Found:
         ground = read_ground_points(path)
     except PhotocalError:
         return Found(path, marks=read_measures(path))
-    assumed = all(sigma == PLACEHOLDER for own in ground for sigma in own.sigma)
-    sigma = (ASSUMED_M[0], *ASSUMED_M)
-    entries = [PointEntry(own.name, "control", own.xyz, sigma if assumed else own.sigma) for own in ground]
-    return Found(path, "local", object_points(entries), assumed=assumed)
+    assumed = all(sigma == PLACEHOLDER for point in ground for sigma in point.sigma)
+    if assumed:
+        ground = tuple(replace(point, sigma=(ASSUMED_M[0], *ASSUMED_M)) for point in ground)
+    return Found(path, "local", object_points(ground), assumed=assumed)
 
 
 def _table(path: Path, _: Sizes) -> Found:
@@ -207,13 +207,13 @@ def _table(path: Path, _: Sizes) -> Found:
     names = table.unique_names("point")
     roles = ["control"] * len(names)
     if table.has("role"):
-        index, found = table.names("role")
-        roles = ["check" if found[k].lower() in CHECKS else "control" for k in index]
+        index, words = table.names("role")
+        roles = ["check" if words[k].lower() in CHECKS else "control" for k in index]
     places = np.column_stack([x, y, z])
     heads = [name.lower() for name in read_columns(path).columns.column_names]
     geographic = any(word in heads for word in HEADS["X"][6:]) and bool((np.abs(x) <= 180).all())
     sigma[np.array(roles) == "check"] = np.where(table.has("sX"), sigma[np.array(roles) == "check"], np.inf)
-    role = np.array([ROLES.index(one) for one in roles], dtype=np.int64)
+    role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
     return Found(path, "EPSG:4326" if geographic else "", points, assumed=not table.has("sX"))
 
@@ -222,8 +222,8 @@ def renamed(path: Path) -> Table:
     """Read a table of points with the names of its columns as ours; others are left out."""
     table = read_columns(path)
     names = [name.lower().strip() for name in table.columns.column_names]
-    place = {own: names.index(word) for own, words in HEADS.items() for word in words[::-1] if word in names}
-    missing = [own for own in ("point", "X", "Y", "Z") if own not in place]
+    place = {key: names.index(word) for key, words in HEADS.items() for word in words[::-1] if word in names}
+    missing = [key for key in ("point", "X", "Y", "Z") if key not in place]
     if missing:
         raise InputNotFoundError(f"has no column {missing[0]} (found {', '.join(names)})", where=path)
     return replace(table, columns=table.columns.select(list(place.values())).rename_columns(list(place)))

@@ -53,7 +53,7 @@ def check_project(project: Project) -> None:
     _check_heights(project, control)
     if place is not None:
         _check_place(project, control, *place)
-    elif project.contents.flight is None and not any(own.has_position for own in facts_of_pictures(project)):
+    elif project.contents.flight is None and not any(f.has_position for f in facts_of_pictures(project)):
         _check_line(project, control)
 
 
@@ -63,10 +63,10 @@ def _place(project: Project) -> Place | None:
     if flight is not None and flight.base_position is not None:
         latitude, longitude, _ = flight.base_position
         return latitude, longitude, "base_position in [flight]", FAR_FROM_BASE_M
-    placed = [own for own in facts_of_pictures(project) if own.has_position]
+    placed = [facts for facts in facts_of_pictures(project) if facts.has_position]
     if not placed:
         return None
-    middle = np.median([(own.latitude_deg, own.longitude_deg) for own in placed], axis=0)
+    middle = np.median([(facts.latitude_deg, facts.longitude_deg) for facts in placed], axis=0)
     return float(middle[0]), float(middle[1]), "the pictures' positions", FAR_FROM_PICTURES_M
 
 

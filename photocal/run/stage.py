@@ -132,23 +132,23 @@ def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
                 with suppress(OSError):
                     (public / name).parent.rmdir()
         for name, digest in new.items():
-            own = (digest, *owned.get(name, ()))
-            remarks += _place(made / name, public, name, own, record.with_suffix(".partial"))
+            ours = (digest, *owned.get(name, ()))
+            remarks += _place(made / name, public, name, ours, record.with_suffix(".partial"))
         _remember(record, {name: [digest] for name, digest in new.items()})
         foreign = (path.relative_to(public).as_posix() for path in _files(public))
         return (*remarks, *(f"{name} is not of this run and stays" for name in foreign if name not in new))
 
 
-def _place(source: Path, public: Path, name: str, own: tuple[str, ...], aside: Path) -> list[str]:
+def _place(source: Path, public: Path, name: str, ours: tuple[str, ...], aside: Path) -> list[str]:
     """Put a file in its place, unless it is there; what stands there and is not ours is renamed."""
     place, remarks = public / name, []
     for parent in reversed(PurePosixPath(name).parents[:-1]):
         if (public / parent).is_symlink() or (public / parent).is_file():
             remarks += _set_aside(public / parent)
     there = _digest(place)
-    if there == own[0]:
+    if there == ours[0]:
         return remarks
-    if os.path.lexists(place) and there not in own:
+    if os.path.lexists(place) and there not in ours:
         remarks += _set_aside(place)
     place.parent.mkdir(parents=True, exist_ok=True)
     aside.unlink(missing_ok=True)
@@ -254,14 +254,14 @@ def _named(module: str, path: Path) -> Iterator[str]:
 @functools.cache
 def _modules() -> dict[str, Path]:
     """List all our modules by their dotted names."""
-    found = {}
+    modules = {}
     for package in _PACKAGES:
         spec = importlib.util.find_spec(package)
         root = Path(spec.origin).parent if spec is not None and spec.origin else Path()
         for path in sorted(root.rglob("*.py")):
             parts = (package, *path.relative_to(root).with_suffix("").parts)
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
+            modules[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return modules
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,7 @@ def causes_first(
     if excuse is not None:
         alike = [f for f in findings if f.stage == "georeferencing" and f.code in excuse.imitates]
         excuses = [finding for finding in findings if finding.code == excuse.code]
-        behind = [one for one in excuses if any(_beyond(other, one) > _AS_GOOD for other in alike)]
+        behind = [f for f in excuses if any(_beyond(other, f) > _AS_GOOD for other in alike)]
         if behind:
             findings = tuple(replace(f, severity="consequence") if f in behind else f for f in findings)
         else:
@@ -118,21 +118,21 @@ def causes_first(
                 for f in findings
             )
     codes = {finding.code for finding in findings}
-    symptoms = {code for one in table if one.code in codes for code in one.symptoms}
+    symptoms = {code for cause in table if cause.code in codes for code in cause.symptoms}
     findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
     order = ("warning", "consequence", "note")
-    return tuple(sorted(findings, key=lambda one: order.index(kind(one))))
+    return tuple(sorted(findings, key=lambda finding: order.index(kind(finding))))
 
 
-def _beyond(one: Finding, excuse: Finding) -> float:
+def _beyond(finding: Finding, excuse: Finding) -> float:
     """By how much more it lowers v'Pv of the same observations than what would excuse it; NaN if unknown."""
-    ours, others = one.figures.get("fall"), excuse.figures.get("fall")
+    ours, others = finding.figures.get("fall"), excuse.figures.get("fall")
     return ours - others if isinstance(ours, float) and isinstance(others, float) else math.nan
 
 
 def _with_rivals(excuse: Finding, others: Sequence[Finding]) -> Finding:
     """The same, with what explains the observations as well as it does."""
-    rivals = tuple(dict.fromkeys(one.code for one in others if abs(_beyond(one, excuse)) <= _AS_GOOD))
+    rivals = tuple(dict.fromkeys(other.code for other in others if abs(_beyond(other, excuse)) <= _AS_GOOD))
     if not rivals:
         return excuse
     return replace(excuse, figures={**excuse.figures, "same": rivals}, clauses=(*excuse.clauses, "same"))
@@ -207,7 +207,7 @@ _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 
 def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any]:
     """Collect the figures of the stages."""
-    done, say = {one.name for one in made}, catalogue("en")
+    done, say = {result.name for result in made}, catalogue("en")
 
     def figures(stage: str, file: str) -> dict[str, Any] | None:
         return read_json(work / stage / file) if stage in done else None
@@ -215,15 +215,20 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
     ppk, exposures = figures("ppk", "ppk.json"), figures("exposures", "exposures.json")
     check = figures("georeferencing", "check.json")
     judged = check and (check["methods"].get("integrated") or {}).get("assessment")
-    adjusted = next((one for one in ("analysis", "calibration") if one in done), None)
+    adjusted = next((stage for stage in ("analysis", "calibration") if stage in done), None)
     final = project_verdict(work, done)
     return {
         "schema": SCHEMA,
         "project": name,
         "work": str(work),
         "stages": [
-            {"stage": one.name, "kept": one.kept, "seconds": round(one.seconds, 2), "folder": str(one.folder)}
-            for one in made
+            {
+                "stage": result.name,
+                "kept": result.kept,
+                "seconds": round(result.seconds, 2),
+                "folder": str(result.folder),
+            }
+            for result in made
         ],
         "ppk": None if ppk is None else {key: ppk[key] for key in _PPK},
         "exposures": None if exposures is None else _exposures(exposures),
@@ -231,7 +236,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         "check_points": None if check is None else _check_points(check),
         # Judgement of the integrated method, which is the product.
         "classes": None if check is None else judged["standards"] if judged else [],
-        "warnings": [{"kind": kind(one), **finding_json(one, say)} for one in gather(work, done)],
+        "warnings": [{"kind": kind(finding), **finding_json(finding, say)} for finding in gather(work, done)],
         "verdict": None if final is None else finding_json(final, say),
         "certificate": str(work / "certificate") if "certificate" in done else None,
     }
@@ -299,8 +304,8 @@ def _predicted(points: list[dict[str, Any]]) -> dict[str, float | None]:
 
 def summary_text(figures: dict[str, Any]) -> str:
     """Write a summary for people."""
-    kept = sum(one["kept"] for one in figures["stages"])
-    seconds = sum(one["seconds"] for one in figures["stages"] if not one["kept"])
+    kept = sum(stage["kept"] for stage in figures["stages"])
+    seconds = sum(stage["seconds"] for stage in figures["stages"] if not stage["kept"])
     made = len(figures["stages"]) - kept
     lines = [f"{figures['project']}: {made} stages made in {seconds:.1f} s, {kept} kept; {figures['work']}"]
     if figures["ppk"] is not None:
@@ -327,7 +332,7 @@ def summary_text(figures: dict[str, Any]) -> str:
     if figures["certificate"] is not None:
         lines.append(_line("certificate", figures["certificate"]))
     # Whoever reads one line reads the last.
-    first = next((one for one in figures["warnings"] if one["kind"] == "warning"), None)
+    first = next((warning for warning in figures["warnings"] if warning["kind"] == "warning"), None)
     if first is not None:
         lines.append(_line("look at first", f"{first['code']}: {first['text']}"))
     return "\n".join(lines)

@@ -122,8 +122,8 @@ def _line(number: int, figures: dict[str, Any], rows: tuple[Row, ...], together:
     own = [row for row in rows if not row.name.startswith(("antenna", "direct", "integrated", "indirect"))]
     lens = [row for row in own if row.name[0] in "KPB"]
     rig = [row for row in own if row.name.startswith(("lever", "boresight", "time"))]
-    rms = 1e3 * np.array([by_name[f"antenna positions, rms {axis}"].found for axis in _AXES])
-    check = [by_name[f"{method}, check errors/prediction"].found for method in _METHODS]
+    rms = 1e3 * np.array([by_name[f"antenna positions, rms {axis}"].estimate for axis in _AXES])
+    check = [by_name[f"{method}, check errors/prediction"].estimate for method in _METHODS]
     told = json.dumps(sorted({one["code"] for one in figures["warnings"] if one["kind"] == "warning"}))
     return [
         str(number),

@@ -133,11 +133,11 @@ class MarkingService:
         seen: dict[str, dict[str, Any]] = {}
         if orientation is not None and point in known.names:
             k = known.names.index(point)
-            found = predict(orientation, known.values[k], known.sigma[k])
+            prediction = predict(orientation, known.values[k], known.sigma[k])
             for i, name in enumerate(orientation.images.names):
-                x, y = found.pixels[i].tolist()
-                likely = float(found.probability[i])
-                outline = ellipse(found.covariance[i])
+                x, y = prediction.pixels[i].tolist()
+                likely = float(prediction.probability[i])
+                outline = ellipse(prediction.covariance[i])
                 if math.isnan(likely):
                     continue
                 seen[name] = {
@@ -238,18 +238,18 @@ class MarkingService:
                 "nothing is known of the camera", "open a project with [[camera]], or give --run"
             )
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            found = pool.submit(adjust_marks, scene.orientation, scene.points, marks).result()
-        self._adjusted, self._adjusted_marks = found, {(m.image, m.point): (m.x, m.y) for m in marks}
-        return self.state() | {"left_out": list(found.left_out)}
+            adjusted = pool.submit(adjust_marks, scene.orientation, scene.points, marks).result()
+        self._adjusted, self._adjusted_marks = adjusted, {(m.image, m.point): (m.x, m.y) for m in marks}
+        return self.state() | {"left_out": list(adjusted.left_out)}
 
     def _picture(self, name: str) -> Picture:
-        own = self._scene.pictures.get(name)
+        picture = self._scene.pictures.get(name)
         missing = InputNotFoundError.at(name)
-        if own is None:
+        if picture is None:
             raise missing("is no image of this project", "choose one of the list")
-        if own.reason:
-            raise missing(own.reason, "choose another image")
-        return own
+        if picture.reason:
+            raise missing(picture.reason, "choose another image")
+        return picture
 
 
 def _checked(kind: type[Question], body: bytes) -> Question:

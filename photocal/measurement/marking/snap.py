@@ -76,10 +76,10 @@ def snap(
         middle, likeness = symmetric_place(grey, place, reach, size / 2)
         # Of small targets there may be several within reach: the one that was clicked counts, too.
         starts = (place, middle) if size <= 2 * reach else (middle,)
-        found: list[tuple[Kind, Centre]] = []
+        fits: list[tuple[Kind, Centre]] = []
         # A ring is none where something simpler fits.
         for group in (_SIMPLE, _HOLLOW) if likeness >= LEAST_ALIKE else ():
-            found = found or [
+            fits = fits or [
                 (kind, centre)
                 for kind in kinds
                 if kind in group and size >= SMALLEST_PX[kind]
@@ -87,7 +87,7 @@ def snap(
                 for centre in [_fitted(kind, grey, start, size, bend)]
                 if centre is not None and _good(centre, place, reach) and _sharp(kind, centre, size)
             ]
-        better = min(found, key=lambda one: _variance(one[1]), default=None)
+        better = min(fits, key=lambda fit: _variance(fit[1]), default=None)
         if better is not None and (best is None or _variance(better[1]) < _variance(best[1])):
             best, in_vain = better, 0
         elif best is not None:
@@ -140,8 +140,8 @@ def symmetric_place(
     cut = grey[row - far - r : row + far + r + 1, column - far - r : column + far + r + 1].astype(np.float32)
     windows = np.lib.stride_tricks.sliding_window_view(cut, (2 * r + 1, 2 * r + 1))
     centred = windows - windows.mean(axis=(2, 3), keepdims=True)
-    own = np.einsum("abij,abij->ab", centred, centred)
-    likeness = np.einsum("abij,abij->ab", centred, centred[:, :, ::-1, ::-1]) / np.maximum(own, 1e-6)
+    energy = np.einsum("abij,abij->ab", centred, centred)
+    likeness = np.einsum("abij,abij->ab", centred, centred[:, :, ::-1, ::-1]) / np.maximum(energy, 1e-6)
     # Straight edges are alike, too, and so is even ground: only where the grey values vary both ways.
     down, right = np.gradient(cut)
     cells = [np.lib.stride_tricks.sliding_window_view(g, (2 * r + 1, 2 * r + 1)) for g in (right, down)]

@@ -103,8 +103,8 @@ class MarkStore:
         now = _fingerprint(self.path)
         if now == self._seen:
             return
-        found = read_marks(self.path) if now is not None else ()
-        self._marks = {(m.image, m.point): replace(m, place=self.path) for m in found}
+        marks = read_marks(self.path) if now is not None else ()
+        self._marks = {(m.image, m.point): replace(m, place=self.path) for m in marks}
         self._seen = now
         self._done.clear()
         self._undone.clear()

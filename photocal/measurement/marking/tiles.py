@@ -78,7 +78,7 @@ class Tiles:
         name = f"{address.level}-{address.column}-{address.row}.jpg"
         kept = self._folder / key[:2] / key / name
         try:
-            found = kept.read_bytes()
+            content = kept.read_bytes()
         except OSError:
             made = self._make(picture, key, address)
             with output_file(kept) as aside:
@@ -86,7 +86,7 @@ class Tiles:
             self._written += len(made)
             return made
         touch(kept, time.time())
-        return found
+        return content
 
     def tidy(self) -> None:
         """Remove from the disk what is too much or too old, where enough was written for it to pay."""
@@ -129,8 +129,8 @@ class Tiles:
             )
             self._levels[key, level] = held
         self._levels.move_to_end((key, level))
-        while (
-            sum(one.width * one.height for one in self._levels.values()) > _HELD_PX and len(self._levels) > 1
+        while len(self._levels) > 1 and (
+            sum(image.width * image.height for image in self._levels.values()) > _HELD_PX
         ):
             self._levels.popitem(last=False)
         return held
