@@ -78,8 +78,7 @@ def chunk_of(root: Element, path: Path) -> Chunk:
         raise malformed(f"image {lost[0].get('label')} has a sensor without calibration")
     order = {key: k for k, key in enumerate(sensors)}
     matrices = np.array([poses_of[shot.get("id", "")] for shot in shots])
-    to_world = chunk_transform(chunk, path)
-    poses = _poses(matrices.reshape(-1, 4, 4), to_world)
+    poses = _poses(matrices.reshape(-1, 4, 4), chunk_transform(chunk, path))
     listed = markers(chunk, path)
     position = {key: k for k, key in enumerate(listed)}
     image = {shot.get("id", ""): k for k, shot in enumerate(shots)}

@@ -53,8 +53,7 @@ def read_opencv(path: Path) -> Camera:
         )
     values = dict(zip(names, coefficients[: len(names)].tolist(), strict=False))
     focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-    size = image_size(width, height, path)
-    pinhole = Pinhole(size, *focal_and_centre, **values, fisheye=fisheye)
+    pinhole = Pinhole(image_size(width, height, path), *focal_and_centre, **values, fisheye=fisheye)
     camera = from_pinhole(pinhole, path.stem, path)
     free = {"c", "x0", "y0", "B1", *(camera.lens.terms if camera.lens.relative else _TERMS)}
     return replace(camera, estimated=among(*free))

@@ -174,8 +174,7 @@ def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
     """Read a table of control points: id, name, X, Y, Z and, optionally, three standard deviations."""
     widths = {len(line.text.split(",")) for line in read_lines(path)}
     layout = "id,label,x,y,z" + (",sx,sy,sz" if widths != {5} else "")
-    fields = ("id", "label", "x", "y", "z", "sx", "sy", "sz")
-    rows = list(read_rows(path, layout, fields))
+    rows = list(read_rows(path, layout, ("id", "label", "x", "y", "z", "sx", "sy", "sz")))
     parts.require_unique([row.name("id") for row in rows], "control point", path)
     return {
         row.name("id"): (np.array([row.value(axis) for axis in "xyz"]), np.array(row.sigma())) for row in rows

@@ -143,8 +143,7 @@ def _member(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes
 
 def _ply(archive: zipfile.ZipFile, name: str, wanted: tuple[str, ...], path: Path) -> NDArray[Any]:
     """Vertices of a binary PLY table."""
-    content = _member(archive, name, path, _MAX_MEMBER)
-    head, separator, body = content.partition(b"end_header\n")
+    head, separator, body = _member(archive, name, path, _MAX_MEMBER).partition(b"end_header\n")
     lines = head.decode("ascii", errors="replace").split("\n")
     malformed = InputMalformedError.at(path)
     if not separator or lines[0] != "ply" or "format binary_little_endian 1.0" not in lines:

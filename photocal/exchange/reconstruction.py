@@ -93,8 +93,7 @@ class Reconstruction:
 def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[InputFile, ...]) -> Block:
     """Make a block of a reconstruction: orientations and points as start values."""
     count = len(given.point_names)
-    roles = given.roles or ("tie",) * count
-    role = np.array([ROLES.index(word) for word in roles], dtype=np.int64)
+    role = np.array([ROLES.index(word) for word in given.roles or ("tie",) * count], dtype=np.int64)
     sigma = np.full((count, 3), np.inf)
     surveyed = (role != ROLES.index("tie")) & np.isfinite(given.xyz).all(axis=1)
     known = surveyed & np.isfinite(given.xyz_sigma).all(axis=1)

@@ -138,8 +138,7 @@ def _adjust(
         else:
             free[rows] = False
     covariance = np.zeros((n, n))
-    inverse = np.linalg.inv(normal[np.ix_(free, free)])
-    covariance[np.ix_(free, free)] = inverse
+    covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
     correction = covariance @ (design.T @ (weight @ reduced))
     residual = design @ correction - reduced
     # Cofactors of the residuals; redundancy is the diagonal of Qvv P (Foerstner 1979).

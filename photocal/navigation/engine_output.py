@@ -274,8 +274,7 @@ def trajectory_of(
     solution: EngineSolution, velocity_sigma: float, base_m: Floats, velocity: Floats | None = None
 ) -> Trajectory:
     """Return the engine's positions as a trajectory."""
-    place = solution.xyz_m
-    apart = PER_METRE * np.linalg.norm(place - base_m, axis=1)
+    apart = PER_METRE * np.linalg.norm(solution.xyz_m - base_m, axis=1)
     apart[solution.quality > _DIFFERENTIAL] = 0.0
     status = np.array([_STATUS.get(q, "single") for q in solution.quality.tolist()], "U6")
     return Trajectory(

@@ -152,8 +152,7 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
             rotation[a] @ ((where[b] - where[a]) / np.linalg.norm(where[b] - where[a]))
             for rotation, where in ((oriented.rotation, oriented.station), (recorded, place))
         )
-        along = float(next(ways) @ next(ways))
-        pairs.append(PairRotation(a, b, 0, turns, angle, along))
+        pairs.append(PairRotation(a, b, 0, turns, angle, float(next(ways) @ next(ways))))
     return pairs
 
 

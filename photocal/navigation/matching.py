@@ -132,8 +132,7 @@ def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift:
         candidates, candidates - reach
     )
     best = candidates[int(np.argmax(votes))]
-    near = candidates[np.abs(candidates - best) <= reach]
-    best = float(np.median(near))
+    best = float(np.median(candidates[np.abs(candidates - best) <= reach]))
     score = int(_hits(x, y, np.array([best]), reach)[0])
     apart = candidates[np.abs(candidates - best) > 3 * reach]
     top = apart[np.argsort(-votes[np.abs(candidates - best) > 3 * reach], kind="stable")[:200]]

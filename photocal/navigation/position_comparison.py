@@ -104,8 +104,7 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     differences are left out. Neighbours share the errors of a receiver's own solution, which wander for
     minutes: differences count as so many independent ones as their autocorrelation leaves.
     """
-    known = np.isfinite(pairs.ours + pairs.theirs + pairs.velocity).all(axis=1)
-    rows = np.flatnonzero(known)
+    rows = np.flatnonzero(np.isfinite(pairs.ours + pairs.theirs + pairs.velocity).all(axis=1))
     if len(rows) < _LEAST:
         raise IllPosedError(
             f"{len(rows)} exposures have both positions and a velocity, at least {_LEAST} are needed"

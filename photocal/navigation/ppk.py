@@ -253,8 +253,7 @@ def _base_off_code(inputs: Inputs, options: ProcessingOptions, engine: Rtklib, f
     """Return the base's position less its own code solution (east, north, up); refuse a wrong one."""
     alone = [inputs.base.path, *inputs.navigation]
     code = engine.solve("single", "forward", alone, options, None, folder)
-    middle = np.median(code.xyz_m, axis=0)
-    apart = enu_axes_at(inputs.base_m) @ (inputs.base_m - middle)
+    apart = enu_axes_at(inputs.base_m) @ (inputs.base_m - np.median(code.xyz_m, axis=0))
     off = float(np.linalg.norm(apart))
     if off > _BASE_LIMIT_M:
         raise IllPosedError(

@@ -84,8 +84,7 @@ class ReceiverRecording:
         self.untimed_epochs += int(untimed.sum())
         subframes = ubx.decode(batch, ubx.RXM_SFRBX).index
         self.ephemeris_frames += len(subframes)
-        wanted = np.sort(np.concatenate([good, subframes]))
-        self.ubx.extend(payloads[i] for i in wanted.tolist())
+        self.ubx.extend(payloads[i] for i in np.sort(np.concatenate([good, subframes])).tolist())
         survey = ubx.decode(batch, ubx.NAV_SVIN).fields
         survey = survey[(survey["valid"] != 0) & (survey["obs"] > 0)]
         if len(survey):
@@ -174,8 +173,7 @@ def refuse_unusable(recording: ReceiverRecording, role: str, log: FlightLog) -> 
     """Refuse a recording that no position can be computed from."""
     if recording.epochs or recording.observation_frames:
         return
-    place = f"{log}, link {recording.link}"
-    ill_posed = IllPosedError.at(place)
+    ill_posed = IllPosedError.at(f"{log}, link {recording.link}")
     if recording.untimed_epochs:
         raise ill_posed(
             f"all {recording.untimed_epochs} RXM-RAWX epochs of the {role} have GPS week 0: the receiver "

@@ -86,8 +86,7 @@ def camera_axes(directions: tuple[str, ...]) -> Floats:
 
     raises ConfigurationError: when a direction is unknown or the three are no right-handed system.
     """
-    known = [BODY_AXES[name] for name in directions if name in BODY_AXES]
-    matrix = np.array(known)
+    matrix = np.array([BODY_AXES[name] for name in directions if name in BODY_AXES])
     if matrix.shape != (3, 3) or not np.isclose(np.linalg.det(matrix), 1.0):
         raise ConfigurationError(
             f"{', '.join(directions)} are not the directions of a right-handed camera",
