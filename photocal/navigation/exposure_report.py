@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import as_plain
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text
@@ -86,7 +87,7 @@ def _medians(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float] | Non
 
 def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
     m = camera.matching
-    return {
+    figures = {
         "camera": camera.camera,
         "matched": len(m.image),
         "unmatched_images": [camera.names[i] for i in m.unmatched_images.tolist()],
@@ -98,6 +99,7 @@ def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
         "clock_drift_sigma_ppm": m.drift_sigma * 1e6,
         "residual_s": m.scatter_s,
     }
+    return dict(as_plain(figures))
 
 
 def _unmatched(cameras: list[CameraMatch], events: Events) -> Iterator[Finding]:
@@ -150,11 +152,13 @@ def exposures_text(figures: dict[str, Any]) -> str:
     lines += figures["remarks"]
     for camera in figures["cameras"]:
         rest = f"{len(camera['unmatched_images'])} images, {len(camera['unmatched_events'])} events"
-        lines.append(
-            f"{camera['camera']}: {camera['matched']} matched, without a partner {rest}; its clock is "
-            f"{camera['clock_offset_s']:+.3f} s (sigma {camera['clock_offset_sigma_s']:.3f} s) off, drift "
-            f"{camera['clock_drift_ppm']:+.0f} ppm"
-        )
+        line = f"{camera['camera']}: {camera['matched']} matched, without a partner {rest}"
+        if camera["matched"]:
+            line += (
+                f"; its clock is {camera['clock_offset_s']:+.3f} s (sigma "
+                f"{camera['clock_offset_sigma_s']:.3f} s) off, drift {camera['clock_drift_ppm']:+.0f} ppm"
+            )
+        lines.append(line)
     missing = figures["not_placed"]
     lines += [f"event {x['event']} at {x['time_gps']}: {x['reason']}" for x in missing[:_LISTED]]
     if len(missing) > _LISTED:

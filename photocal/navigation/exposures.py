@@ -6,12 +6,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, IllPosedError
 from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
 from photocal.navigation.attitude import Attitudes
 from photocal.navigation.events import Events
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
-from photocal.navigation.matching import Matching, match
+from photocal.navigation.matching import Matching, match, no_matching
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import LARGEST_GAP_S, Placed
@@ -177,17 +177,26 @@ class CameraMatch:
 def match_images(
     images: list[ImageMetadata], events: Events, largest_offset_s: float
 ) -> tuple[list[str], list[CameraMatch]]:
-    """Match images to events, camera by camera."""
+    """Match images to events, camera by camera.
+
+    raises IllPosedError: when those of none can be matched; a telephone's among them belong to no event.
+    """
     names = [""] * len(events)
-    matches = []
+    matches, refusals = list[CameraMatch](), list[IllPosedError]()
     event_s = (events.time.ns - events.time.ns[0]) / 1e9
     origin_s = float(events.time.to_utc().ns[0]) / 1e9
     for camera in dict.fromkeys(image.camera for image in images):
         of_camera = [image for image in images if image.camera == camera]
         image_s = np.array([clock_time_s(image) - origin_s for image in of_camera])
         resolution = max(image.resolution_s for image in of_camera)
-        matching = match(image_s, event_s, resolution_s=resolution, largest_offset_s=largest_offset_s)
+        try:
+            matching = match(image_s, event_s, resolution_s=resolution, largest_offset_s=largest_offset_s)
+        except IllPosedError as refusal:
+            refusals.append(refusal)
+            matching = no_matching(len(of_camera))
         for i, e in zip(matching.image.tolist(), matching.event.tolist(), strict=True):
             names[e] = f"{names[e]} {of_camera[i].name}".strip()
         matches.append(CameraMatch(camera, [image.name for image in of_camera], matching))
+    if len(refusals) == len(matches):
+        raise refusals[0]
     return names, matches

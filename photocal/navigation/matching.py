@@ -42,6 +42,12 @@ class Matching:
     residual_s: Floats
 
 
+def no_matching(images: int) -> Matching:
+    """Images of a camera that belong to no events: it misses none."""
+    none, unknown = np.zeros(0, dtype=np.int64), (np.nan,) * 5
+    return Matching(none, none, np.arange(images), none, none, *unknown, np.zeros(0))
+
+
 def match(
     image_s: Floats,
     event_s: Floats,

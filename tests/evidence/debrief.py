@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from acquire.simulate.world.configuration import FLIGHTS, read_configuration
 from acquire.simulate.world.site import simulate_flight
@@ -32,6 +33,7 @@ from photocal.project import read_project
 from photocal.tasks.progress import quiet
 from tests.photocal.debrief.conftest import (
     BOTH,
+    EXIF,
     FOCAL_MM,
     SERIAL,
     TAKEN,
@@ -121,6 +123,13 @@ def _cut(site: Path, _: Path) -> None:
     path.write_bytes(content)
 
 
+def _three_days_before(site: Path, _: Path) -> None:
+    for path in names(site):
+        with Image.open(path) as image:
+            taken = image.getexif().get_ifd(EXIF)[TAKEN]
+        edited(path, lambda image: image, dict.fromkeys((TAKEN, BOTH), taken.replace(":15 ", ":12 ")))
+
+
 def _no_base(site: Path, _: Path) -> None:
     import_log(site, ("vehicle", "rover"))
 
@@ -137,13 +146,12 @@ def _smeared(image: Any) -> Any:
     return smeared(smeared(smeared(image)))
 
 
-_ANOTHER_DAY = {TAKEN: "2025:06:12 08:00:00", BOTH: "2025:06:12 08:00:00"}
 FAULTS = (
     Fault("none", frozenset()),
     Fault(
         "three pictures missing in a strip",
         frozenset({"events-without-image", "strip-gap"}),
-        _without(4, 5, 6),
+        _without(2, 3, 4),
     ),
     Fault("four pictures blurred", frozenset({"pictures-blurred"}), _edited(slice(20, 24), _smeared)),
     Fault(
@@ -171,7 +179,7 @@ FAULTS = (
     Fault(
         "the card of another flight",
         frozenset({"wrong-card"}),
-        _edited(slice(None), lambda image: image, _ANOTHER_DAY),
+        _three_days_before,
     ),
     Fault("positions float (slips every five seconds)", frozenset({"positions-not-fixed"}), _slipped),
     Fault("the base did not run", frozenset({"no-ppk"}), _no_base),

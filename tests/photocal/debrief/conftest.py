@@ -17,7 +17,7 @@ SIZE, FOCAL = (640, 480), 471.4
 LENS = {"size_px": SIZE, "pitch_mm": 0.01872, "fx": FOCAL, "fy": FOCAL, "cx": 321.4, "cy": 238.1}
 
 # EXIF: the table of the exposure, and tags in it.
-_EXIF = 0x8769
+EXIF = 0x8769
 FOCAL_MM, SERIAL, TAKEN, BOTH = 0x920A, 0xA431, 0x9003, 0x9004
 
 
@@ -58,7 +58,7 @@ def edited(
     with Image.open(path) as image:
         tags, xmp = image.getexif(), image.info.get("xmp", b"")
         made = change(image.convert("RGB"))
-    tags.get_ifd(_EXIF).update(exif or {})
+    tags.get_ifd(EXIF).update(exif or {})
     # Copies of a flight may share their files.
     path.unlink()
     made.save(path, "JPEG", quality=92, exif=tags, xmp=xmp)

@@ -39,9 +39,9 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def stamp_images(folder: Path, utc_ns: list[int], late_s: float) -> None:
+def stamp_images(folder: Path, utc_ns: list[int], late_s: float, model: str = "TestCam") -> None:
     """Images whose EXIF tells hundredths of seconds by a camera clock that is late."""
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     for number, ns in enumerate(utc_ns):
         hundredths = round(ns / 1e7 - late_s * 100)
         seconds, part = divmod(hundredths, 100)
@@ -50,8 +50,8 @@ def stamp_images(folder: Path, utc_ns: list[int], late_s: float) -> None:
         details = {36867: f"{moment:%Y:%m:%d %H:%M:%S}", 37521: f"{part:02d}"}
         exif._ifds[0x8769] = details
         exif[0x8769] = details
-        exif[272] = "TestCam"
-        image.save(folder / f"IMG_{number:04d}.jpg", exif=exif)
+        exif[272] = model
+        image.save(folder / f"{'IMG' if model == 'TestCam' else model}_{number:04d}.jpg", exif=exif)
 
 
 def at_antenna(angles: Floats, covariance: Floats, angle_sigma: Floats) -> Exposures:
@@ -202,12 +202,17 @@ def test_images_are_matched_to_an_event_list(photocal: Photocal, shared: Path, t
     # The 11th shot made no image.
     folder = tmp_path / "images"
     stamp_images(folder, [ns for i, ns in enumerate(utc.ns.tolist()) if i != 10], late_s=7.4)
+    # Of the crew, by a telephone.
+    stamp_images(folder, [utc.ns[5] + 600_000_000], late_s=0.0, model="Phone")
     out = tmp_path / "out"
     answer = photocal(
         "exposures", "--mrk", listed, "--images", folder, "-o", out, "--crs", "EPSG:32633", "--json"
     )
     assert answer.code == 0, answer.err
-    camera = json.loads(answer.out)["cameras"][0]
+    figures = json.loads(answer.out)
+    camera, telephone = figures["cameras"]
+    assert telephone["unmatched_images"] == ["Phone_0000.jpg"]
+    assert [f["code"] for f in figures["findings"] if "Phone" in f["text"]] == ["images-without-event"]
     assert camera["matched"] >= 170
     assert camera["clock_offset_s"] == pytest.approx(7.4, abs=0.02)
     names = [row["image"] for row in table(out / "exposures.csv")]
