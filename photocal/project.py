@@ -202,11 +202,6 @@ def _variant(given: Any) -> str:
     return "<plain>" if plain else "<coded>"
 
 
-def _several(given: Any) -> Any:
-    """Take one table as a list of one."""
-    return (given,) if isinstance(given, dict) else given
-
-
 Targets = Annotated[
     Annotated[CodedTargets, Tag("<coded>")] | Annotated[PlainTargets, Tag("<plain>")], Discriminator(_variant)
 ]
@@ -218,7 +213,10 @@ class Control(Table):
     points: Beside | None = None
     marks: Beside | None = None
     distances: Beside | None = None
-    targets: Annotated[tuple[Targets, ...], BeforeValidator(_several)] = ()
+    # One table is a list of one.
+    targets: Annotated[
+        tuple[Targets, ...], BeforeValidator(lambda own: (own,) if isinstance(own, dict) else own)
+    ] = ()
 
     @property
     def coded_targets(self) -> tuple[CodedTargets, ...]:

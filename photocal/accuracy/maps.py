@@ -145,7 +145,11 @@ def histograms(discrepancies: Discrepancies) -> Figure:
     figure = Figure(figsize=_HISTOGRAM_INCHES, layout="constrained")
     for column, (name, values) in enumerate(known, start=1):
         axes = figure.add_subplot(1, len(known), column)
-        _histogram(axes, name, values)
+        draw_histogram(axes, values, "#9db8d9", _INK)
+        told = moments(values)
+        axes.set_xlabel(f"d{name} (m)")
+        axes.set_title(f"n {told.n}, mean {told.mean_m:+.3f}, RMSE {told.rmse_m:.3f}", fontsize=7)
+        axes.tick_params(labelsize=7)
         if column == 1:
             axes.set_ylabel("check points")
     return figure
@@ -179,14 +183,6 @@ def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | N
     axes.set_title(f"Discrepancies, {SIGN}", fontsize=9, loc="left")
     axes.tick_params(labelsize=7)
     return figure
-
-
-def _histogram(axes: Axes, name: str, values: Floats) -> None:
-    draw_histogram(axes, values, "#9db8d9", _INK)
-    figures = moments(values)
-    axes.set_xlabel(f"d{name} (m)")
-    axes.set_title(f"n {figures.n}, mean {figures.mean_m:+.3f}, RMSE {figures.rmse_m:.3f}", fontsize=7)
-    axes.tick_params(labelsize=7)
 
 
 def save_figures(folder: Path, drawn: Mapping[str, Figure | None]) -> tuple[str, ...]:

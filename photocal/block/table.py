@@ -2,8 +2,8 @@
 
 import codecs
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +171,19 @@ def read_wider_table(path: Path, required: tuple[str, ...]) -> Table:
         if columns.count(name) > 1:
             raise malformed(f"column {name} comes twice", "give each column its own name")
     return table
+
+
+def read_under(path: Path, heads: Mapping[str, Sequence[str]], required: Iterable[str]) -> Table:
+    """Read a table whose columns people name in other ways; those without a name of ours are left out.
+
+    heads: words for each column, the first of them that stands there counts; units in brackets do not.
+    """
+    table = read_columns(path)
+    names = [re.sub(r"[ _]*[(\[].*|^#", "", name.lower().strip()) for name in table.columns.column_names]
+    place = {key: names.index(word) for key, words in heads.items() for word in words[::-1] if word in names}
+    if missing := [key for key in required if key not in place]:
+        raise InputNotFoundError(f"has no column {missing[0]} (found {', '.join(names)})", where=path)
+    return replace(table, columns=table.columns.select(list(place.values())).rename_columns(list(place)))
 
 
 def read_columns(path: Path) -> Table:

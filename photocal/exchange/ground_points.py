@@ -10,6 +10,7 @@ pitch of -90 is 0 here. Neither states the kind of the heights: that stays with 
 OpenDroneMap documentation, "Ground control points" and "Image geolocation files"; ODM's `compute_opk`.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -174,4 +175,8 @@ def _head(path: Path) -> tuple[str, list[Line]]:
             "write EPSG:n, WGS84 UTM zone, or a PROJ string in the first line",
             where=path,
         )
+    # ODM's own name of a zone: WGS84 UTM 22S.
+    zone = re.fullmatch(r"WGS84 UTM (\d+) ?([NS])", " ".join(first.upper().split()))
+    if zone:
+        first = f"EPSG:{32600 + 100 * (zone[2] == 'S') + int(zone[1])}"
     return first, lines[1:]

@@ -16,6 +16,7 @@ from photocal.exchange.ground_points import read_gcp_list
 from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
 from photocal.exchange.source import Line, number, read_lines, read_xml, require_readable
+from photocal.measurement.position_files import IMAGE_HEADS
 
 # A point that somebody clicked, when the table does not say how well.
 BY_HAND_PX = 1.0
@@ -24,8 +25,8 @@ Sizes = Mapping[str, tuple[int, int]]
 Sigma = tuple[float, float]
 # Words that head the columns of such tables, in the order in which tables without a head have them.
 _HEADS = (
-    ("image", ("image", "image_name", "imagename", "image_label", "camera", "camera_label", "photo")),
-    ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label")),
+    ("image", (*IMAGE_HEADS, "image_name", "imagename", "image_label", "camera", "camera_label")),
+    ("point", ("point", "gcp", "gcp_name", "gcp_label", "marker", "marker_label", "label", "ponto", "marco")),
     ("x", ("x", "u", "image_u", "image_x", "x_px")),
     ("y", ("y", "v", "image_v", "image_y", "y_px")),
 )

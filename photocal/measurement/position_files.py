@@ -9,14 +9,26 @@ import numpy as np
 
 from drivers.arrays import Floats
 from drivers.earth import enu_axes, geocentric
-from drivers.errors import ConfigurationError, InputMalformedError
+from drivers.errors import ConfigurationError, InputMalformedError, PhotocalError
 from drivers.mrk import COLUMNS, parse_event
+from photocal.block.table import read_under
 from photocal.exchange.ground_points import read_geo
 from photocal.exchange.reference_table import read_references
 from photocal.exchange.source import read_text
 from photocal.measurement.image_facts import ImageFacts
 
 Given = Callable[[ImageFacts], ImageFacts]
+# Heads of the columns of places as people write them; the last ones of X and Y are of degrees.
+_LONGITUDE, _LATITUDE = ("lon", "long", "longitude"), ("lat", "latitude")
+PLACE_HEADS = {
+    "X": ("x", "e", "east", "easting", "este", "leste", *_LONGITUDE),
+    "Y": ("y", "n", "north", "northing", "norte", *_LATITUDE),
+    "Z": ("z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação"),
+    "sX": ("sx", "se", "sigma_x", "sigma_e", "accuracy_x"),
+    "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y"),
+    "sZ": ("sz", "sh", "su", "sigma_z", "sigma_h", "accuracy_z"),
+}
+IMAGE_HEADS = ("image", "imagem", "photo", "foto", "picture", "file", "filename", "arquivo")
 
 # Longitude, latitude (deg), height and three sigmas (east, north, up), m.
 _Place = tuple[float, ...]
@@ -83,9 +95,17 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
         crs, rows = read_references(path)
         places = _in_degrees(crs, {row.name: (*row.xyz, *row.sigma) for row in rows}, path)
     else:
-        crs, images = read_geo(path)
-        # Of the plane and of the height.
-        listed = {name: (*row[:3], row[6], *row[6:]) for name, row in images.items()}
+        try:
+            heads = {"image": (*IMAGE_HEADS, "label", "name", "nome"), **PLACE_HEADS}
+            table = read_under(path, heads, ("image", *"XYZ"))
+        except PhotocalError:
+            crs, images = read_geo(path)
+            # Of the plane and of the height.
+            listed = {name: (*row[:3], row[6], *row[6:]) for name, row in images.items()}
+        else:
+            crs = "EPSG:4326" if in_degrees(path) else ""
+            values = np.hstack([table.matrix("XYZ"), table.matrix(("sX", "sY", "sZ"), empty=np.nan)])
+            listed = dict(zip(table.unique_names("image"), map(tuple, values.tolist()), strict=True))
         places = _in_degrees(crs, listed, path)
     if not any(_of(name, places) for name in names):
         first = next(iter(places), "nothing")
@@ -95,6 +115,12 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
             where=path,
         )
     return lambda facts: _placed(facts, _of(facts.name, places))
+
+
+def in_degrees(path: Path) -> bool:
+    """Whether the heads of a table say that its places are longitudes and latitudes."""
+    heads = read_under(path, {"X": _LONGITUDE, "Y": _LATITUDE}, ()).columns.column_names
+    return heads == ["X", "Y"]
 
 
 def _of(name: str, places: Mapping[str, _Place]) -> _Place | None:
@@ -137,7 +163,7 @@ def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -
 
     malformed = InputMalformedError.at(path)
     if not crs:
-        raise malformed("does not name its system", "EPSG:4326 on the first line")
+        raise malformed("does not name its system", "head its columns latitude and longitude")
     values = np.array(list(listed.values()), dtype=float).reshape(-1, 6)
     try:
         system = CRS.from_user_input(crs)

@@ -128,7 +128,7 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
         tried += _exchanged(model, sigma, to_camera[rows], pairs.lever_m)
     judged = [t for t in tried if t.significant and t.p * len(tried) < _SIGNIFICANCE]
     best = max(judged, key=lambda t: t.gain, default=None)
-    same = () if best is None else _as_good(best, judged)
+    as_good = [t.name for t in judged if best and t.name != best.name and best.gain - t.gain < _AS_GOOD]
     # A lever arm is known to a centimetre: exchanged axes need not explain the last of it.
     exchange = next((t for t in judged if t.name == AXES and best and t.gain > _MOST * best.gain), None)
     return PositionComparison(
@@ -136,7 +136,7 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
         np.sqrt(np.mean(model.solved(sigma)[2] ** 2, axis=0)),
         np.mean(model.difference, axis=0),
         best,
-        same,
+        tuple(dict.fromkeys(as_good)),
         _detectable(model, sigma, unknown),
         exchange,
     )
@@ -193,11 +193,6 @@ def _noise(design: Floats, difference: Floats) -> tuple[float, float]:
     together = float(np.sum(residual[1:] * residual[:-1]))
     r = float(np.clip(together / max(float(np.sum(residual**2)), 1e-300), 0.0, _MOST_ALIKE))
     return float(np.sqrt(squares / max(difference.size - design.shape[2], 1))), (1 - r) / (1 + r)
-
-
-def _as_good(best: Explanation, judged: list[Explanation]) -> tuple[str, ...]:
-    names = [t.name for t in judged if t is not best and best.gain - t.gain < _AS_GOOD]
-    return tuple(dict.fromkeys(name for name in names if name != best.name))
 
 
 def _nuisance(pairs: PositionPairs) -> Floats:

@@ -13,7 +13,6 @@ from drivers.arrays import Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
-from photocal.adjustment.solution import Solution
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.planning.area import grid
@@ -77,12 +76,14 @@ def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecisi
     except (IllPosedError, NotConvergedError) as refusal:
         return SimulatedPrecision(method, *counts, reason=str(refusal))
     variance = np.diagonal(solution.point_covariance[check], axis1=1, axis2=2)
+    lens = np.sqrt(np.diag(solution.camera_covariance[0])) / (flight.wish.frame.pixel_m * 1e3)
+    camera_px = {name: float(lens[PARAMETERS.index(name)]) for name in ("c", "x0", "y0")}
     return SimulatedPrecision(
         method,
         *counts,
         tuple(np.sqrt(variance.mean(axis=0)).tolist()),
         tuple(np.sqrt(variance.max(axis=0)).tolist()),
-        _camera_px(flight.wish.frame, solution) if survey.self_calibration else {},
+        camera_px if survey.self_calibration else {},
     )
 
 
@@ -173,11 +174,6 @@ def _rays(poses: Floats, xyz: Floats, frame: Frame) -> tuple[Integers, Integers,
         points.append(visible)
         seen.append(plane[visible])
     return np.concatenate(images), np.concatenate(points), np.vstack(seen)
-
-
-def _camera_px(frame: Frame, solution: Solution) -> dict[str, float]:
-    sigma = np.sqrt(np.diag(solution.camera_covariance[0])) / (frame.pixel_m * 1e3)
-    return {name: float(sigma[PARAMETERS.index(name)]) for name in ("c", "x0", "y0")}
 
 
 def to_json(result: SimulatedPrecision, survey: Survey) -> dict[str, object]:

@@ -208,7 +208,8 @@ def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Cata
 
 
 def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) -> Table:
-    step = _round_step(corner / 10)
+    power = float(10.0 ** np.floor(np.log10(corner / 10)))
+    step = power * next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= corner / 10 * 0.95)
     profile = sensor.radial_profile(camera, np.append(np.arange(0.0, corner, step), corner))
     millimetres = camera.unit == "mm"
     pitch = float(np.mean(camera.pitch))
@@ -227,11 +228,6 @@ def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) 
         row.append(say.fixed(1e3 * float(t), 1) if millimetres else say.fixed(float(t), 2))
         rows.append(tuple(row))
     return Table(say("distortion.table"), columns(say, "distortion", *heads), tuple(rows), note)
-
-
-def _round_step(step: float) -> float:
-    power = 10.0 ** np.floor(np.log10(step))
-    return float(power * next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= step * 0.95))
 
 
 def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:

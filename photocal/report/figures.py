@@ -91,7 +91,9 @@ def residual_map(camera: Camera, vectors: SensorResiduals, say: Catalogue) -> st
     w, h = (float(side) for side in extent)
     # A residual of typical size is drawn as a fortieth of the sensor's width.
     length = np.hypot(*vectors.residual_px.T) if len(vectors.place) else np.zeros(1)
-    arrow = _round_length((float(np.sqrt(np.mean(length**2))) or 1.0) * 2)
+    usual = (float(np.sqrt(np.mean(length**2))) or 1.0) * 2
+    power = float(10.0 ** np.floor(np.log10(usual)))
+    arrow = power * min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - usual))
     scale = 0.05 * w / arrow
     # Margins in inches: left, right, bottom, top.
     margins = (0.75, 0.25, 0.45, 0.38)
@@ -164,11 +166,6 @@ def _disc(ax: "Axes", x: float, y: float, r: float, *, clip: bool = True) -> Non
         return
     face, radius = INK if r > 0 else "white", 0.44 * float(np.sqrt(min(abs(r), 1.0)))
     ax.add_patch(Circle((x, y), radius, facecolor=face, edgecolor=INK, linewidth=0.8, clip_on=clip))
-
-
-def _round_length(length: float) -> float:
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - length)))
 
 
 def localised(ax: Any, mark: str) -> None:

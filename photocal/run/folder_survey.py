@@ -1,32 +1,28 @@
 """What lies in the folder of a flight: pictures, control, marks, logs, and projects of other programs."""
 
+import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from drivers.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import ROLES, Block, ObjectPoints
-from photocal.block.table import Table, read_columns
+from photocal.block.table import read_under
 from photocal.exchange.parts import Mark, object_points
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES
 from photocal.measurement.marks import ControlMarks, read_any_marks, read_control_marks
-from photocal.measurement.position_files import read_positions
+from photocal.measurement.position_files import PLACE_HEADS, in_degrees, read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
 ASSUMED_M = (0.02, 0.03)
 # Heads of columns as people write them.
 HEADS = {
     "point": ("point", "ponto", "name", "nome", "id", "label", "gcp", "marco", "vertice", "vértice"),
-    "X": ("x", "e", "east", "easting", "este", "leste", "lon", "long", "longitude"),
-    "Y": ("y", "n", "north", "northing", "norte", "lat", "latitude"),
-    "Z": ("z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação"),
-    "sX": ("sx", "se", "sigma_x", "sigma_e", "accuracy_x_(m)"),
-    "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y_(m)"),
-    "sZ": ("sz", "sh", "su", "sigma_z", "sigma_h", "accuracy_z_(m)"),
+    **PLACE_HEADS,
     "role": ("role", "tipo", "type", "uso"),
 }
 CHECKS = ("check", "checagem", "verificação", "verificacao", "checkpoint", "check point")
@@ -34,6 +30,8 @@ _LOGS, _RAW_LOGS = (".mcap",), (".tlog", ".bin", ".ulg", ".ubx")
 _TABLES = (".csv", ".txt")
 _RINEX = (".obs", ".nav", ".rnx")
 _DEPTH = 3
+# Who speaks of pictures does so at once.
+_HEAD_BYTES = 1 << 16
 Sizes = dict[str, tuple[int, int]]
 
 
@@ -146,7 +144,9 @@ def _control(path: Path, sizes: Sizes, unread: list[str]) -> Found | None:
         except PhotocalError as refusal:
             refusals.append(refusal)
     words = ("gcp", "control", "controle", "pontos", "points", "marks", "apoio", "check")
-    if any(word in path.stem.lower() for word in words) and refusals:
+    cells = set(re.split(r"[\s,;\"]+", path.read_bytes()[:_HEAD_BYTES].decode("latin-1")))
+    named = any(name in cells or Path(name).stem in cells for name in sizes)
+    if refusals and (named or any(word in path.stem.lower() for word in words)):
         unread.append(str(refusals[0]))
     return None
 
@@ -196,7 +196,7 @@ def _micmac(path: Path, _: Sizes) -> Found:
 
 def _table(path: Path, _: Sizes) -> Found:
     """A table of points under any heads that people write."""
-    table = renamed(path)
+    table = read_under(path, HEADS, ("point", *"XYZ"))
     x, y, z = (table.numbers(column) for column in "XYZ")
     sigma = np.column_stack(
         [
@@ -210,23 +210,10 @@ def _table(path: Path, _: Sizes) -> Found:
         index, words = table.names("role")
         roles = ["check" if words[k].lower() in CHECKS else "control" for k in index]
     places = np.column_stack([x, y, z])
-    heads = [name.lower() for name in read_columns(path).columns.column_names]
-    geographic = any(word in heads for word in HEADS["X"][6:]) and bool((np.abs(x) <= 180).all())
     sigma[np.array(roles) == "check"] = np.where(table.has("sX"), sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
-    return Found(path, "EPSG:4326" if geographic else "", points, assumed=not table.has("sX"))
-
-
-def renamed(path: Path) -> Table:
-    """Read a table of points with the names of its columns as ours; others are left out."""
-    table = read_columns(path)
-    names = [name.lower().strip() for name in table.columns.column_names]
-    place = {key: names.index(word) for key, words in HEADS.items() for word in words[::-1] if word in names}
-    missing = [key for key in ("point", "X", "Y", "Z") if key not in place]
-    if missing:
-        raise InputNotFoundError(f"has no column {missing[0]} (found {', '.join(names)})", where=path)
-    return replace(table, columns=table.columns.select(list(place.values())).rename_columns(list(place)))
+    return Found(path, "EPSG:4326" if in_degrees(path) else "", points, assumed=not table.has("sX"))
 
 
 def _marks(path: Path, sizes: Sizes) -> Found:

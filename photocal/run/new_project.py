@@ -75,7 +75,7 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
         control = replace(control, crs=crs)
     text = _Text(folder, seen, facts, pictures, control, crs, height, frame)
     files = {NAME: "\n".join(text.lines()) + "\n"}
-    if frame is not None:
+    if text.listed:
         files[PICTURES] = text.pictures_table()
     if control is not None and control.points is not None:
         files["control.csv"] = _points_table(text.control_points)
@@ -135,6 +135,8 @@ class _Text:
             own_head = [head[image.name] for image in facts]
             self.member = np.array([frame.heads.index(own) for own in own_head], dtype=np.int64)
             self.cameras = tuple(_plain(f"{facts[own_head.index(h)].model}-{h}") for h in frame.heads)
+        # Where sizes do not tell cameras apart.
+        self.listed = frame is not None or len({image.size_px for image in facts}) < len(self.cameras)
         self.found: list[str] = []
         self.missing: list[str] = []
         self.asked: list[str] = []
@@ -235,11 +237,12 @@ class _Text:
         ]
         yield f"\n[images]  # {comment}"
         yield f"folder = {_quoted(self._beside(self.pictures))}"
-        if self.frame is not None:
+        if self.listed:
             yield f"pictures = {_quoted(PICTURES)}  # camera and exposure of each"
         tables = self.seen.positions or (self.seen.events if stated < count else [])
         if len(tables) == 1 and not self.seen.logs:
-            yield f"positions = {_quoted(self._beside(tables[0]))}  # with their sigmas"
+            comment = "  # with their sigmas" if stated else ""
+            yield f"positions = {_quoted(self._beside(tables[0]))}{comment}"
         elif self.seen.positions:
             names = ", ".join(map(self._beside, self.seen.positions))
             self.missing.append(f"pictures have positions in {names}: name one as positions in [images]")

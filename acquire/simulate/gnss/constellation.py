@@ -73,7 +73,11 @@ class Satellite:
         mu = gravity(self.system)
         motion = np.sqrt(mu / axis**3) + v("delta_n")
         ecc = v("e")
-        anomaly = _eccentric(v("m0") + motion * tk, ecc)
+        mean = v("m0") + motion * tk
+        anomaly = mean + ecc * np.sin(mean)
+        # Newton's steps on nearly circular orbits: the error is squared each time, from 1e-4.
+        for _ in range(3):
+            anomaly -= (anomaly - ecc * np.sin(anomaly) - mean) / (1 - ecc * np.cos(anomaly))
         sin_e, cos_e = np.sin(anomaly), np.cos(anomaly)
         anomaly_rate = motion / (1 - ecc * cos_e)
         root = np.sqrt(1 - ecc**2)
@@ -109,14 +113,6 @@ class Satellite:
         clock = v("af0") + (v("af1") + v("af2") * tk) * tk + relativity * sin_e
         rate = v("af1") + 2 * v("af2") * tk + relativity * cos_e * anomaly_rate
         return Orbit(position, velocity, clock, rate)
-
-
-def _eccentric(mean: Floats, ecc: float) -> Floats:
-    anomaly = mean + ecc * np.sin(mean)
-    # Newton's steps on nearly circular orbits: the error is squared each time, from 1e-4.
-    for _ in range(3):
-        anomaly = anomaly - (anomaly - ecc * np.sin(anomaly) - mean) / (1 - ecc * np.cos(anomaly))
-    return np.asarray(anomaly)
 
 
 def constellation(

@@ -53,7 +53,10 @@ def make_targets(
     """Lay the plates far from each other over the area; those that spread widest become control."""
     count = given.control + given.check
     places = spread_points(area_m, count, random)
-    centre = np.column_stack([places, _bed(terrain, places, given.side_m)])
+    steps = np.linspace(-0.6, 0.6, 7) * given.side_m
+    east, north = np.meshgrid(steps, steps)
+    around = terrain.height(places[:, 0, None] + east.ravel(), places[:, 1, None] + north.ravel())
+    centre = np.column_stack([places, around.max(axis=1) + ABOVE_GROUND_M])
     control = np.isin(np.arange(count), spread(places, given.control, []))
     numbers = np.where(control, np.cumsum(control), np.cumsum(~control)).tolist()
     kinds = [("control", "GCP") if chosen else ("check", "CHK") for chosen in control.tolist()]
@@ -84,13 +87,6 @@ def spread_points(area_m: Floats, count: int, random: np.random.Generator) -> Fl
             drawn = drawn[np.argmax(apart)][None]
         chosen = np.vstack([chosen, drawn[:1]])
     return chosen
-
-
-def _bed(terrain: Terrain, places: Floats, side_m: float) -> Floats:
-    steps = np.linspace(-0.6, 0.6, 7) * side_m
-    east, north = np.meshgrid(steps, steps)
-    around = terrain.height(places[:, 0, None] + east.ravel(), places[:, 1, None] + north.ravel())
-    return np.asarray(around.max(axis=1) + ABOVE_GROUND_M)
 
 
 @dataclass(frozen=True)

@@ -55,9 +55,14 @@ def start_values(
     relations: their distances give a free network its scale.
     """
     seen = bearings(cameras, camera_of, len(points), rays)
-    model = _known_poses(empty_model(seen, points), exposures)
+    model = empty_model(seen, points)
+    known = np.isfinite(exposures).all(axis=1)
+    model.rotation[known] = matrix_from_angles(exposures[known, :3])
+    model.centre[known] = exposures[known, 3:]
     complete, everywhere = model.oriented, np.ones(seen.images, dtype=np.bool_)
-    if complete.any() or _resectable(model):
+    count = np.bincount(seen.rays.image[model.placed[seen.rays.point]], minlength=seen.images)
+    # Two images, or the only one, are resected from five known points.
+    if complete.any() or (count >= 5).sum() >= min(2, seen.images):
         model = grown(model, everywhere)
     while not model.oriented.all():
         more = _separate_model(model, exposures, relations, free=free and not model.oriented.any())
@@ -85,20 +90,6 @@ def free_models(seen: Bearings) -> list[Model]:
         models.append(model)
         remaining &= ~model.oriented
     return sorted(models, key=lambda model: -int(model.oriented.sum()))
-
-
-def _known_poses(model: Model, exposures: Floats) -> Model:
-    known = np.isfinite(exposures).all(axis=1)
-    rotation, centre = model.rotation.copy(), model.centre.copy()
-    rotation[known], centre[known] = matrix_from_angles(exposures[known, :3]), exposures[known, 3:]
-    return replace(model, rotation=rotation, centre=centre)
-
-
-def _resectable(model: Model) -> bool:
-    """Whether two images, or the only one, see five known points or more."""
-    seen = model.bearings
-    count = np.bincount(seen.rays.image[model.placed[seen.rays.point]], minlength=seen.images)
-    return bool((count >= 5).sum() >= min(2, seen.images))
 
 
 def _separate_model(model: Model, exposures: Floats, relations: Relations, *, free: bool) -> Model | None:

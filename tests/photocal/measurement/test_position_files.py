@@ -58,3 +58,15 @@ def test_a_table_of_other_pictures_is_refused(tmp_path: Path) -> None:
     path.write_text("EPSG:4326\nother.jpg 16.4 47.6 300\n")
     with pytest.raises(InputMalformedError, match="none of the 1 pictures"):
         read_positions(path, ["a.jpg"])
+
+
+def test_a_spreadsheet_of_positions(tmp_path: Path) -> None:
+    """Semicolons, decimal commas and heads in Portuguese; a table that states no sigma gives none."""
+    path = tmp_path / "posicoes.csv"
+    path.write_bytes("Imagem;Latitude;Longitude;Altitude (m)\na;-22,9;-43,25;61,5\n".encode("cp1252"))
+    placed = read_positions(path, ["a.JPG"])(_fact("a.JPG"))
+    assert (placed.latitude_deg, placed.longitude_deg, placed.altitude_m) == (-22.9, -43.25, 61.5)
+    assert all(sigma != sigma for sigma in placed.position_sigma_m)
+    path.write_text("image,E,N,Z\na,500000,7000000,61.5\n")
+    with pytest.raises(InputMalformedError, match="does not name its system"):
+        read_positions(path, ["a.JPG"])

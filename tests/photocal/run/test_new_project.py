@@ -15,6 +15,7 @@ from photocal.block.folder import read_points
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.marks import read_marks
+from photocal.measurement.project_block import pictures_of_heads
 from photocal.project import read_project
 from photocal.run.campaign import stages
 from photocal.run.new_project import new_project
@@ -24,10 +25,10 @@ LATITUDE, LONGITUDE = -25.4483, -49.2311
 DEWARP = "2023-05-01;3666.67,3668.25,-12.3,8.4,-0.26572,0.11107,0.00035,-0.00021,-0.02812"
 
 
-def picture(path: Path, north: float | None = 0.0, xmp: str = "") -> None:
+def picture(path: Path, north: float | None = 0.0, xmp: str = "", model: str = "TestCam") -> None:
     """Write a small picture, with a position unless `north` (m) is None."""
     exif = Image.Exif()
-    exif[0x0110] = "TestCam"
+    exif[0x0110] = model
     if north is not None:
         gps = exif.get_ifd(0x8825)
         for key, value in ((2, -LATITUDE - north / 111e3), (4, -LONGITUDE)):
@@ -75,6 +76,45 @@ def test_a_brazilian_table_and_marks_beside_it(folder: Path) -> None:
     assert points.of_role("check").tolist() == [False, True]
     marks = read_marks(project.control.marks or folder)
     assert [(m.image, m.x, m.y) for m in marks] == [("a0.jpg", 10.5, 20.0), ("a1.jpg", 30.0, 40.0)]
+
+
+def test_marks_under_heads_of_a_spreadsheet(folder: Path) -> None:
+    """The corner of the upper-left pixel is (0, 0) in tables that are not ours."""
+    (folder / "pontos.csv").write_text("Ponto;E;N;Cota\n001;677864,5;7184231,25;912,4\n")
+    (folder / "marcas.csv").write_text("Imagem;Ponto;X;Y\na0;001;10,5;20\n")
+    new_project(folder, height="ellipsoidal")
+    assert [(m.image, m.point, m.x, m.y) for m in read_marks(folder / "marks.csv")] == [
+        ("a0.jpg", "001", 10.0, 19.5)
+    ]
+
+
+def test_a_zone_as_odm_names_it(folder: Path) -> None:
+    """Its documentation: the first line is a zone of WGS84, its number and N or S."""
+    row = "677864,5 7184231,25 912,4 10,5 20 a0.jpg 1e5\n"
+    (folder / "gcp_list.txt").write_bytes(("WGS84 UTM 22S\n" + row).encode("utf-16"))
+    made = new_project(folder, height="ellipsoidal")
+    project = read_project(made.path)
+    assert project.crs == "EPSG:32722"
+    assert read_points(project.control.points or folder).names == ("1e5",)
+
+
+def test_a_table_that_names_pictures_and_cannot_be_used_is_told(folder: Path) -> None:
+    (folder / "list.csv").write_text("who,when\na1.jpg,noon\n")
+    (folder / "other.csv").write_text("who,when\nnobody,noon\n")
+    told = [line for line in new_project(folder).missing if line.startswith("not used")]
+    assert len(told) == 1
+    assert "list.csv" in told[0]
+
+
+def test_cameras_of_one_size_are_told_apart_by_a_table(folder: Path) -> None:
+    """Wide and tele pictures that no frame joins, for one of them is missing here and there."""
+    for k in range(3, 6):
+        picture(folder / f"a{k}.jpg", 20.0 * k, model="Tele")
+    project = read_project(new_project(folder).path)
+    assert project.images.pictures is not None
+    camera_of, exposure = pictures_of_heads(project)
+    assert [camera_of[f"a{k}.jpg"] for k in range(6)] == [0, 0, 0, 1, 1, 1]
+    assert not any(exposure.values())
 
 
 def test_nothing_says_where(tmp_path: Path) -> None:
