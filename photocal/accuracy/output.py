@@ -98,7 +98,17 @@ def _standard_record(result: TableResult) -> dict[str, Any]:
         "accuracy_class": result.accuracy_class,
         "differ": result.differ,
         "classes": [_decision(decision) for decision in result.decisions],
-        "smallest": [_admitted(admitted, table.sizes()) for admitted in result.admitted],
+        "smallest": [
+            {
+                "class": admitted.name,
+                "precision": admitted.precision,
+                "rmse": admitted.rmse,
+                "share": admitted.share,
+                "accuracy": admitted.accuracy,
+                "next_listed": classes.smallest_listed(table.sizes(), admitted.accuracy),
+            }
+            for admitted in result.admitted
+        ],
         "source": table.source,
         "second_hand": table.second_hand,
         "source_note": table.source_note,
@@ -117,17 +127,6 @@ def _decision(decision: classes.ClassDecision) -> dict[str, Any]:
         "share_within_pec": decision.share_within,
         "share_enough": decision.share_passes,
         "accuracy": decision.accurate,
-    }
-
-
-def _admitted(admitted: classes.AdmittedSize, sizes: tuple[float, ...]) -> dict[str, Any]:
-    return {
-        "class": admitted.name,
-        "precision": admitted.precision,
-        "rmse": admitted.rmse,
-        "share": admitted.share,
-        "accuracy": admitted.accuracy,
-        "next_listed": classes.smallest_listed(sizes, admitted.accuracy),
     }
 
 

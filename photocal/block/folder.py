@@ -152,7 +152,11 @@ def read_block(folder: Path) -> Block:
     readings = setup.observations.readings
     if readings is not None:
         observations, fits = from_readings(folder, readings, cameras, images, observations)
-    relations, checks = _read_relations(folder, points.names), folder / CHECK_DISTANCES
+    paths = {name: folder / f"{name}s.csv" for name in RELATIONS}
+    parts = [read_relations(path, name, points.names) for name, path in paths.items() if path.exists()]
+    parts, columns = parts or [NO_RELATIONS], ("kind", "first", "second", "values", "sigma", "third")
+    relations = Relations(*(np.concatenate([getattr(part, column) for part in parts]) for column in columns))
+    checks = folder / CHECK_DISTANCES
     optional = (*(f"{name}s.csv" for name in (*RELATIONS, "position", "attitude")), CHECK_DISTANCES)
     present = [name for name in optional if (folder / name).exists()]
     tables = [SETUP, "images.csv", "points.csv", table.name, *present]
@@ -279,15 +283,6 @@ def read_relations(path: Path, kind: str, points: tuple[str, ...], known: str = 
     scale = np.pi / 180 if kind in ANGLES else 1.0
     third = ends[2] if len(ends) == 3 else np.full(len(value), -1)
     return Relations(code, ends[0], ends[1], value * scale, sigma * scale, third)
-
-
-def _read_relations(folder: Path, points: tuple[str, ...]) -> Relations:
-    paths = {name: folder / f"{name}s.csv" for name in RELATIONS}
-    parts = [read_relations(path, name, points) for name, path in paths.items() if path.exists()]
-    if not parts:
-        return NO_RELATIONS
-    columns = ("kind", "first", "second", "values", "sigma", "third")
-    return Relations(*(np.concatenate([getattr(part, column) for part in parts]) for column in columns))
 
 
 def _sigmas(table: Table, column: str) -> Floats:

@@ -177,7 +177,10 @@ def assemble(block: Block) -> NetworkOfBlock:
         linked = control & block.points.cross[used].any(axis=1)
         matrices = covariance_matrices(prior[linked], block.points.cross[used][linked])
         weight[linked] = np.linalg.inv(matrices)
-    weight = _local_weights(frame, block.points.values[used], weight)
+    weighted = weight.any(axis=(1, 2))
+    if weighted.any():
+        back = np.linalg.inv(frame.derivative(block.points.values[used][weighted]))
+        weight[weighted] = np.swapaxes(back, 1, 2) @ weight[weighted] @ back
     names = tuple(block.points.names[j] for j in used)
     relations = _relations(block, position)
     exposures, values = with_start_values(
@@ -256,16 +259,6 @@ def local_positions(positions: Positions, frame: Frame) -> Positions:
     velocity = np.einsum("nab,nb->na", turn, positions.velocity)
     local = frame.to_local(positions.values)
     return replace(positions, values=local, covariance=covariance, velocity=velocity)
-
-
-def _local_weights(frame: Frame, places: Floats, weight: Floats) -> Floats:
-    """Weight matrices of given coordinates as those of local coordinates."""
-    weighted = weight.any(axis=(1, 2))
-    local = weight.copy()
-    if weighted.any():
-        back = np.linalg.inv(frame.derivative(places[weighted]))
-        local[weighted] = np.swapaxes(back, 1, 2) @ weight[weighted] @ back
-    return local
 
 
 def _known_directions(weight: Floats, held: Flags) -> Floats:

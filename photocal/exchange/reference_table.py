@@ -32,7 +32,9 @@ def read_references(path: Path) -> tuple[str, tuple[PointEntry, ...]]:
         raise InputMalformedError("has no header that begins with #Label", "export it with one", where=path)
     header = [cell.strip().lower() for cell in next(csv.reader(io.StringIO(lines[0][1])))]
     places = [_column(header, names, path) for names in _COORDINATES]
-    accuracies = _accuracy_columns(header)
+    # One for all coordinates, of the plane and of the height, or one each; -1 where there is none.
+    given = [k for k, cell in enumerate(header) if cell.startswith("accuracy") and "(m)" in cell]
+    accuracies = {1: given * 3, 2: [*given[:1], *given], 3: given}.get(len(given), [-1] * 3)
     entries = []
     for k, line in lines[1:]:
         if line.startswith("#"):
@@ -79,16 +81,6 @@ def _column(header: list[str], names: tuple[str, ...], path: Path) -> int:
         if any(re.fullmatch(rf"{name}(/\w+)?|\w+/{name}", cell) for name in names):
             return k
     raise InputMalformedError(f"has no column {names[0].upper()}", "export the coordinates", where=path)
-
-
-def _accuracy_columns(header: list[str]) -> tuple[int, int, int]:
-    """Columns of the accuracies of X, Y and Z; -1 where there is none."""
-    given = [k for k, cell in enumerate(header) if cell.startswith("accuracy") and "(m)" in cell]
-    if len(given) == 1:
-        return given[0], given[0], given[0]
-    if len(given) == 2:
-        return given[0], given[0], given[1]
-    return (given[0], given[1], given[2]) if len(given) == 3 else (-1, -1, -1)
 
 
 def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -160,7 +161,11 @@ def _pair(first: Run, second: Run) -> Pair:
 def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> Outcome:
     """Run an experiment."""
     block = with_attitude_angles(checkable(in_local_frame(experiment.block)))
-    reference = _reference(block)
+    surveyed = np.flatnonzero(np.isfinite(block.points.sigma).any(axis=1))
+    # Orientations with all surveyed points as control, where that can be.
+    reference = None
+    with suppress(PhotocalError):
+        reference = of_method(with_roles(block, surveyed), "indirect").exposures
     done()
     if experiment.noise is not None:
         # One realisation for all runs, so that they differ by what is being compared only.
@@ -179,15 +184,6 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
                 done()
     left = _leave_one_out(block, experiment.methods, done) if experiment.leave_one_out else ()
     return Outcome(tuple(runs), left)
-
-
-def _reference(block: Block) -> Floats | None:
-    """Orientations with all surveyed points as control, shape (images, 6); None where that cannot be."""
-    surveyed = np.flatnonzero(np.isfinite(block.points.sigma).any(axis=1))
-    try:
-        return of_method(with_roles(block, surveyed), "indirect").exposures
-    except PhotocalError:
-        return None
 
 
 def spread_points(block: Block, candidates: Integers, count: int) -> Integers:

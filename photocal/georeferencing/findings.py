@@ -53,8 +53,9 @@ def _refused(check: BlockCheck) -> list[Finding]:
     """Name the methods that the block does not allow; what it was never meant for is no fault."""
     block = check.block
     without = not block.points.of_role("control").any()
-    observed = np.asarray(np.isfinite(block.images.sigma).any(axis=0))
-    places, angles = observed[3:].any(), observed[:3].any()
+    # An attitude of one image only keeps a block level.
+    known = np.isfinite(block.images.sigma)
+    places, angles = known[:, 3:].any(), known[:, :3].all(axis=1).sum() > 1
     positions, attitudes = places or len(block.positions.image), angles or len(block.attitudes.image)
     meant = {"direct": positions and attitudes, "integrated": positions or attitudes, "indirect": True}
     return [

@@ -134,8 +134,9 @@ def _by_positions(adjusted: Adjusted, stated: Mapping[str, Floats]) -> Adjusted:
 
 
 def _as_stated(block: Block, stated: Mapping[str, Floats]) -> Images:
-    """Images of a block with the sigmas that were stated of them, by name."""
-    return replace(block.images, sigma=np.array([stated[name] for name in block.images.names]))
+    """Images of a block with the sigmas that were stated of their positions, by name."""
+    sigma = np.array([stated[name] for name in block.images.names])
+    return replace(block.images, sigma=np.hstack([block.images.sigma[:, :3], sigma[:, 3:]]))
 
 
 def _controlled(block: Block) -> bool:

@@ -4,6 +4,7 @@ The shape of a block comes from its rays; what images say of their positions, wh
 metres, only places it. So a wrong position bends nothing and can be told from the others.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -87,8 +88,10 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     )
     model, findings = _calibrated(models[0], block.cameras)
     block = replace(block, cameras=_cameras(block.cameras, model))
-    move, determined = _placing(model, control, given, _position_sigma(block, given))
-    if not determined:
+    sigma = _position_sigma(block, given)
+    move, determined = _placing(model, control, given, sigma)
+    turn = np.nan if determined else _turn_of_line(model, given, sigma)
+    if not determined and np.isnan(turn):
         block = replace(
             block, datum="free", images=replace(block.images, sigma=np.full_like(block.images.sigma, np.inf))
         )
@@ -110,7 +113,14 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     complete = lost & np.isfinite(given).all(axis=1) & determined
     poses[complete], reasons[complete] = given[complete], ""
     poses = given_poses(frame, poses)
-    if determined and block.datum == "control":
+    if turn > 0:
+        # That cameras look down keeps the block from turning about the line; one image does for all.
+        images, one = block.images, int(np.argmax(np.bincount(tracks.image)))
+        values, stated = images.values.copy(), images.sigma.copy()
+        values[one, :3], stated[one, :3] = poses[one, :3], LEVEL
+        block = replace(block, images=replace(images, values=values, sigma=stated))
+        findings.append(Finding("positions-in-line", "doubtful", figures={"turn_deg": math.degrees(turn)}))
+    if (determined or turn > 0) and block.datum == "control":
         block = replace(block, images=softened(block.images, poses, shifted=False))
     return Placed(block, poses, tuple(reasons), tuple(findings))
 
@@ -180,6 +190,18 @@ def _placing(model: Model, control: Floats, given: Floats, sigma: float) -> tupl
         source, target = model.centre[model.oriented][:1], np.zeros((1, 3))
     weight = max(sigma, 1e-3) ** 2 / LEVEL**2 * max(len(source), 1)
     return aligned_similarity(source, target, axes, goals, weight), False
+
+
+def _turn_of_line(model: Model, given: Floats, sigma: float) -> float:
+    """By how much a model may turn about the line of its positions, that say all else, rad; else NaN."""
+    images = model.oriented & np.isfinite(given[:, 3:]).all(axis=1)
+    if images.sum() < FEWEST_JOINED or not sigma:
+        return np.nan
+    source, target, nothing = model.centre[images], given[images, 3:], np.zeros((0, 3))
+    miss = misses_of(aligned_similarity(source, target, nothing, nothing, 0.0), source, target)
+    length = float(np.linalg.norm(target - target.mean(axis=0), 2))
+    error = max(float(np.sqrt(np.mean(miss**2))), sigma)
+    return min(LEVEL, _turn(target, miss, sigma)) if error < OPEN_TURN * length else np.nan
 
 
 def _turn(target: Floats, miss: Floats, sigma: float) -> float:

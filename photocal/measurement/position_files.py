@@ -119,8 +119,8 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
 
 def in_degrees(path: Path) -> bool:
     """Whether the heads of a table say that its places are longitudes and latitudes."""
-    heads = read_under(path, {"X": _LONGITUDE, "Y": _LATITUDE}, ()).columns.column_names
-    return heads == ["X", "Y"]
+    table = read_under(path, {"X": _LONGITUDE, "Y": _LATITUDE}, ())
+    return table.has("X") and table.has("Y")
 
 
 def _of(name: str, places: Mapping[str, _Place]) -> _Place | None:

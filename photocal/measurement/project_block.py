@@ -86,7 +86,11 @@ def measure_project(
     raises PhotocalError: when too few images can be read, fit a camera, or are oriented.
     """
     control = control_points(project)
-    by_hand = _marks_by_hand(project, marks_files)
+    paths, own = list_images(project.picture_folder), project.control.marks
+    by_hand = read_marks(own) if own is not None and own.exists() else ()
+    if marks_files:
+        sizes = {facts.name: facts.size_px for facts in each_picture(paths, read_facts)[0]}
+        by_hand += tuple(mark for file in marks_files for mark in read_any_marks(file, sizes))
     # What was observed of them stands elsewhere: in the block they are start values.
     starts: Images | None = None
     if exposures is not None:
@@ -95,7 +99,6 @@ def measure_project(
     if starts is None and project.crs == "local" and unmarked and control.of_role("control").any():
         raise _nowhere(project.name)
     looking = stated_footprints if starts is None else partial(_footprints, project, starts, control)
-    paths = list_images(project.picture_folder)
     known = better_known(project, [path.name for path in paths])
     sighted = sight(paths, plan, progress, looking, known)
     camera_of, exposure = pictures_of_heads(project)
@@ -278,14 +281,6 @@ def _footprints(
     )
 
 
-def _marks_by_hand(project: Project, files: Sequence[Path]) -> tuple[Mark, ...]:
-    path = project.control.marks
-    by_hand = read_marks(path) if path is not None and path.exists() else ()
-    pictures = list_images(project.picture_folder) if files else []
-    sizes = {facts.name: facts.size_px for facts in each_picture(pictures, read_facts)[0]}
-    return (*by_hand, *(mark for file in files for mark in read_any_marks(file, sizes)))
-
-
 def _nowhere(name: str) -> InputNotFoundError:
     return InputNotFoundError(
         "neither the images nor marks of control points say where the block is",
@@ -404,8 +399,11 @@ def _restored(held: Adjusted, released: Adjusted, block: Block) -> tuple[Block, 
     else:
         shifted = len(marked_control(block)) >= FEWEST_CONTROL
         borne, _, findings = position_sigmas(bare.images, released.values, shifted=shifted)
+        # An image may be held level where all positions lie in a line.
+        borne[:, :3] = released.start.images.sigma[:, :3]
     bare = replace(bare, datum=released.start.datum, images=replace(bare.images, sigma=borne))
-    poses = np.where(np.isfinite(borne), bare.images.values, held.values[remaining])
+    known = np.hstack([released.start.images.values[:, :3], bare.images.values[:, 3:]])
+    poses = np.where(np.isfinite(borne), known, held.values[remaining])
     oriented = without_images(held.start, ~remaining)
     oriented = replace(oriented, images=replace(oriented.images, values=held.values[remaining]))
     values = place(oriented, released.tracks, 0.0)

@@ -156,54 +156,58 @@ def _check_place(
     """Control in its system against a place that is known in degrees."""
     if project.crs == "local" or not len(control.names):
         return
-    middle = np.nanmedian(control.values[:, :2], axis=0)
-    stated = _away(latitude, longitude, project.crs, middle)
-    if stated <= far:
+    known = np.isfinite(control.values[:, :2]).all(axis=1)
+    stated = np.where(known, _away(latitude, longitude, project.crs, control.values[:, :2]), 0.0)
+    off = stated > far
+    if not off.any():
         return
-    table, file = project.control.points, project.path
+    places, table, file = control.values[off, :2], project.control.points, project.path
+    which = [name for name, wrong in zip(control.names, off, strict=True) if wrong]
+    points = "the control points" if off[known].all() else f"control points {', '.join(which)}"
     tried: list[tuple[str, Path | None, float, float, str, Floats]] = [
-        ("E and N of the control points are exchanged", table, latitude, longitude, project.crs, middle[::-1])
+        (f"E and N of {points} are exchanged", table, latitude, longitude, project.crs, places[:, ::-1])
     ]
     wrong = ConfigurationError.at(table)
-    if (np.abs(control.values[:, :2]) <= (180, 90)).all():
+    if (np.abs(places) <= (180, 90)).all():
         raise wrong(
-            "the control points are in degrees, crs is in metres",
+            f"{points} are in degrees, crs is in metres",
             f"take them to {project.crs}, or let photocal new do it",
         )
     for unit, factor in _UNITS.items():
-        cause = f"the control points are in {unit}"
-        tried.append((cause, table, latitude, longitude, project.crs, middle * factor))
+        tried.append((f"{points} are in {unit}", table, latitude, longitude, project.crs, places * factor))
     if abs(longitude) <= 90:
         cause = f"latitude and longitude of {what} are exchanged"
-        tried.append((cause, file, longitude, latitude, project.crs, middle))
+        tried.append((cause, file, longitude, latitude, project.crs, places))
     for word, north, east in (
         ("latitude", -1.0, 1.0),
         ("longitude", 1.0, -1.0),
         ("latitude and longitude", -1.0, -1.0),
     ):
         cause = f"the sign of the {word} of {what} is wrong"
-        tried.append((cause, file, north * latitude, east * longitude, project.crs, middle))
+        tried.append((cause, file, north * latitude, east * longitude, project.crs, places))
     for crs in _neighbours(project.crs, latitude, longitude):
-        cause = f"crs = {project.crs!r} is not the zone of the control points: that is {crs}"
-        tried.append((cause, file, latitude, longitude, crs, middle))
+        cause = f"crs = {project.crs!r} is not the zone of {points}: that is {crs}"
+        tried.append((cause, file, latitude, longitude, crs, places))
     for cause, where, north, east, crs, place in tried:
-        if _away(north, east, crs, place) <= far:
+        if (where is table or off[known].all()) and (_away(north, east, crs, place) <= far).all():
             raise ConfigurationError(cause, f"then they fit {what}: correct it", where=where)
-    raise wrong(
-        f"the control points lie {stated / 1000:.0f} km from {what}, and no exchange of axes, signs, units "
-        "or zones explains it",
-        "check crs, control and positions",
-    )
+    # Single slips of the pen are named beside the others' residuals.
+    if (usual := np.median(stated[known])) > far:
+        raise wrong(
+            f"the control points lie {usual / 1000:.0f} km from {what}, and no exchange of axes, signs, "
+            "units or zones explains it",
+            "check crs, control and positions",
+        )
 
 
-def _away(latitude: float, longitude: float, crs: str, place: Floats) -> float:
-    """Distance in the plane of a system, m; infinite where the system does not reach."""
+def _away(latitude: float, longitude: float, crs: str, places: Floats) -> Floats:
+    """Distances in the plane of a system, m (n,); infinite where the system does not reach."""
     fact = ImageFacts("", (1, 1), latitude_deg=latitude, longitude_deg=longitude, altitude_m=0.0)
     try:
-        distance = float(np.hypot(*(map_places([fact], crs)[0, :2] - place)))
+        distance = np.hypot(*(map_places([fact], crs)[0, :2] - places).T)
     except PhotocalError:
-        return np.inf
-    return distance if np.isfinite(distance) else np.inf
+        return np.full(len(places), np.inf)
+    return np.where(np.isfinite(distance), distance, np.inf)
 
 
 def _neighbours(crs: str, latitude: float, longitude: float) -> Iterator[str]:

@@ -79,6 +79,27 @@ def test_positions_in_a_line_place_a_level_block_and_that_is_told() -> None:
     assert np.abs(found.poses[:, :2]).max() < 0.01
 
 
+def test_positions_of_a_corridor_keep_all_that_they_say() -> None:
+    """Scale, direction and place of good positions hold a block in a line; one level image holds its turn.
+
+    Expected: the true poses, to the noise of positions of 1 cm over 40 m; the turn to 0.2 rad.
+    """
+    rng = np.random.default_rng(3)
+    places = np.column_stack([np.arange(12) * 4.0, np.zeros(12), np.full(12, 40.0)])
+    seen = places + rng.normal(0, 0.01, places.shape)
+    # The lens of the strip, which would bend another.
+    start = replace(_block(seen), cameras=(LENS.changed(K1=-3e-9),))
+    start.images.sigma[:, 3:] = 0.01
+    found = first_orientation(start, _strip(places, rng)).adjusted
+    assert found.start.datum == "control"
+    assert np.isfinite(found.start.images.sigma[:, :3]).all(axis=1).sum() == 1
+    assert np.ptp(found.values[:, 3]) == pytest.approx(44.0, abs=0.03)
+    assert np.abs(found.values[:, 1]).max() < 0.01
+    assert np.abs(found.values[:, 0]).max() < 0.2
+    told = [one for one in oriented(start, found.tracks).findings if one.code == "positions-in-line"]
+    assert 0.0 < float(told[0].figures["turn_deg"]) <= 11.5
+
+
 def test_positions_tens_of_metres_off_bend_nothing() -> None:
     """One is 300 m off: named and not used; all are 20 m off: their sigmas are enlarged."""
     rng = np.random.default_rng(8)
