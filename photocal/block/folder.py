@@ -154,8 +154,9 @@ def read_block(folder: Path) -> Block:
         observations, fits = from_readings(folder, readings, cameras, images, observations)
     paths = {name: folder / f"{name}s.csv" for name in RELATIONS}
     parts = [read_relations(path, name, points.names) for name, path in paths.items() if path.exists()]
-    parts, columns = parts or [NO_RELATIONS], ("kind", "first", "second", "values", "sigma", "third")
-    relations = Relations(*(np.concatenate([getattr(part, column) for part in parts]) for column in columns))
+    columns, relations = ("kind", "first", "second", "values", "sigma", "third"), NO_RELATIONS
+    if parts:
+        relations = Relations(*(np.concatenate([getattr(own, one) for own in parts]) for one in columns))
     checks = folder / CHECK_DISTANCES
     optional = (*(f"{name}s.csv" for name in (*RELATIONS, "position", "attitude")), CHECK_DISTANCES)
     present = [name for name in optional if (folder / name).exists()]
