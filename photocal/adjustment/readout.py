@@ -1,4 +1,4 @@
-"""The readout of a rolling shutter: whether there is one, and the sigmas of what belongs to it."""
+"""What gusts move while a shutter rolls, or between the exposures of heads: for times that are found."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -8,21 +8,23 @@ import numpy as np
 from scipy import special
 
 from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.adjust import minimum_of, with_statistics
+from photocal.adjustment.adjust import adjust, minimum_of, with_statistics
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import factored
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem, prepare, values_of
+from photocal.adjustment.rig import LATER
 from photocal.adjustment.sensitivity import along
 from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
+from photocal.adjustment.state import head_values
 from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection, among
 
 Report = Callable[[Iteration], None]
 
 READOUT = PARAMETERS.index("readout")
-# The sigmas of gusts belong to the readout when it changes by less than this share.
+# The sigmas of gusts belong to the readout when it changes by less than this share; those of frames, too.
 SETTLED = 0.02
 ROUNDS = 5
 # A global shutter is called rolling in one of a thousand flights.
@@ -58,11 +60,6 @@ class Readout:
     effect: float
     way: float
 
-    @property
-    def borne_by(self) -> float:
-        """Its value in standard deviations."""
-        return self.value / self.sigma
-
 
 def with_readouts(
     network: Network, solution: Solution, report: Report | None = None
@@ -94,7 +91,8 @@ def with_readouts(
             }
         network, solution = _settled(_with(network, known), solution, report, changed=bool(known))
         # Free to move as much as such a readout lets them, the images must still bear it.
-        if any(readout_of(network, solution, k).borne_by < BORNE for k in known):
+        borne = [readout_of(network, solution, k) for k in known]
+        if any(readout.value < BORNE * readout.sigma for readout in borne):
             return given[0], given[1], tuple(tests[k] for k in sorted(tests))
     except (IllPosedError, NotConvergedError):
         # A readout that nobody has stated and the network does not bear leaves it as it was.
@@ -110,11 +108,11 @@ def _settled(
     network: Network, solution: Solution, report: Report | None, *, changed: bool
 ) -> tuple[Network, Solution]:
     """Adjust until the sigmas of gusts belong to the readouts; `solution` is of a network before a change."""
-    found = minimum_of(network, report, solution.state) if changed else None
+    minimum = minimum_of(network, report, solution.state) if changed else None
     estimated = [k for k, camera in enumerate(network.cameras) if camera.estimated[READOUT]]
     before = dict[int, tuple[float, float]]()
     for _ in range(ROUNDS):
-        state = solution.state if found is None else found[1].state
+        state = solution.state if minimum is None else minimum[1].state
         # A prior observes the value that is given: that one stays.
         values = {
             k: float(state.cameras[k, READOUT])
@@ -126,32 +124,59 @@ def _settled(
         pairs = {k: (float(network.cameras[k].values[READOUT]), v) for k, v in values.items()}
         settling = {k: _where_they_meet(before.get(k), pair) for k, pair in pairs.items()}
         network = _with(network, {k: network.cameras[k].changed(readout=v) for k, v in settling.items()})
-        before, found = pairs, minimum_of(network, report, state)
-    return network, solution if found is None else with_statistics(*found)
+        before, minimum = pairs, minimum_of(network, report, state)
+    return network, solution if minimum is None else with_statistics(*minimum)
 
 
 def _where_they_meet(before: tuple[float, float] | None, now: tuple[float, float]) -> float:
     """Readout to give next, from those that were given and found: where both are the same, by the secant."""
     # A larger one gives gusts more room, and may be found smaller by more than it was larger.
-    given, found = now
+    given, estimate = now
     if before is None or given == before[0]:
-        return found
-    slope = min((found - before[1]) / (given - before[0]), 0.5)
-    return given + (found - given) / (1.0 - slope)
+        return estimate
+    slope = min((estimate - before[1]) / (given - before[0]), 0.5)
+    return given + (estimate - given) / (1.0 - slope)
+
+
+def with_lags(network: Network, solution: Solution, report: Report | None = None) -> tuple[Network, Solution]:
+    """Let gusts move a frame for the times between its heads that are found, until its sigmas stay.
+
+    How much later a head exposes is seldom known beforehand. The mean square of that time is the square of
+    what is found and its variance: a time that is little known stays loose.
+    """
+    given, camera = (network, solution), network.exposures.camera
+    for _ in range(ROUNDS if network.rig.gust.any() else 0):
+        values = head_values(network, solution.state.common)
+        variance = np.diag(solution.common_covariance)[-values.size :].reshape(values.shape)[:, LATER]
+        # Larger where residuals are larger than stated.
+        sigma = np.sqrt(variance * max(1.0, float(np.nan_to_num(solution.variance_factor))))
+        rig = replace(network.rig, lag=np.column_stack([values[:, LATER], sigma]))
+        if np.allclose(rig.give(camera), network.rig.give(camera), rtol=SETTLED, atol=0.0):
+            break
+        network = replace(network, rig=rig)
+        try:
+            solution = adjust(network, report, solution.state)
+        except (IllPosedError, NotConvergedError):
+            return given
+    return network, solution
 
 
 def with_moving_images(
     network: Network, solution: Solution, report: Report | None = None
 ) -> tuple[Network, Solution, tuple[Readout, ...]]:
-    """Estimate readouts, see `with_readouts`, and let images shake that vibrate while they are read."""
-    network, solution, readouts = with_readouts(network, solution, report)
-    shaken, solution = with_shake(network, solution, report)
-    place = {camera.id: k for k, camera in enumerate(shaken.cameras)}
-    if shaken is not network:
+    """Estimate readouts and times of heads, and let images shake that vibrate while they are read.
+
+    See `with_readouts`, `with_lags` and `with_shake`.
+    """
+    rolling, solution, readouts = with_readouts(network, solution, report)
+    network, solution = with_shake(*with_lags(rolling, solution, report), report)
+    place = {camera.id: k for k, camera in enumerate(network.cameras)}
+    if network is not rolling:
         readouts = tuple(
-            readout_of(shaken, solution, place[one.camera]) if one.estimated else one for one in readouts
+            readout_of(network, solution, place[readout.camera]) if readout.estimated else readout
+            for readout in readouts
         )
-    return shaken, solution, readouts
+    return network, solution, readouts
 
 
 def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
@@ -215,20 +240,16 @@ def _column(problem: Problem, camera: int) -> int:
 
 
 def _judged(problem: Problem, solution: Solution, camera: int, value: float, sigma: float) -> Readout:
-    exposures = problem.network.exposures
+    exposures, motion = problem.network.exposures, problem.network.exposures.motion
     larger = max(1.0, float(np.sqrt(np.nan_to_num(solution.variance_factor))))
     step = np.zeros(problem.layout.size)
     step[_column(problem, camera)] = value
     change = np.zeros(problem.network.rays.plane.shape)
     still = np.zeros_like(solution.points)
     along(problem.design, values_of(problem, solution.state), problem.structure, step, still, change)
-    mine = exposures.camera == camera
-    of_camera = change[mine[problem.network.rays.image]]
-    speed = (
-        0.0
-        if exposures.motion is None
-        else float(np.median(np.linalg.norm(exposures.motion[mine, :3], axis=1)))
-    )
+    its_images = exposures.camera == camera
+    of_camera = change[its_images[problem.network.rays.image]]
+    speed = 0.0 if motion is None else float(np.median(np.linalg.norm(motion[its_images, :3], axis=1)))
     return Readout(
         problem.network.cameras[camera].id,
         value,

@@ -7,7 +7,7 @@ the first head, and d_k the time by which it exposes later, while the rig flies 
 a and b of one exposure relate these to their poses:  log(R_b R_a' exp(-[w]x d) S_a S_b')  and
 S_a' R_a (X_b - X_a - v d) - (t_b - t_a), d = d_b - d_a, w the turn per second of what the camera of a sees.
 None of them has to be the first head. The standard deviations are the stiffness of the frame, together with
-what gusts move it by until the later one exposes.
+what gusts move it by until the later one exposes: for the time that is known between the two.
 """
 
 from dataclasses import dataclass, replace
@@ -36,8 +36,9 @@ class Rig:
     camera (heads,): camera of each head.
     base (heads,): the head that it refers to.
     first, second (pairs,): images of one exposure.
-    stiffness (pairs, 2): how far the second image's head moves (m) and turns (rad) against the first one's,
-        beside what is said of the flight.
+    stiffness (pairs, 2): how far the second image's head moves (m) and turns (rad) against the first one's.
+    gust (pairs, 2): by how much velocity (m/s) and rate (rad/s) depart from what is known of the flight.
+    lag (heads, 2): time by which each exposes later and its sigma, s, while which gusts move the frame.
     """
 
     rotation: Floats
@@ -48,12 +49,21 @@ class Rig:
     first: Integers
     second: Integers
     stiffness: Floats
+    gust: Floats
+    lag: Floats
 
     def head_of(self, image_camera: Integers) -> Integers:
         """Head that took each image, shape (images,); -1 for a camera of its own."""
         head = np.full(max(image_camera.max(initial=-1), self.camera.max(initial=-1)) + 1, -1)
         head[self.camera] = np.arange(len(self.camera))
         return np.asarray(head[image_camera])
+
+    def give(self, image_camera: Integers) -> Floats:
+        """Standard deviations of the relations, m and rad, shape (pairs, 2)."""
+        head, later = self.head_of(image_camera), self.lag[:, 0]
+        p, q = head[self.first], head[self.second]
+        square = (later[q] - later[p]) ** 2 + self.lag[p, 1] ** 2 + self.lag[q, 1] ** 2
+        return np.asarray(np.sqrt(self.stiffness**2 + self.gust**2 * square[:, None]))
 
     def unknown(self, image_camera: Integers) -> Flags:
         """Which values are unknowns, shape (heads, 7): those of heads that have partners."""
@@ -70,13 +80,13 @@ class Rig:
             first=place[self.first[both]],
             second=place[self.second[both]],
             stiffness=self.stiffness[both],
+            gust=self.gust[both],
         )
 
 
-_NONE = np.zeros(0, dtype=np.int64)
-NO_RIG = Rig(
-    np.zeros((0, 3, 3)), np.zeros((0, 7)), np.zeros((0, 7)), _NONE, _NONE, _NONE, _NONE, np.zeros((0, 2))
-)
+_NONE, _NO_SIGMAS, _NO_VALUES = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 7))
+_NO_HEADS = np.zeros((0, 3, 3)), _NO_VALUES, _NO_VALUES, _NONE, _NONE
+NO_RIG = Rig(*_NO_HEADS, _NONE, _NONE, _NO_SIGMAS, _NO_SIGMAS, _NO_SIGMAS)
 
 
 def head_rotation(rig: Rig, values: Floats) -> Floats:
@@ -89,13 +99,13 @@ def pairs_of(exposure: Integers, head: Integers, base: Integers) -> tuple[Intege
 
     exposure (images,): -1 for an image of none; head (images,): -1 for a camera of no rig.
     """
-    mine = np.flatnonzero((exposure >= 0) & (head >= 0))
-    mine = mine[np.lexsort((head[mine], base[head[mine]], exposure[mine]))]
-    key = np.column_stack([exposure[mine], base[head[mine]]])
-    begins = np.ones(len(mine), dtype=np.bool_)
+    image = np.flatnonzero((exposure >= 0) & (head >= 0))
+    image = image[np.lexsort((head[image], base[head[image]], exposure[image]))]
+    key = np.column_stack([exposure[image], base[head[image]]])
+    begins = np.ones(len(image), dtype=np.bool_)
     begins[1:] = (key[1:] != key[:-1]).any(axis=1)
-    leader = mine[begins][np.cumsum(begins) - 1] if len(mine) else mine
-    return leader[~begins], mine[~begins]
+    leader = image[begins][np.cumsum(begins) - 1] if len(image) else image
+    return leader[~begins], image[~begins]
 
 
 def rig_equations(
@@ -117,13 +127,13 @@ def rig_equations(
     a, b = rig.first, rig.second
     head = rig.head_of(image_camera)
     p, q = head[a], head[b]
-    turn, own = values[:, TURN], head_rotation(rig, values)
+    turn, to_head = values[:, TURN], head_rotation(rig, values)
     moving = np.zeros((len(a), 6)) if motion is None else motion[a]
     velocity, rate = moving[:, :3], moving[:, 3:6]
     later = (values[q, LATER] - values[p, LATER])[:, None]
     onward = turned(np.broadcast_to(np.eye(3), (len(a), 3, 3)), -rate * later)
     between = rotation[b] @ np.swapaxes(rotation[a], 1, 2)
-    product = between @ onward @ own[p] @ np.swapaxes(own[q], 1, 2)
+    product = between @ onward @ to_head[p] @ np.swapaxes(to_head[q], 1, 2)
     residual = Rotation.from_matrix(product).as_rotvec() if len(a) else np.zeros((0, 3))
     inverse_left, inverse_right = (np.linalg.inv(left_jacobian(sign * residual)) for sign in (1.0, -1.0))
     jacobian = left_jacobian(turn)
@@ -135,7 +145,7 @@ def rig_equations(
         (columns[p, LATER:], (inverse_left @ between @ rate[:, :, None])),
         (columns[q, LATER:], -(inverse_left @ between @ rate[:, :, None])),
     ]
-    to_first = np.swapaxes(own[p], 1, 2)
+    to_first = np.swapaxes(to_head[p], 1, 2)
     to_body = to_first @ rotation[a]
     apart = centre[b] - centre[a] - velocity * later
     seen = np.einsum("nab,nb->na", rotation[a], apart)
@@ -152,7 +162,7 @@ def rig_equations(
         (columns[p, LATER:], flown),
         (columns[q, LATER:], -flown),
     ]
-    stiff = rig.stiffness**2
+    stiff = rig.give(image_camera) ** 2
     metres, radians = (stiff[:, k, None, None] * np.eye(3) for k in range(2))
     turns, places = whitened(turning, residual, radians), whitened(moved, place, metres)
     return Equations(

@@ -151,7 +151,7 @@ def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -
     by_ray = np.array([of(name) for name in rays.names])[rays.group]
     by_relation = np.array([of(kind) for kind in network.relations.names])[network.relations.kind]
     exposures, positions = network.exposures, network.positions
-    attitudes, mounting, rig = network.attitudes, network.mounting, network.rig
+    attitudes, mounting, rig, frame = network.attitudes, network.mounting, network.rig, of("rig")
     # 0 holds and infinity frees a value: both stay what they are.
     return replace(
         network,
@@ -174,5 +174,7 @@ def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -
         positions=replace(positions, covariance=positions.covariance * of("position") ** 2),
         attitudes=replace(attitudes, covariance=attitudes.covariance * of("attitude") ** 2),
         mounting=replace(mounting, sigma=mounting.sigma * of("mounting")),
-        rig=replace(rig, sigma=rig.sigma * of("head"), stiffness=rig.stiffness * of("rig")),
+        rig=replace(
+            rig, sigma=rig.sigma * of("head"), stiffness=rig.stiffness * frame, gust=rig.gust * frame
+        ),
     )

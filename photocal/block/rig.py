@@ -48,6 +48,8 @@ class Head:
     values, sigma (7,): as `adjustment.rig.OF_HEAD`; the turns are about the axes of the head, from
         `rotation`.
     stiffness: m, rad.
+    lag: time and its sigma (s) while which gusts move the frame, where an adjustment has found them; None for
+        those that are given.
     """
 
     camera: str
@@ -56,6 +58,7 @@ class Head:
     values: Floats
     sigma: Floats
     stiffness: tuple[float, float] = (STIFFNESS_M, float(np.radians(STIFFNESS_DEG)))
+    lag: tuple[float, float] | None = None
 
 
 def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) -> tuple[Head, ...]:
@@ -70,26 +73,26 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
         if name not in cameras:
             what = f"[[head]] names camera {name}, which is not in the block"
             raise wrong(what, f"name one of {', '.join(cameras)}")
-    for one in keys:
-        if len(given) < len(keys) or (one.of in given and given[one.of].of != one.of):
+    for key in keys:
+        if len(given) < len(keys) or (key.of in given and given[key.of].of != key.of):
             raise wrong(
-                f"camera {one.camera} has two places on its frame, or refers to one that refers to another",
+                f"camera {key.camera} has two places on its frame, or refers to one that refers to another",
                 "give each camera one [[head]]; all of a frame have the same `of`",
             )
-    others = [key for key in keys if key.camera != key.of]
     nothing = np.zeros(len(OF_HEAD))
     heads = [Head(name, name, np.zeros(3), nothing, nothing) for name in first]
-    for one in others:
-        values, sigma = nothing.copy(), nothing.copy()
-        values[CENTRE], values[LATER] = one.centre_m, one.time_s
-        sigma[TURN], sigma[CENTRE] = np.radians(sigmas(one.rotation_sigma_deg)), sigmas(one.centre_sigma_m)
-        sigma[LATER] = one.time_sigma_s
-        rotation = None if one.rotation_deg is None else np.radians(one.rotation_deg)
-        if rotation is None and np.isfinite(sigma[TURN]).any():
-            what = f"the head of camera {one.camera} has rotation_sigma_deg but no rotation_deg"
+    for key in keys:
+        if key.camera == key.of:
+            continue
+        values = np.array([0.0, 0.0, 0.0, *key.centre_m, key.time_s])
+        turn = np.radians(sigmas(key.rotation_sigma_deg))
+        sigma = np.array([*turn, *sigmas(key.centre_sigma_m), key.time_sigma_s])
+        rotation = None if key.rotation_deg is None else np.radians(key.rotation_deg)
+        if rotation is None and np.isfinite(turn).any():
+            what = f"the head of camera {key.camera} has rotation_sigma_deg but no rotation_deg"
             raise wrong(what, 'give rotation_deg, or "free"')
-        stiffness = one.stiffness_m, float(np.radians(one.stiffness_deg))
-        heads.append(Head(one.camera, one.of, rotation, values, sigma, stiffness))
+        stiffness = key.stiffness_m, float(np.radians(key.stiffness_deg))
+        heads.append(Head(key.camera, key.of, rotation, values, sigma, stiffness))
     return tuple(heads)
 
 
@@ -97,21 +100,21 @@ def head_lines(heads: Iterable[Head]) -> Iterable[str]:
     """Give the entries `[[head]]` of a `block.toml`."""
 
     def sigma(values: Floats) -> str:
-        return '"free"' if np.isinf(values).any() else str([float(v) for v in values])
+        return '"free"' if np.isinf(values).any() else str(values.tolist())
 
-    for one in heads:
-        if one.camera == one.of:
+    for head in heads:
+        if head.camera == head.of:
             continue
-        yield from ("", "[[head]]", f'camera = "{one.camera}"', f'of = "{one.of}"')
-        if one.rotation is not None:
-            yield f"rotation_deg = {[float(v) for v in np.degrees(one.rotation)]}"
-        yield f"rotation_sigma_deg = {sigma(np.degrees(one.sigma[TURN]))}"
-        yield f"centre_m = {[float(v) for v in one.values[CENTRE]]}"
-        yield f"centre_sigma_m = {sigma(one.sigma[CENTRE])}"
-        yield f"time_s = {float(one.values[LATER])!r}"
-        yield f"time_sigma_s = {float(one.sigma[LATER])!r}"
-        yield f"stiffness_m = {one.stiffness[0]!r}"
-        yield f"stiffness_deg = {float(np.degrees(one.stiffness[1]))!r}"
+        yield from ("", "[[head]]", f'camera = "{head.camera}"', f'of = "{head.of}"')
+        if head.rotation is not None:
+            yield f"rotation_deg = {np.degrees(head.rotation).tolist()}"
+        yield f"rotation_sigma_deg = {sigma(np.degrees(head.sigma[TURN]))}"
+        yield f"centre_m = {head.values[CENTRE].tolist()}"
+        yield f"centre_sigma_m = {sigma(head.sigma[CENTRE])}"
+        yield f"time_s = {float(head.values[LATER])!r}"
+        yield f"time_sigma_s = {float(head.sigma[LATER])!r}"
+        yield f"stiffness_m = {head.stiffness[0]!r}"
+        yield f"stiffness_deg = {float(np.degrees(head.stiffness[1]))!r}"
 
 
 def rig_of(
@@ -129,45 +132,39 @@ def rig_of(
     rotation (images, 3, 3), centre (images, 3): start values, which tell what is not known of a head.
     gust (images, 6): by how much velocity (m/s) and rate (rad/s) depart from those given; None at rest.
     """
-    present = [one for one in heads if one.camera in cameras]
+    present = [head for head in heads if head.camera in cameras]
     if not present or not any(exposure):
         return NO_RIG
-    camera = np.array([cameras.index(one.camera) for one in present], dtype=np.int64)
-    frames = {name: k for k, name in enumerate(dict.fromkeys(one.of for one in present))}
-    base = np.array([frames[one.of] for one in present], dtype=np.int64)
-    _, number = np.unique(np.array(exposure, dtype=object).astype(str), return_inverse=True)
-    number = np.where(np.array([bool(name) for name in exposure]), number, -1)
-    values, sigma = (np.array([getattr(one, name) for one in present]) for name in ("values", "sigma"))
-    own = Rotation.from_rotvec([np.zeros(3) if one.rotation is None else one.rotation for one in present])
-    unknown = np.array([one.rotation is None for one in present])
-    none = image_camera[:0]
-    rig = Rig(own.as_matrix(), values, sigma, camera, base, none, none, np.zeros((0, 2)))
-    head = rig.head_of(image_camera)
-    first, second = pairs_of(number, head, base)
-    stiffness = np.array([one.stiffness for one in present])[head[first]]
-    if gust is not None and len(first):
-        # Nobody knows how a gust moves the frame until the later head exposes.
-        p, q = head[first], head[second]
-        later = (values[q, LATER] - values[p, LATER]) ** 2 + sigma[p, LATER] ** 2 + sigma[q, LATER] ** 2
-        departs = np.mean(gust[first].reshape(-1, 2, 3) ** 2, axis=2)
-        stiffness = np.sqrt(stiffness**2 + departs * later[:, None])
-    for frame in range(len(frames)):
-        mine = np.flatnonzero(base == frame)
+    camera = np.array([cameras.index(head.camera) for head in present], dtype=np.int64)
+    base = np.unique([head.of for head in present], return_inverse=True)[1]
+    names = np.array(exposure, dtype=object).astype(str)
+    number = np.where(names != "", np.unique(names, return_inverse=True)[1], -1)
+    values, sigma = (np.array([getattr(head, name) for head in present]) for name in ("values", "sigma"))
+    unknown = np.array([head.rotation is None for head in present])
+    turn = Rotation.from_rotvec([np.zeros(3) if head.rotation is None else head.rotation for head in present])
+    lag = np.array([head.lag or (head.values[LATER], head.sigma[LATER]) for head in present])
+    rig = replace(
+        NO_RIG, rotation=turn.as_matrix(), values=values, sigma=sigma, camera=camera, base=base, lag=lag
+    )
+    of_image = rig.head_of(image_camera)
+    first, second = pairs_of(number, of_image, base)
+    stiffness = np.array([head.stiffness for head in present])[of_image[first]]
+    departs = np.zeros((len(first), 6)) if gust is None else gust[first]
+    for k, lead in enumerate(np.argmax(base[:, None] == base, axis=1)):
         # Without its first head a frame begins with another, where nothing else holds that one.
-        lead = mine[0]
-        if np.isinf(sigma[lead]).any():
-            sigma[lead] = np.where(np.isinf(sigma[lead]), 0.0, sigma[lead])
-            unknown[lead] = False
-        for k in mine[1:]:
-            pairs = (head[second] == k) & (head[first] == lead)
-            if not pairs.any():
-                continue
-            a, b = first[pairs], second[pairs]
-            if unknown[k]:
-                between = rotation[b] @ np.swapaxes(rotation[a], 1, 2) @ rig.rotation[lead]
-                rig.rotation[k] = Rotation.from_matrix(between).mean().as_matrix()
-            loose = np.isinf(sigma[k, CENTRE])
-            apart = np.einsum("ji,nj->ni", rig.rotation[lead], np.einsum("nab,nb->na", rotation[a], centre[b] - centre[a]))  # fmt: skip  # noqa: E501
-            place = np.median(apart, axis=0) + values[lead, CENTRE]
-            values[k, CENTRE] = np.where(loose, place, values[k, CENTRE])
-    return replace(rig, first=first, second=second, stiffness=stiffness)
+        if k == lead and np.isinf(sigma[k]).any():
+            sigma[k] = np.where(np.isinf(sigma[k]), 0.0, sigma[k])
+            unknown[k] = False
+        pairs = (of_image[second] == k) & (of_image[first] == lead)
+        if not pairs.any():
+            continue
+        a, b = first[pairs], second[pairs]
+        if unknown[k]:
+            between = rotation[b] @ np.swapaxes(rotation[a], 1, 2) @ rig.rotation[lead]
+            rig.rotation[k] = Rotation.from_matrix(between).mean().as_matrix()
+        loose = np.isinf(sigma[k, CENTRE])
+        apart = np.einsum("ji,nj->ni", rig.rotation[lead], np.einsum("nab,nb->na", rotation[a], centre[b] - centre[a]))  # fmt: skip  # noqa: E501
+        place = np.median(apart, axis=0) + values[lead, CENTRE]
+        values[k, CENTRE] = np.where(loose, place, values[k, CENTRE])
+    gusts = np.sqrt(np.mean(departs.reshape(-1, 2, 3) ** 2, axis=2))
+    return replace(rig, first=first, second=second, stiffness=stiffness, gust=gusts)

@@ -12,6 +12,7 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance as covariance_of
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS
 from photocal.adjustment.readout import READOUT, with_moving_images
+from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.block.model import ROLES, Block
 from photocal.block.network import NetworkOfBlock, assemble
@@ -121,18 +122,25 @@ def ground_points(block: Block) -> Integers:
 
 
 def with_shutters(block: Block) -> Block:
-    """Give unknown shutters what an adjustment of all observations says of them, and images their motion.
+    """Give unknown shutters and lags of heads what an adjustment of all observations says of them.
 
-    A block that cannot be adjusted keeps them as they are: the methods say why.
+    Images get their motion. A block that cannot be adjusted stays as it is: the methods say why.
     """
     undecided = any(camera.shutter == "unknown" or camera.estimated[READOUT] for camera in block.cameras)
-    if not undecided or np.isfinite(block.images.motion_sigma).all():
+    undecided &= not np.isfinite(block.images.motion_sigma).all()
+    if not undecided and not any(head.sigma[LATER] and head.lag is None for head in block.heads):
         return block
     try:
         assembly = assemble(without_weak_images(checkable(block))[0])
         network = with_moving_images(assembly.network, adjust(assembly.network))[0]
     except PhotocalError:
         return block
+    lag = {
+        network.cameras[k].id: (t, s) for k, (t, s) in zip(network.rig.camera, network.rig.lag, strict=True)
+    }
+    heads = tuple(replace(head, lag=lag.get(head.camera)) for head in block.heads)
+    if not undecided:
+        return replace(block, heads=heads)
     motion, sigma = network.exposures.motion, network.exposures.motion_sigma
     images = block.images
     if motion is not None and sigma is not None:
@@ -141,7 +149,7 @@ def with_shutters(block: Block) -> Block:
         velocity = np.einsum("nab,nb->na", back, motion[:, :3])
         images = replace(images, motion=np.hstack([velocity, motion[:, 3:]]), motion_sigma=sigma)
     cameras = (camera if camera.rolling else replace(camera, shutter="global") for camera in network.cameras)
-    return replace(block, cameras=tuple(cameras), images=images)
+    return replace(block, cameras=tuple(cameras), images=images, heads=heads)
 
 
 def checkable(block: Block) -> Block:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,7 +31,7 @@ from photocal.adjustment.variance_components import (
     with_factors,
 )
 from photocal.block.folder import read_block
-from photocal.block.model import ROLES, Block, FiducialFit
+from photocal.block.model import ROLES, Block
 from photocal.block.motion import require_motion
 from photocal.block.network import NetworkOfBlock, assemble, behind_cameras, plane_per_unit
 from photocal.geometry.camera import PARAMETERS, Camera, among
@@ -77,7 +76,12 @@ def result_of(
     given = zip(assembly.network.cameras, solution.cameras, sigma, correlation, strict=True)
     cameras = tuple(camera.adjusted(*figures) for camera, *figures in given)
     values, covariance = given_exposures(assembly, solution)
-    points = _points(block, assembly, solution)
+    points = AdjustedPoints(
+        tuple(block.points.names[j] for j in assembly.points),
+        tuple(ROLES[r] for r in block.points.role[assembly.points]),
+        *given_points(assembly, solution),
+        np.bincount(assembly.network.rays.point, minlength=len(assembly.points)),
+    )
     seen = block.observations
     observed = np.bincount(seen.point, minlength=len(block.points.names)) > 0
     rejected = np.setdiff1d(np.arange(len(seen.image)), assembly.rays)
@@ -120,7 +124,18 @@ def result_of(
         ),
         unobserved=tuple(block.points.names[j] for j in np.flatnonzero(~observed)),
         repetition=block.repetition,
-        fiducials=tuple(_fiducials(fit) for fit in block.fiducial_fits),
+        # How the marks of each image fit, in the unit of its camera.
+        fiducials=tuple(
+            {
+                "image": fit.image,
+                "sigma0": fit.sigma0 if fit.redundancy else None,
+                "residuals": [
+                    {"fiducial": name, "vx": vx, "vy": vy}
+                    for name, (vx, vy) in zip(fit.fiducials, fit.residuals.tolist(), strict=True)
+                ],
+            }
+            for fit in block.fiducial_fits
+        ),
         timing_s=timing_s or {},
         cameras={camera.id: camera for camera in cameras},
         images=OrientedImages(
@@ -148,7 +163,9 @@ def movements(assembly: NetworkOfBlock, solution: Solution, values: Floats) -> F
 
 def network_of(block: Block, result: Result) -> NetworkOfBlock:
     """Make the network that a result ended with: without what was rejected, with the estimated sigmas."""
-    assembly = assemble(block)
+    lag = {head.camera: head.lag for head in result.heads}
+    heads = tuple(replace(head, lag=lag.get(head.camera)) for head in block.heads)
+    assembly = assemble(replace(block, heads=heads))
     if result.rejected:
         refused = {(ray.image, ray.point) for ray in result.rejected}
         image, point = block.images.names, block.points.names
@@ -231,9 +248,7 @@ def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:
     if not len(rig.first):
         return ()
     scale = np.where(np.arange(len(OF_HEAD)) < TURN.stop, np.degrees(1.0), 1.0)
-    values = head_values(network, solution.state.common)
-    begin = len(solution.state.common) - size
-    covariance = solution.common_covariance[begin:, begin:]
+    values, covariance = head_values(network, solution.state.common), solution.common_covariance
     free = rig.unknown(network.exposures.camera)
     head = rig.head_of(network.exposures.camera)
     names = [network.cameras[k].id for k in rig.camera]
@@ -241,12 +256,13 @@ def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:
     given = Rotation.from_matrix(rig.rotation).as_rotvec()
     heads = []
     for k, name in enumerate(names):
-        lead = int(np.flatnonzero(rig.base == rig.base[k])[0])
+        lead = int(np.argmax(rig.base == rig.base[k]))
         with_others = int((head[rig.second] == k).sum() + len(np.unique(rig.first[head[rig.first] == k])))
         if k == lead or not with_others:
             continue
-        mine = slice(k * len(OF_HEAD), (k + 1) * len(OF_HEAD))
-        of_head = covariance[mine, mine] * np.outer(scale, scale)
+        begin = len(covariance) - size + k * len(OF_HEAD)
+        columns = slice(begin, begin + len(OF_HEAD))
+        of_head = covariance[columns, columns] * np.outer(scale, scale)
         sigma = np.sqrt(np.diag(of_head))
         at = np.flatnonzero(free[k])
         heads.append(
@@ -266,6 +282,7 @@ def _heads(network: Network, solution: Solution) -> tuple[AdjustedHead, ...]:
                     for known in [scale[n] * rig.sigma[k, n]]
                 },
                 tuple(map(tuple, (of_head[np.ix_(at, at)] / np.outer(sigma[at], sigma[at])).tolist())),
+                (float(rig.lag[k, 0]), float(rig.lag[k, 1])),
                 *_registration(network, solution, lead, k, head_rotation(rig, values)),
             )
         )
@@ -282,8 +299,8 @@ def _registration(
     partner = np.full(len(network.image_names), -1)
     partner[rig.second[pairs]] = rig.first[pairs]
     key = rays.image * len(network.point_names) + rays.point
-    mine = np.flatnonzero(partner[rays.image] >= 0)
-    wanted = partner[rays.image[mine]] * len(network.point_names) + rays.point[mine]
+    of_head = np.flatnonzero(partner[rays.image] >= 0)
+    wanted = partner[rays.image[of_head]] * len(network.point_names) + rays.point[of_head]
     order = np.argsort(key)
     place = order[np.minimum(np.searchsorted(key[order], wanted), len(order) - 1)]
     both = key[place] == wanted
@@ -292,20 +309,8 @@ def _registration(
     cameras = [rig.camera[k] for k in (base, head)]
     scale = solution.cameras[cameras[1], 0] / solution.cameras[cameras[0], 0]
     carried = scale * solution.residuals[place[both]] @ rotation[head][:2, :2].T
-    miss = (solution.residuals[mine[both]] - carried) / network.cameras[cameras[1]].pitch
+    miss = (solution.residuals[of_head[both]] - carried) / network.cameras[cameras[1]].pitch
     return int(both.sum()), float(np.sqrt(np.mean(np.sum(miss**2, axis=1))))
-
-
-def _fiducials(fit: FiducialFit) -> dict[str, Any]:
-    """How an image's fiducial marks fit, in the unit of its camera."""
-    return {
-        "image": fit.image,
-        "sigma0": fit.sigma0 if fit.redundancy else None,
-        "residuals": [
-            {"fiducial": name, "vx": vx, "vy": vy}
-            for name, (vx, vy) in zip(fit.fiducials, fit.residuals.tolist(), strict=True)
-        ],
-    }
 
 
 def _checks(
@@ -380,17 +385,6 @@ def given_exposures(assembly: NetworkOfBlock, solution: Solution) -> tuple[Float
         jacobian[:, 3:, 3:] = np.linalg.inv(derivative)
     covariance = jacobian @ solution.exposure_covariance @ np.swapaxes(jacobian, 1, 2)
     return values, np.asarray(covariance)
-
-
-def _points(block: Block, assembly: NetworkOfBlock, solution: Solution) -> AdjustedPoints:
-    values, covariance = given_points(assembly, solution)
-    return AdjustedPoints(
-        tuple(block.points.names[j] for j in assembly.points),
-        tuple(ROLES[r] for r in block.points.role[assembly.points]),
-        values,
-        covariance,
-        np.bincount(assembly.network.rays.point, minlength=len(values)),
-    )
 
 
 def _residuals(block: Block, assembly: NetworkOfBlock, solution: Solution) -> Residuals:

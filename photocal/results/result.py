@@ -113,6 +113,7 @@ class AdjustedHead:
         the camera axes of `of` (m), and the time by which it exposes later (s).
     prior: what was given for them, with its sigma (none where nothing was known; 0 where it is held).
     correlation: of those that are estimated, in their order.
+    lag: time and its sigma (s) for which gusts move the frame in its relations.
     common, registration_px: rays that both show of one exposure, and the root mean square by which this
         camera's pictures miss those of `of` there, px of this camera (none without such rays).
     """
@@ -125,6 +126,7 @@ class AdjustedHead:
     values: dict[str, MountingValue]
     prior: dict[str, tuple[float, float | None]]
     correlation: tuple[tuple[float, ...], ...]
+    lag: tuple[float, float] | None = None
     common: int = 0
     registration_px: float | None = None
 

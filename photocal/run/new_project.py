@@ -103,7 +103,7 @@ def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> Found | None:
     def checks(control: Found) -> int:
         return 0 if control.points is None else int(control.points.of_role("check").sum())
 
-    best = max(seen.control, key=lambda one: (shown(one), checks(one)))
+    best = max(seen.control, key=lambda control: (shown(control), checks(control)))
     if shown(best):
         return best
     tables = sorted(seen.marks, key=shown, reverse=True)
@@ -131,10 +131,12 @@ class _Text:
         self.crs, self.height, self.frame = crs, height, frame
         self.cameras, self.member = group_cameras(facts)
         if frame is not None:
-            head = {path.name: own for path, own in frame.head.items()}
-            own_head = [head[image.name] for image in facts]
-            self.member = np.array([frame.heads.index(own) for own in own_head], dtype=np.int64)
-            self.cameras = tuple(_plain(f"{facts[own_head.index(h)].model}-{h}") for h in frame.heads)
+            head_of = {path.name: head for path, head in frame.head.items()}
+            heads = [head_of[image.name] for image in facts]
+            self.member = np.array([frame.heads.index(head) for head in heads], dtype=np.int64)
+            names = [f"{facts[heads.index(head)].model}-{head}" for head in frame.heads]
+            # As group_cameras writes them.
+            self.cameras = tuple(re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() for name in names)
         # Where sizes do not tell cameras apart.
         self.listed = frame is not None or len({image.size_px for image in facts}) < len(self.cameras)
         self.found: list[str] = []
@@ -388,22 +390,11 @@ def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
     return zone if away < reach else ""
 
 
-def _plain(text: str) -> str:
-    """Name of a camera as group_cameras would write it."""
-    return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-").lower()
-
-
 def _points_table(points: ObjectPoints) -> str:
+    columns = zip(points.names, points.values, points.sigma, points.role, strict=True)
     rows = [
-        [
-            name,
-            *(f"{v:.4f}" for v in value),
-            *(f"{s:.4f}" if np.isfinite(s) else "" for s in sigma),
-            ROLES[role],
-        ]
-        for name, value, sigma, role in zip(
-            points.names, points.values, points.sigma, points.role, strict=True
-        )
+        [name, *(f"{v:.4f}" if np.isfinite(v) else "" for v in (*value, *sigma)), ROLES[role]]
+        for name, value, sigma, role in columns
     ]
     return rows_text(("point", "X", "Y", "Z", "sX", "sY", "sZ", "role"), rows)
 

@@ -101,6 +101,7 @@ def flight(
     rig = Rig(
         Rotation.from_rotvec(NOMINAL).as_matrix(), given, sigma, np.arange(len(HEADS)),
         np.zeros(len(HEADS), dtype=np.int64), *pairs, np.tile(STIFFNESS, (len(pairs[0]), 1)),
+        np.zeros((len(pairs[0]), 2)), np.zeros((len(HEADS), 2)),
     )  # fmt: skip
     return flown, _measured(flown, head, exposure, motion, rig, rng, sigma_px)
 
@@ -163,8 +164,29 @@ def standardised(flown: Flown, network: Network, solution: Solution) -> Floats:
 
 def without_rig(network: Network) -> Network:
     """The same images as if nothing held the heads together."""
-    nothing = np.zeros(0, dtype=np.int64)
-    return replace(network, rig=replace(network.rig, first=nothing, second=nothing))
+    images = np.arange(len(network.image_names))
+    return replace(network, rig=network.rig.of_images(images, images < 0))
+
+
+def in_gusts(network: Network, rng: np.random.Generator, time_sigma_s: float | None = None) -> Block:
+    """A block of the same through gusts of 0.5 m/s and 0.03 rad/s that nobody has recorded.
+
+    time_sigma_s: how well the times of the heads are stated, and by how much they are off, where the flight
+        has them right.
+    """
+    if time_sigma_s is not None:
+        sigma, values = network.rig.sigma.copy(), network.rig.values.copy()
+        sigma[1:, 6] = time_sigma_s
+        values[1:, 6] += rng.normal(0, time_sigma_s, len(values) - 1)
+        network = replace(network, rig=replace(network.rig, sigma=sigma, values=values))
+    block, motion = block_of(network), network.exposures.motion
+    assert motion is not None
+    # All heads of an exposure fly through the same gust.
+    gust = rng.normal(0, [0.5] * 3 + [0.03] * 3, motion.shape)
+    gust[network.rig.second, :3] = gust[network.rig.first, :3]
+    sigma = np.broadcast_to([0.5] * 3 + [0.03] * 3, motion.shape)
+    images = replace(block.images, motion=motion + gust, motion_sigma=sigma)
+    return replace(block, images=images)
 
 
 def block_of(network: Network) -> Block:

@@ -1,11 +1,8 @@
 """What a search found: worst first, each with its figure and its effect."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Floats
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.observations import mounting_equations
 from photocal.analysis.systematic_errors import camera_findings
@@ -129,35 +126,19 @@ def of_maps(search: Search) -> list[Finding]:
     return listed
 
 
-@dataclass(frozen=True)
-class HeadMove:
-    """A jump of a head on its frame.
-
-    move, sigma (6,): turns about its axes (rad) and shifts in those of the first head (m).
-    before: images of the head before which it moved, the first of the later ones.
-    p_value: of no jump, for all heads and places that were tried.
-    """
-
-    camera: str
-    before: str
-    move: Floats
-    sigma: Floats
-    p_value: float
-
-
-def head_move(fitted: Fit) -> HeadMove | None:
-    """Test whether a head moved between exposures: the likeliest head and place; None without relations."""
+def of_heads(fitted: Fit) -> list[Finding]:
+    """Name a head that moved on its frame between exposures: the likeliest head and place."""
     network, state, at = fitted.network, fitted.state, fitted.factored
     rig = network.rig
     if not len(rig.first):
-        return None
+        return []
     layout = at.problem.layout
     equations = mounting_equations(network, layout, state)["rig"]
     head, when = rig.head_of(network.exposures.camera), network.exposures.time
     # Exposures without a time stand in the order of their images.
     known = when is not None and np.isfinite(when).all()
     moment = when[rig.second] if known and when is not None else rig.second.astype(float)
-    tried = []
+    give, tried = rig.give(network.exposures.camera), []
     for k in np.unique(head[rig.second]).tolist():
         pairs = np.flatnonzero(head[rig.second] == k)
         pairs = pairs[np.argsort(moment[pairs], kind="stable")]
@@ -168,7 +149,7 @@ def head_move(fitted: Fit) -> HeadMove | None:
             later = pairs[start:]
             # Rows of their relations, by component: three turns, then three shifts.
             rows = np.array([(n // 3) * 3 * len(rig.first) + 3 * later + n % 3 for n in range(6)])
-            slopes = 1.0 / rig.stiffness[later, ::-1].repeat(3, axis=1).T
+            slopes = 1.0 / give[later, ::-1].repeat(3, axis=1).T
             design = np.zeros((layout.size, 6))
             force = np.zeros(6)
             for n in range(6):
@@ -188,29 +169,23 @@ def head_move(fitted: Fit) -> HeadMove | None:
             move = inverse @ force
             tried.append((float(force @ move), int(good.sum()), k, int(later[0]), move, inverse))
     if not tried:
-        return None
-    # One that moves pulls at the others: the one that moved most is named.
-    chi_squared, freedom, k, pair, move, inverse = max(tried, key=lambda trial: trial[0] / trial[1])
-    p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
-    camera, name = network.cameras[rig.camera[k]].id, network.image_names[rig.second[pair]]
-    return HeadMove(camera, name, move, np.sqrt(np.diag(inverse)), p_value)
-
-
-def of_heads(fitted: Fit) -> list[Finding]:
-    """Name the head that moved."""
-    move = head_move(fitted)
-    if move is None or move.p_value >= LEVEL:
         return []
-    turn, shift = float(np.linalg.norm(move.move[:3])), float(np.linalg.norm(move.move[3:]))
+    # One that moves pulls at the others: the one that moved most is named.
+    chi_squared, freedom, k, pair, move, inverse = max(tried, key=lambda jump: jump[0] / jump[1])
+    p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
+    if p_value >= LEVEL:
+        return []
+    # Turns about its axes, then shifts in those of the first head.
+    camera, turn = network.cameras[rig.camera[k]].id, float(np.degrees(np.linalg.norm(move[:3])))
     figures = {
-        "camera": move.camera,
-        "image": move.before,
-        "turn_arcsec": 3600.0 * float(np.degrees(turn)),
-        "shift_mm": 1000.0 * shift,
-        "p": move.p_value,
+        "camera": camera,
+        "image": network.image_names[rig.second[pair]],
+        "turn_arcsec": 3600.0 * turn,
+        "shift_mm": 1000.0 * float(np.linalg.norm(move[3:])),
+        "p": p_value,
     }
-    size = Size(float(np.degrees(turn)), "deg", float(np.degrees(np.linalg.norm(move.sigma[:3]))))
-    return [Finding("head-moved", "grave", move.camera, figures, size=size)]
+    size = Size(turn, "deg", float(np.degrees(np.sqrt(np.trace(inverse[:3, :3])))))
+    return [Finding("head-moved", "grave", camera, figures, size=size)]
 
 
 def findings(search: Search) -> tuple[Finding, ...]:

@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.readout import with_lags
 from photocal.adjustment.rig import OF_HEAD
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
+from photocal.georeferencing.methods import with_shutters
 from photocal.measurement.block_files import write_block
-from photocal.results.adjusted import result_of
+from photocal.results.adjusted import adjusted, network_of, result_of
 from photocal.results.folder import read_covariances, read_result, write_result
 from tests.photocal import blocks, rigs
 
@@ -55,18 +57,37 @@ def test_gusts_between_the_exposures_of_two_heads_are_none_of_their_errors() -> 
     """One head exposes 0.15 s after the others; velocity and rates are known but for gusts."""
     rng = np.random.default_rng(8)
     flown, network = rigs.flight(rng, exposures=40, points=1000, aft_later_s=0.15)
-    block, motion = rigs.block_of(network), network.exposures.motion
-    assert motion is not None
-    sigma = np.repeat([[0.5, 0.03]], 3, axis=1)
-    # All heads of an exposure fly through the same gust.
-    gust = np.zeros_like(motion)
-    gust[:, :3] = np.repeat(rng.normal(0, 0.5, (40, 3)), len(rigs.HEADS), axis=0)
-    gust[:, 3:] = rng.normal(0, 0.03, (len(motion), 3))
-    images = replace(block.images, motion=motion + gust, motion_sigma=np.broadcast_to(sigma, motion.shape))
-    read = assemble(replace(block, images=images)).network
+    read = assemble(rigs.in_gusts(network, rng)).network
     solution = adjust(read)
     assert np.nanmax(np.abs(rigs.standardised(flown, read, solution))) < 3.5
     assert abs(solution.variance_factor - 1) < 4 * np.sqrt(2 / solution.degrees_of_freedom)
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.01])
+def test_gusts_count_for_the_time_between_heads_that_is_found(later_s: float) -> None:
+    """How much later they expose is stated within 20 ms only."""
+    rng = np.random.default_rng(9)
+    flown, network = rigs.flight(rng, exposures=25, points=700, times=False, aft_later_s=later_s)
+    block = rigs.in_gusts(network, rng, 0.02)
+    stated = assemble(block)
+    before = adjust(stated.network)
+    settled, solution = adjusted(stated)
+    rig = settled.network.rig
+    assert np.nanmax(np.abs(rigs.standardised(flown, settled.network, solution))) < 3.5
+    assert abs(solution.variance_factor - 1) < 4 * np.sqrt(2 / solution.degrees_of_freedom)
+    assert np.abs(rig.lag[1:, 0] - flown.heads[1:, 6]).max() < 0.001
+    assert rig.lag[:, 1].max() < 0.001
+    # As the prior of the time itself, what is stated stays.
+    assert np.array_equal(rig.sigma, stated.network.rig.sigma)
+    turn, loosely = (
+        np.sqrt(np.diag(s.common_covariance)[-35:].reshape(5, 7)[1:4, :3]) for s in (solution, before)
+    )
+    assert (turn < 0.9 * loosely).all()
+    # Who adjusts the result anew has the network that it ended with.
+    result = result_of(block, settled, solution)
+    assert np.allclose(network_of(block, result).network.rig.lag, rig.lag)
+    assert np.allclose(assemble(with_shutters(block)).network.rig.lag, rig.lag)
+    assert with_lags(settled.network, solution) == (settled.network, solution)
 
 
 @pytest.mark.parametrize(
