@@ -97,7 +97,7 @@ def with_relations(
     """
     old = block.relations
     if related is not None and kind not in old.names:
-        old = replace(old, own=(*old.own, (kind, related)))
+        old = replace(old, further=(*old.further, (kind, related)))
     if kind not in old.names:
         raise ConfigurationError(
             f"{kind!r} is no kind of observation that is known",
@@ -118,7 +118,7 @@ def with_relations(
     third = ends[:, 2] if count == 3 else np.full(len(given), -1)
     more = (np.full(len(given), old.names.index(kind)), ends[:, 0], ends[:, 1], *figures.T, third)
     columns = zip((old.kind, *old.ends.T[:2], old.values, old.sigma, old.ends[:, 2]), more, strict=True)
-    return replace(block, relations=Relations(*(np.concatenate(pair) for pair in columns), own=old.own))
+    return replace(block, relations=Relations(*map(np.concatenate, columns), further=old.further))
 
 
 def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, components: bool = False) -> Result:

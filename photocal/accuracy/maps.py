@@ -146,9 +146,9 @@ def histograms(discrepancies: Discrepancies) -> Figure:
     for column, (name, values) in enumerate(known, start=1):
         axes = figure.add_subplot(1, len(known), column)
         draw_histogram(axes, values, "#9db8d9", _INK)
-        told = moments(values)
+        sample = moments(values)
         axes.set_xlabel(f"d{name} (m)")
-        axes.set_title(f"n {told.n}, mean {told.mean_m:+.3f}, RMSE {told.rmse_m:.3f}", fontsize=7)
+        axes.set_title(f"n {sample.n}, mean {sample.mean_m:+.3f}, RMSE {sample.rmse_m:.3f}", fontsize=7)
         axes.tick_params(labelsize=7)
         if column == 1:
             axes.set_ylabel("check points")

@@ -94,7 +94,7 @@ class Relations(Columns):
     first, second (n,): points.
     values, sigma (n,).
     third (n,): a third point, -1 where a kind has none; None where no kind has.
-    own: further kinds, numbered behind `RELATIONS`: name and function of each.
+    further: kinds beyond these, numbered behind `RELATIONS`: name and function of each.
     """
 
     kind: Integers
@@ -103,7 +103,7 @@ class Relations(Columns):
     values: Floats
     sigma: Floats
     third: Integers | None = None
-    own: tuple[tuple[str, Related], ...] = field(default=(), kw_only=True)
+    further: tuple[tuple[str, Related], ...] = field(default=(), kw_only=True)
 
     @property
     def ends(self) -> Integers:
@@ -125,7 +125,7 @@ class Relations(Columns):
     @property
     def names(self) -> tuple[str, ...]:
         """Kinds by their number."""
-        return (*RELATIONS, *(name for name, _ in self.own))
+        return (*RELATIONS, *(name for name, _ in self.further))
 
 
 _NONE = np.zeros(0, dtype=np.int64)

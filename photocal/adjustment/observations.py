@@ -95,7 +95,7 @@ def relation_equations(network: Network, layout: Layout, state: State) -> dict[s
     """Observations between points, by kind."""
     relations = network.relations
     result = {}
-    functions = dict(relations.own)
+    functions = dict(relations.further)
     for code, kind in enumerate(relations.names):
         of_kind = relations.kind == code
         if not of_kind.any():

@@ -60,9 +60,9 @@ def lenses(network: Network, state: State) -> Floats:
     values = np.pad(state.cameras[exposures.camera], ((0, 0), (0, still)))
     at = len(PARAMETERS)
     values[:, at : at + given.shape[1]] = values[:, at - 1 : at] * given
-    own = own_parameters(network)
-    image, place = np.nonzero(own >= 0)
-    values[image, own[image, place]] += state.deviations[image, place]
+    parameters = own_parameters(network)
+    image, place = np.nonzero(parameters >= 0)
+    values[image, parameters[image, place]] += state.deviations[image, place]
     return values
 
 
@@ -107,8 +107,8 @@ def moved_exposures(network: Network, layout: Layout, state: State, step: Floats
         row[active] += step[columns]
     common, unknown = state.common.copy(), layout.common_columns >= 0
     common[unknown] += step[layout.common_columns[unknown]]
-    own = layout.own_columns
-    deviations = state.deviations + np.where(own >= 0, step[own], 0.0)
+    own_columns = layout.own_columns
+    deviations = state.deviations + np.where(own_columns >= 0, step[own_columns], 0.0)
     return State(cameras, rotation, state.centre + pose[:, 3:], state.points, common, deviations)
 
 

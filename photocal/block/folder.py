@@ -156,7 +156,7 @@ def read_block(folder: Path) -> Block:
     parts = [read_relations(path, name, points.names) for name, path in paths.items() if path.exists()]
     columns, relations = ("kind", "first", "second", "values", "sigma", "third"), NO_RELATIONS
     if parts:
-        relations = Relations(*(np.concatenate([getattr(own, one) for own in parts]) for one in columns))
+        relations = Relations(*(np.concatenate([getattr(part, key) for part in parts]) for key in columns))
     checks = folder / CHECK_DISTANCES
     optional = (*(f"{name}s.csv" for name in (*RELATIONS, "position", "attitude")), CHECK_DISTANCES)
     present = [name for name in optional if (folder / name).exists()]

@@ -94,11 +94,11 @@ def expected_rates(observed: Floats, sigma: Floats, gust: Floats) -> tuple[Float
     seen = np.isfinite(observed) & np.isfinite(sigma)
     turning = np.broadcast_to(gust[:, None] ** 2, observed.shape).copy()
     for axis in range(observed.shape[1]):
-        mine = seen[:, axis]
-        if mine.sum() >= ENOUGH:
-            noise = np.mean(sigma[mine, axis] ** 2)
-            beyond = np.mean(observed[mine, axis] ** 2) - noise
-            turning[mine, axis] = max(beyond, noise / 4)
+        known = seen[:, axis]
+        if known.sum() >= ENOUGH:
+            noise = np.mean(sigma[known, axis] ** 2)
+            beyond = np.mean(observed[known, axis] ** 2) - noise
+            turning[known, axis] = max(beyond, noise / 4)
     share = turning / np.where(seen, turning + sigma**2, 1.0)
     reliability = np.where(seen, share, 1.0)
     return observed * reliability, sigma * np.sqrt(reliability)
@@ -122,23 +122,23 @@ def velocity_of_neighbours(camera: Integers, time: Floats, centre: Floats) -> tu
     """Velocity between the exposures before and after, and half of how much it changes; NaN without times."""
     velocity, change = np.full(centre.shape, np.nan), np.zeros(len(centre))
     for k in np.unique(camera):
-        mine = np.flatnonzero((camera == k) & np.isfinite(time))
-        mine = mine[np.argsort(time[mine], kind="stable")]
-        interval = np.diff(time[mine])
+        images = np.flatnonzero((camera == k) & np.isfinite(time))
+        images = images[np.argsort(time[images], kind="stable")]
+        interval = np.diff(time[images])
         if not (interval > 0).any():
             continue
         usual = float(np.median(interval[interval > 0]))
         near = (interval > 0) & (interval < APART * usual)
         with np.errstate(divide="ignore", invalid="ignore"):
-            between = np.where(near[:, None], np.diff(centre[mine], axis=0) / interval[:, None], np.nan)
+            between = np.where(near[:, None], np.diff(centre[images], axis=0) / interval[:, None], np.nan)
         none = np.full((1, 3), np.nan)
         sides = np.stack([np.vstack([none, between]), np.vstack([between, none])])
         seen = np.isfinite(sides).all(axis=2)
         count = seen.sum(axis=0)
         total = np.where(seen[:, :, None], sides, 0.0).sum(axis=0)
-        velocity[mine] = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
+        velocity[images] = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
         both = count == 2
-        change[mine[both]] = np.linalg.norm(sides[1] - sides[0], axis=1)[both] / 2
+        change[images[both]] = np.linalg.norm(sides[1] - sides[0], axis=1)[both] / 2
     return velocity, change
 
 

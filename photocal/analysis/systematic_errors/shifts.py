@@ -206,7 +206,7 @@ def _p_of_members(members: list[Member], redundancy: float) -> list[float]:
     asked = (dimensions > 0) & (rest >= FEWEST)
     count = np.maximum(dimensions, 1)
     p_value = np.where(asked, stats.f.sf(square / count, count, np.maximum(rest, FEWEST)), 1.0)
-    return [float(one) for one in p_value]
+    return [float(p) for p in p_value]
 
 
 def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:
