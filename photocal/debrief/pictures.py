@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import PhotocalError
+from photocal.adjustment.solution import Solution
 from photocal.block.model import digest
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.camera import Camera
@@ -20,7 +21,7 @@ from photocal.measurement.measure_ties import stated_footprints
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
-from photocal.measurement.tie_adjustment import camera_figures
+from photocal.measurement.tie_adjustment import camera_figures, with_released_c
 from photocal.navigation.exposures import Exposures
 from photocal.tasks.progress import Progress
 
@@ -162,6 +163,8 @@ def _lens(look: Look) -> str:
 
 # A principal distance of the quick orientation that differs by so many sigmas of both, and by this share.
 _CHANGED_SIGMAS, _CHANGED_SHARE = 4.0, 5e-4
+# Positions are held so many times more loosely to see whether they pull c, by so many sigmas.
+_LOOSE, _PULLED = 10.0, 3.0
 # Pictures that may stay outside: those over water, or at the end of a strip.
 _MAY_STAY = 0.05
 
@@ -222,7 +225,23 @@ def orient_quickly(
         above = float(np.median(state.exposures[:, 5]) - np.median(state.points[:, 2]))
         height = origin[2] + float(np.median(adjusted.values[:, 5])) - above
         ground = height if adjusted.start.datum != "free" else np.nan
-        return Quick(len(first.kept), first.left_out, camera_figures(adjusted), ground)
+        freed = with_released_c(adjusted)
+        loosely = with_released_c(adjusted, _LOOSE)
+        cameras = camera_figures(adjusted, _told_by_rays(freed, loosely))
+        return Quick(len(first.kept), first.left_out, cameras, ground)
+
+
+def _told_by_rays(freed: Solution | None, loosely: Solution | None) -> Solution | None:
+    """Of two adjustments that with loose positions, where these pull c by more than errors of each could.
+
+    What positions have in common (a time offset, a lever arm, the air) stands in none of their sigmas. But
+    for it the difference has the difference of both variances (Hausman 1978).
+    """
+    if freed is None or loosely is None:
+        return freed
+    away = freed.cameras[:, 0] - loosely.cameras[:, 0]
+    more = loosely.camera_covariance[:, 0, 0] - freed.camera_covariance[:, 0, 0]
+    return loosely if (away**2 > _PULLED**2 * np.maximum(more, 0.0)).any() else freed
 
 
 def _known(stated: Camera, last: Sequence[Camera]) -> Camera:

@@ -18,7 +18,7 @@ from photocal.measurement.oriented_ties import Oriented, figures
 from photocal.measurement.position_files import local_places
 from photocal.measurement.refine import Source
 from photocal.measurement.start_block import explained
-from photocal.measurement.tie_adjustment import camera_figures
+from photocal.measurement.tie_adjustment import camera_figures, with_released_c
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.tasks.progress import Progress
 
@@ -105,7 +105,7 @@ def tie_record(sighted: Sighted, oriented: Oriented) -> dict[str, Any]:
         },
         "pixel_origin": PIXEL_ORIGIN,
         **figures(oriented),
-        "cameras": camera_figures(oriented.adjusted),
+        "cameras": camera_figures(oriented.adjusted, with_released_c(oriented.adjusted)),
     }
 
 

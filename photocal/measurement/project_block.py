@@ -30,7 +30,7 @@ from photocal.measurement.marks import read_any_marks, read_marks, with_marks
 from photocal.measurement.match_images import Footprints, MatchingPlan, footprints
 from photocal.measurement.measure_ties import Sighted, position_figures, sight, stated_footprints, tie_record
 from photocal.measurement.orientation import Orientation
-from photocal.measurement.oriented_ties import FEWEST_CONTROL, figures, orient_ties
+from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
 from photocal.measurement.placing import OF_POSITIONS, pictures_turned, position_sigmas
 from photocal.measurement.plain_targets import targets_of_project
 from photocal.measurement.position_files import Given, map_places, read_positions
@@ -41,7 +41,7 @@ from photocal.measurement.start_block import (
     without_images,
     without_single_rays,
 )
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, by_ray, camera_figures
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, by_ray
 from photocal.measurement.tie_block import GROSS, brought_nearer, marked_control, place, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.project import Project
@@ -142,10 +142,8 @@ def measure_project(
         recorded = np.radians([gimbal[name] for name in measured.images.names])
         more += pictures_turned(measured.images.names, released.values, recorded)
     record = {
-        **tie_record(sighted, oriented),
+        **tie_record(sighted, replace(oriented, adjusted=released)),
         "kind": "project",
-        **figures(replace(oriented, adjusted=released)),
-        "cameras": camera_figures(released),
         "marks": {
             "by_hand": len(by_hand),
             "targets": len(targets.marks),

@@ -345,13 +345,14 @@ def by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats
     return size, redundancy
 
 
-def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
+def camera_figures(adjusted: Adjusted, freed: Solution | None) -> list[dict[str, Any]]:
     """Parameters of each camera, and what its principal distance becomes when it is released.
 
     It is released after the last gross error was taken out: before, errors would go into it.
+
+    freed: of `with_released_c`.
     """
     solution, block = adjusted.solution, adjusted.block
-    freed = _freed(adjusted)
     figures = []
     for k, camera in enumerate(block.cameras):
         sigma = np.sqrt(np.diag(solution.camera_covariance[k]))
@@ -370,7 +371,11 @@ def camera_figures(adjusted: Adjusted) -> list[dict[str, Any]]:
     return figures
 
 
-def _freed(adjusted: Adjusted) -> Solution | None:
+def with_released_c(adjusted: Adjusted, loosely: float = 1.0) -> Solution | None:
+    """Adjust with free principal distances; None where the block does not bear them.
+
+    loosely: factor of the sigmas of positions and angles.
+    """
     # Where nobody knows the lens, nobody knows its principal point: held at the middle it takes c along, by
     # ten times what c would then be said to be uncertain by.
     network = adjusted.assembly.network
@@ -378,8 +383,9 @@ def _freed(adjusted: Adjusted) -> Solution | None:
         replace(camera, estimated=camera.estimated | among("c", *(("x0", "y0") if camera.free else ())))
         for camera in network.cameras
     )
+    exposures = replace(network.exposures, sigma=loosely * network.exposures.sigma)
     try:
-        return adjust(replace(network, cameras=cameras))
+        return adjust(replace(network, cameras=cameras, exposures=exposures))
     except PhotocalError:
         return None
 

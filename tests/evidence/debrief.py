@@ -178,7 +178,7 @@ FAULTS = (
     ),
     Fault(
         "the card of another flight",
-        frozenset({"wrong-card"}),
+        frozenset({"exposures-unknown"}),
         _three_days_before,
     ),
     Fault("positions float (slips every five seconds)", frozenset({"positions-not-fixed"}), _slipped),
