@@ -215,7 +215,7 @@ class Control(Table):
     distances: Beside | None = None
     # One table is a list of one.
     targets: Annotated[
-        tuple[Targets, ...], BeforeValidator(lambda own: (own,) if isinstance(own, dict) else own)
+        tuple[Targets, ...], BeforeValidator(lambda value: (value,) if isinstance(value, dict) else value)
     ] = ()
 
     @property

@@ -25,7 +25,7 @@ def new(
     from photocal.run.new_project import new_project
 
     made = new_project(folder, crs, height)
-    parts = {"found": made.found, "missing": made.missing, "asked": made.asked}
+    parts = {"found": made.known, "missing": made.missing, "asked": made.asked}
     answer(
         as_json,
         lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts},

@@ -115,9 +115,9 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
     poses = given_poses(frame, poses)
     if turn > 0:
         # That cameras look down keeps the block from turning about the line; one image does for all.
-        images, one = block.images, int(np.argmax(np.bincount(tracks.image)))
+        images, level = block.images, int(np.argmax(np.bincount(tracks.image)))
         values, stated = images.values.copy(), images.sigma.copy()
-        values[one, :3], stated[one, :3] = poses[one, :3], LEVEL
+        values[level, :3], stated[level, :3] = poses[level, :3], LEVEL
         block = replace(block, images=replace(images, values=values, sigma=stated))
         findings.append(Finding("positions-in-line", "doubtful", figures={"turn_deg": math.degrees(turn)}))
     if (determined or turn > 0) and block.datum == "control":

@@ -86,8 +86,8 @@ def measure_project(
     raises PhotocalError: when too few images can be read, fit a camera, or are oriented.
     """
     control = control_points(project)
-    paths, own = list_images(project.picture_folder), project.control.marks
-    by_hand = read_marks(own) if own is not None and own.exists() else ()
+    paths, marks_file = list_images(project.picture_folder), project.control.marks
+    by_hand = read_marks(marks_file) if marks_file is not None and marks_file.exists() else ()
     if marks_files:
         sizes = {facts.name: facts.size_px for facts in each_picture(paths, read_facts)[0]}
         by_hand += tuple(mark for file in marks_files for mark in read_any_marks(file, sizes))

@@ -36,7 +36,7 @@ Sizes = dict[str, tuple[int, int]]
 
 
 @dataclass(frozen=True)
-class Found:
+class ControlFile:
     """Control points and marks of one file.
 
     crs: "local" without one; empty when the file does not say.
@@ -62,8 +62,8 @@ class Survey:
 
     folder: Path
     pictures: dict[Path, tuple[ImageFacts, ...]] = field(default_factory=dict)
-    control: list[Found] = field(default_factory=list)
-    marks: list[Found] = field(default_factory=list)
+    control: list[ControlFile] = field(default_factory=list)
+    marks: list[ControlFile] = field(default_factory=list)
     logs: list[Path] = field(default_factory=list)
     raw_logs: list[Path] = field(default_factory=list)
     events: list[Path] = field(default_factory=list)
@@ -135,7 +135,7 @@ def _files(folder: Path, depth: int) -> Iterator[Path]:
             yield from _files(path, depth - 1)
 
 
-def _control(path: Path, sizes: Sizes, unread: list[str]) -> Found | None:
+def _control(path: Path, sizes: Sizes, unread: list[str]) -> ControlFile | None:
     """Control or marks of a file; None for one that has neither. What looks like them tells why not."""
     refusals = []
     for read in _READERS[path.suffix.lower()]:
@@ -151,18 +151,18 @@ def _control(path: Path, sizes: Sizes, unread: list[str]) -> Found | None:
     return None
 
 
-def _one_file(path: Path, sizes: Sizes) -> Found:
+def _one_file(path: Path, sizes: Sizes) -> ControlFile:
     given: ControlMarks = read_control_marks(path, ASSUMED_M, sizes)
-    return Found(path, given.crs, given.points, given.marks, assumed=path.suffix.lower() != ".xml")
+    return ControlFile(path, given.crs, given.points, given.marks, assumed=path.suffix.lower() != ".xml")
 
 
-def _other_program(path: Path, _: Sizes) -> Found:
+def _other_program(path: Path, _: Sizes) -> ControlFile:
     from photocal.exchange.formats import read_foreign_block
 
     return of_foreign(path, read_foreign_block(path))
 
 
-def of_foreign(path: Path, block: Block) -> Found:
+def of_foreign(path: Path, block: Block) -> ControlFile:
     """Control, its marks and the cameras of another program's block."""
     from photocal.exchange.reconstruction import of_block
 
@@ -178,23 +178,23 @@ def of_foreign(path: Path, block: Block) -> Found:
         )
         if surveyed[j]
     )
-    return Found(path, block.frame, block.points.only(surveyed), marks, cameras=block.cameras)
+    return ControlFile(path, block.frame, block.points.only(surveyed), marks, cameras=block.cameras)
 
 
-def _micmac(path: Path, _: Sizes) -> Found:
+def _micmac(path: Path, _: Sizes) -> ControlFile:
     from photocal.exchange.micmac import PLACEHOLDER, read_ground_points, read_measures
 
     try:
         ground = read_ground_points(path)
     except PhotocalError:
-        return Found(path, marks=read_measures(path))
+        return ControlFile(path, marks=read_measures(path))
     assumed = all(sigma == PLACEHOLDER for point in ground for sigma in point.sigma)
     if assumed:
         ground = tuple(replace(point, sigma=(ASSUMED_M[0], *ASSUMED_M)) for point in ground)
-    return Found(path, "local", object_points(ground), assumed=assumed)
+    return ControlFile(path, "local", object_points(ground), assumed=assumed)
 
 
-def _table(path: Path, _: Sizes) -> Found:
+def _table(path: Path, _: Sizes) -> ControlFile:
     """A table of points under any heads that people write."""
     table = read_under(path, HEADS, ("point", *"XYZ"))
     x, y, z = (table.numbers(column) for column in "XYZ")
@@ -213,14 +213,14 @@ def _table(path: Path, _: Sizes) -> Found:
     sigma[np.array(roles) == "check"] = np.where(table.has("sX"), sigma[np.array(roles) == "check"], np.inf)
     role = np.array([ROLES.index(name) for name in roles], dtype=np.int64)
     points = ObjectPoints(names, places, sigma, role)
-    return Found(path, "EPSG:4326" if in_degrees(path) else "", points, assumed=not table.has("sX"))
+    return ControlFile(path, "EPSG:4326" if in_degrees(path) else "", points, assumed=not table.has("sX"))
 
 
-def _marks(path: Path, sizes: Sizes) -> Found:
-    return Found(path, marks=read_any_marks(path, sizes))
+def _marks(path: Path, sizes: Sizes) -> ControlFile:
+    return ControlFile(path, marks=read_any_marks(path, sizes))
 
 
-_READERS: dict[str, tuple[Callable[[Path, Sizes], Found], ...]] = {
+_READERS: dict[str, tuple[Callable[[Path, Sizes], ControlFile], ...]] = {
     ".xml": (_one_file, _micmac, _other_program),
     ".json": (_one_file,),
     ".psz": (_other_program,),

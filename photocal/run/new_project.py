@@ -21,7 +21,7 @@ from photocal.measurement.rigs import Frame, recognised
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
-from photocal.run.folder_survey import ASSUMED_M, Found, Survey, survey
+from photocal.run.folder_survey import ASSUMED_M, ControlFile, Survey, survey
 
 PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
@@ -40,11 +40,11 @@ _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 class NewProject:
     """A project that was written.
 
-    found, missing, asked: what the folder has, what would help, and what must be said before it can be run.
+    known, missing, asked: what the folder has, what would help, and what must be said before it can be run.
     """
 
     path: Path
-    found: tuple[str, ...]
+    known: tuple[str, ...]
     missing: tuple[str, ...]
     asked: tuple[str, ...]
 
@@ -88,19 +88,19 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
             raise OutputError("is there already", "move it away, or use it", where=folder / name)
     for name, content in files.items():
         (folder / name).write_text(content, encoding="utf-8", newline="\n")
-    return NewProject(folder / NAME, tuple(text.found), tuple(text.missing), tuple(text.asked))
+    return NewProject(folder / NAME, tuple(text.known), tuple(text.missing), tuple(text.asked))
 
 
-def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> Found | None:
+def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> ControlFile | None:
     """The control of the folder: with marks in its pictures if there is such a file, else the first."""
     names = [image.name for image in facts]
     if not seen.control:
         return None
 
-    def shown(control: Found) -> int:
+    def shown(control: ControlFile) -> int:
         return sum(mark.image in names for mark in named_after(control.marks, names))
 
-    def checks(control: Found) -> int:
+    def checks(control: ControlFile) -> int:
         return 0 if control.points is None else int(control.points.of_role("check").sum())
 
     best = max(seen.control, key=lambda control: (shown(control), checks(control)))
@@ -122,7 +122,7 @@ class _Text:
         seen: Survey,
         facts: Sequence[ImageFacts],
         pictures: Path | None,
-        control: Found | None,
+        control: ControlFile | None,
         crs: str,
         height: str,
         frame: Frame | None = None,
@@ -139,7 +139,7 @@ class _Text:
             self.cameras = tuple(re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() for name in names)
         # Where sizes do not tell cameras apart.
         self.listed = frame is not None or len({image.size_px for image in facts}) < len(self.cameras)
-        self.found: list[str] = []
+        self.known: list[str] = []
         self.missing: list[str] = []
         self.asked: list[str] = []
         self.placed = [image for image in facts if image.has_position]
@@ -202,10 +202,10 @@ class _Text:
         for path in seen.raw_logs:
             self.missing.append(f"{self._beside(path)} is a raw log: acquire import takes several into one")
         for path in seen.events:
-            self.found.append(f"list of exposures {self._beside(path)}: with RINEX files, acquire import")
+            self.known.append(f"list of exposures {self._beside(path)}: with RINEX files, acquire import")
         if not seen.logs:
             return
-        self.found.append(f"{len(seen.logs)} flight log(s)")
+        self.known.append(f"{len(seen.logs)} flight log(s)")
         yield "\n[flight]"
         yield f"logs = {json.dumps([self._beside(path) for path in seen.logs])}"
         yield "# base_position = [-22.7, -43.2, 30.0]   # latitude, longitude (deg), ellipsoidal height (m)"
@@ -213,7 +213,7 @@ class _Text:
         offered = told_mounting(FlightLog(seen.logs), "vehicle").camera_to_antenna_m
         if offered is not None:
             arm = ", ".join(f"{value:.3f}" for value in offered)
-            self.found.append(f"antenna ({arm}) m forward, right, down of the body's origin (its parameters)")
+            self.known.append(f"antenna ({arm}) m forward, right, down of the body's origin (its parameters)")
             yield f"# [{arm}] by the vehicle's parameters if the camera sits at its origin (sigma 0.1 m)"
         yield f"camera_to_antenna_m = {_quoted(ASKED)}"
         yield "camera_to_antenna_sigma_m = [0.01, 0.01, 0.01]"
@@ -229,12 +229,12 @@ class _Text:
         if self.frame is not None:
             exposures = len(set(self.frame.exposure.values()))
             by = f"{len(self.frame.heads)} cameras on one frame, by {self.frame.by} of the pictures"
-            self.found.append(f"{by}: {', '.join(self.frame.heads)}; {exposures} exposures")
+            self.known.append(f"{by}: {', '.join(self.frame.heads)}; {exposures} exposures")
             used = {path.parent for path in self.frame.head}
             others = [where for where in others if where not in used]
         comment = f"{count} pictures in {self._beside(self.pictures)}, {len(self.placed)} with a position"
-        self.found.append(comment + (f", {stated} with its sigma" if stated else ""))
-        self.found += [
+        self.known.append(comment + (f", {stated} with its sigma" if stated else ""))
+        self.known += [
             f"{len(self.seen.pictures[w])} pictures in {self._beside(w)}: not used" for w in others
         ]
         yield f"\n[images]  # {comment}"
@@ -264,11 +264,11 @@ class _Text:
                 source = f"of {self._beside(self.given.file)}" if self.given is not None else ""
                 yield f"\n[[camera]]  # {taken} pictures; {source}"
                 yield from _given_camera(replace(known[stated.camera.size_px], id=name))
-                self.found.append(f"camera {name}: {source}")
+                self.known.append(f"camera {name}: {source}")
                 continue
             kind = "a guess" if stated.guessed else f"prior, {100 * stated.share:g} %"
             comment = f"c = {stated.camera.value('c'):.1f} px ({stated.source}; {kind})"
-            self.found.append(f"camera {name}: {taken} pictures, {comment}")
+            self.known.append(f"camera {name}: {taken} pictures, {comment}")
             yield f"\n[[camera]]  # {taken} pictures; {comment}"
             yield from _camera(stated)
             if not stated.camera.rolling:
@@ -321,7 +321,7 @@ class _Text:
         images = len({mark.image for mark in self.marks})
         comment = f"{len(points.names)} points of {self._beside(given.file)}, "
         comment += f"{len(self.marks)} marks in {images} images"
-        self.found.append(f"control: {comment}")
+        self.known.append(f"control: {comment}")
         yield f"\n[control]  # {comment}"
         yield 'points = "control.csv"' + (
             f"  # sigmas of {ASSUMED_M[0]} m, in height {ASSUMED_M[1]} m, are assumed"

@@ -184,7 +184,7 @@ def test_positions_of_a_table_beside_the_pictures(tmp_path: Path, exif: float | 
     project = read_project(made.path)
     assert project.crs == "EPSG:32722"
     assert project.images.positions == tmp_path / "geo.txt"
-    assert any("3 with a position, 3 with its sigma" in line for line in made.found)
+    assert any("3 with a position, 3 with its sigma" in line for line in made.known)
     (tmp_path / "more.txt").write_text("\n".join(rows) + "\n")
     (tmp_path / "project.toml").unlink()
     made = new_project(tmp_path)
