@@ -227,11 +227,11 @@ def orient_quickly(
         ground = height if adjusted.start.datum != "free" else np.nan
         freed = with_released_c(adjusted)
         loosely = with_released_c(adjusted, _LOOSE)
-        cameras = camera_figures(adjusted, _told_by_rays(freed, loosely))
+        cameras = camera_figures(adjusted, told_by_rays(freed, loosely))
         return Quick(len(first.kept), first.left_out, cameras, ground)
 
 
-def _told_by_rays(freed: Solution | None, loosely: Solution | None) -> Solution | None:
+def told_by_rays(freed: Solution | None, loosely: Solution | None) -> Solution | None:
     """Of two adjustments that with loose positions, where these pull c by more than errors of each could.
 
     What positions have in common (a time offset, a lever arm, the air) stands in none of their sigmas. But
