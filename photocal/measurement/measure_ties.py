@@ -14,11 +14,11 @@ from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture
 from photocal.measurement.maker_camera import stated_camera
-from photocal.measurement.oriented_ties import Oriented, figures
+from photocal.measurement.oriented_ties import Oriented
 from photocal.measurement.position_files import local_places
 from photocal.measurement.refine import Source
 from photocal.measurement.start_block import explained
-from photocal.measurement.tie_adjustment import camera_figures, with_released_c
+from photocal.measurement.tie_adjustment import camera_figures, pixel_residuals, with_released_c
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.tasks.progress import Progress
 
@@ -91,9 +91,11 @@ def sight(
 def tie_record(sighted: Sighted, oriented: Oriented) -> dict[str, Any]:
     """What was measured and how, for `measurement.json`."""
     paths = {source.path.name: source.path for source in sighted.sources}
+    final = oriented.adjusted
+    residuals = pixel_residuals(final.assembly, final.solution)[-len(final.tracks.track) :]
     return {
         "schema": SCHEMA,
-        "images": list(oriented.adjusted.block.images.names),
+        "images": list(final.block.images.names),
         "turned_by_exif": [f.name for f in sighted.facts if f.orientation != 1],
         "left_out": [*sighted.left_out, *explained(oriented.left_out, paths, sighted.facts)],
         "pairs": {"rule": sighted.rule, "examined": len(sighted.pairs), "verified": sighted.verified_pairs},
@@ -104,8 +106,15 @@ def tie_record(sighted: Sighted, oriented: Oriented) -> dict[str, Any]:
             "three_and_more_rays": int(np.count_nonzero(oriented.verified.rays >= 3)),
         },
         "pixel_origin": PIXEL_ORIGIN,
-        **figures(oriented),
-        "cameras": camera_figures(oriented.adjusted, with_released_c(oriented.adjusted)),
+        "points": final.tracks.count,
+        "observations": len(final.tracks.track),
+        "rejected_observations": final.rejected,
+        "points_by_rays": {str(n): int(c) for n, c in enumerate(np.bincount(final.tracks.rays)) if c},
+        "share_of_four_and_more": float(np.mean(final.tracks.rays >= 4)),
+        "rms_px": float(np.sqrt(np.mean(residuals**2))),
+        "sigma_px": final.tie_sigma,
+        "variance_factor": float(final.solution.variance_factor),
+        "cameras": camera_figures(final, with_released_c(final)),
     }
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.placing import oriented, position_sigmas, softened
 from photocal.measurement.refine import HALF, Source, refine_reduced
 from photocal.measurement.start_block import without_images
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, pixel_residuals
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties
 from photocal.measurement.tie_block import GROSS, intersected, marked_control, misses, with_ties
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.results.adjusted import movements
@@ -265,20 +264,3 @@ def _verified(final: Adjusted, tracks: Tracks) -> Tracks:
     points = intersected(views, tracks)
     with np.errstate(invalid="ignore"):
         return tracks.some(misses(views, tracks, points) < GROSS * np.sqrt(2) * final.tie_sigma)
-
-
-def figures(oriented: Oriented) -> dict[str, Any]:
-    """Figures of the tie points for `measurement.json`."""
-    final = oriented.adjusted
-    rays = final.tracks.rays
-    residuals = pixel_residuals(final.assembly, final.solution)[-len(final.tracks.track) :]
-    return {
-        "points": final.tracks.count,
-        "observations": len(final.tracks.track),
-        "rejected_observations": final.rejected,
-        "points_by_rays": {str(n): int(c) for n, c in enumerate(np.bincount(rays)) if c},
-        "share_of_four_and_more": float(np.mean(rays >= 4)),
-        "rms_px": float(np.sqrt(np.mean(residuals**2))),
-        "sigma_px": final.tie_sigma,
-        "variance_factor": float(final.solution.variance_factor),
-    }

@@ -58,11 +58,10 @@ def join_tracks(features: Sequence[Features], pairs: Integers, matches: Sequence
     place = np.concatenate([_places(f) + o for f, o in zip(features, offset[:-1], strict=True)])
     first = [place[offset[a] + m[:, 0]] for (a, _), m in zip(pairs, matches, strict=True)]
     second = [place[offset[b] + m[:, 1]] for (_, b), m in zip(pairs, matches, strict=True)]
-    one_end = np.concatenate(first) if first else np.zeros(0, dtype=np.int64)
-    other_end = np.concatenate(second) if second else np.zeros(0, dtype=np.int64)
-    graph = coo_matrix((np.ones(len(one_end), dtype=np.int8), (one_end, other_end)), shape=(total, total))
+    ends = np.array([np.concatenate([place[:0], *of_pairs]) for of_pairs in (first, second)])
+    graph = coo_matrix((np.ones(len(ends[0]), dtype=np.int8), (ends[0], ends[1])), shape=(total, total))
     _, label = connected_components(graph, directed=False)
-    used = np.unique(np.concatenate([one_end, other_end]))
+    used = np.unique(ends)
     image = np.searchsorted(offset, used, side="right") - 1
     _, track = np.unique(label[used], return_inverse=True)
     pixels = np.concatenate([f.pixels for f in features]).astype(float)[used]

@@ -48,7 +48,7 @@ def exposure_figures(
         "height": exposures.height_kind,
         "heights": _heights(exposures),
         "sigma": _sigmas(exposures),
-        "cameras": [_camera(camera, events) for camera in cameras],
+        "cameras": as_plain([_camera(camera, events) for camera in cameras]),
         "clocks": [clock.figures() for clock in clocks],
         "checks": [
             finding_json(check, catalogue("en")) | {"verdict": _VERDICTS.get(check.severity, "failed")}
@@ -87,7 +87,7 @@ def _medians(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float] | Non
 
 def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
     m = camera.matching
-    figures = {
+    return {
         "camera": camera.camera,
         "matched": len(m.image),
         "unmatched_images": [camera.names[i] for i in m.unmatched_images.tolist()],
@@ -99,7 +99,6 @@ def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
         "clock_drift_sigma_ppm": m.drift_sigma * 1e6,
         "residual_s": m.scatter_s,
     }
-    return dict(as_plain(figures))
 
 
 def _unmatched(cameras: list[CameraMatch], events: Events) -> Iterator[Finding]:
