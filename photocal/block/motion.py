@@ -91,7 +91,8 @@ def expected_rates(observed: Floats, sigma: Floats, gust: Floats) -> tuple[Float
     images really turn is what the observed rates scatter beyond their sigmas, at least half of these; of few
     images it is the gust.
     """
-    seen = np.isfinite(observed) & np.isfinite(sigma)
+    # A rate that nobody observed may stand as zero, with the sigma of gusts.
+    seen = np.isfinite(observed) & np.isfinite(sigma) & (observed != 0.0)
     turning = np.broadcast_to(gust[:, None] ** 2, observed.shape).copy()
     for axis in range(observed.shape[1]):
         known = seen[:, axis]

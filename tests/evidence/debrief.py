@@ -151,7 +151,7 @@ FAULTS = (
     Fault(
         "three pictures missing in a strip",
         frozenset({"events-without-image", "strip-gap"}),
-        _without(2, 3, 4),
+        _without(7, 8, 9),
     ),
     Fault("four pictures blurred", frozenset({"pictures-blurred"}), _edited(slice(20, 24), _smeared)),
     Fault(

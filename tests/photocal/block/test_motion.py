@@ -17,6 +17,7 @@ from photocal.block.folder import read_block
 from photocal.block.motion import expected_rates, motion_of, velocity_of_neighbours
 from photocal.block.network import assemble
 from photocal.geometry.rotation import object_to_body
+from photocal.georeferencing.methods import with_shutters
 from photocal.results.adjusted import adjust_block
 from tests.photocal import blocks
 
@@ -130,3 +131,25 @@ def test_rates_that_nobody_observed_stay_as_they_are() -> None:
     rates, sigma = expected_rates(none, none, np.full(3, 0.1))
     assert np.isnan(rates).all()
     assert np.isnan(sigma).all()
+
+
+def test_rates_that_nobody_observed_keep_the_size_of_gusts_in_georeferencing(tmp_path: Path) -> None:
+    folder = blocks.dcs460(tmp_path / "block")
+    table, setup = folder / "images.csv", folder / "block.toml"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0] + ",vX,vY,vZ", *(f"{line},1,2,3" for line in lines[1:])]))
+    text = setup.read_text()
+    for before, after in (
+        ('"P2"]', '"P2", "readout"]'),
+        ("prior_sigma = {", "prior_sigma = { readout = 0.001,"),
+        ("parameters = {", "parameters = { readout = 0.02,"),
+    ):
+        text = text.replace(before, after)
+    setup.write_text(text)
+    block = read_block(folder)
+    decided = with_shutters(block)
+    assert np.isfinite(decided.images.motion_sigma).all()
+    gusts, kept = (assemble(one).network.exposures.motion_sigma for one in (block, decided))
+    assert gusts is not None
+    assert kept is not None
+    assert np.allclose(kept[:, 3:], gusts[:, 3:])
