@@ -30,8 +30,9 @@ SMOOTHING_PX, _SMOOTHED_PX = 0.8, 7
 # A match must be as like as this, and settle as near to where it was expected.
 LIKENESS = 0.8
 FARTHEST_PX = 4.0
-# Views of a surface that differ by more than 45 degrees or a factor of two do not look alike.
-_COS_APART, _ZOOM = 0.7, 2.0
+# Views of a surface that differ by more than 65 degrees or a factor of two do not look alike. Strips with a
+# side overlap of a fifth see it from 60 degrees apart, by the usual lens of 74 degrees.
+_COS_APART, _ZOOM = 0.42, 2.0
 # A place is measured, not guessed, when its noise allows this sigma.
 _COARSEST_PX = 0.5
 _BORDER_PX = 2

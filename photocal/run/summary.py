@@ -38,7 +38,8 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
         path = work / stage / name
         content = read_json(path) if stages is None or stage in stages else None
         for finding in read(content, path) if content is not None else ():
-            if not any((finding.code, finding.subject) == (other.code, other.subject) for other in listed):
+            key = finding.code, finding.subject, finding.cause
+            if not any(key == (other.code, other.subject, other.cause) for other in listed):
                 listed.append(replace(finding, stage=stage))
     ppk = read_json(work / "ppk" / "ppk.json")
     return causes_first(listed, 100.0 if ppk is None else float(ppk["fixed_percent"]))

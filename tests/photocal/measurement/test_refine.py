@@ -135,6 +135,20 @@ def test_tracks_become_precise_and_find_their_other_images(tmp_path: Path) -> No
     assert np.sqrt(np.mean(miss**2)) < 0.06 < 0.2 < np.sqrt(np.mean(before**2))
 
 
+def test_strips_of_little_side_overlap_are_matched(tmp_path: Path) -> None:
+    """Level ground looks alike from above however far it lies aside: here from 51 degrees apart."""
+    views = _views(np.array([[-19.0, 0, 40], [19.0, 0, 40]]), np.radians([0.0, 180.0]))
+    sources = _pictures(views, tmp_path)
+    rng = np.random.default_rng(4)
+    truth = np.column_stack([rng.uniform(-0.6, 0.6, 60), rng.uniform(-8, 8, 60), np.zeros(60)])
+    track, image = np.repeat(np.arange(60), 2), np.tile([0, 1], 60)
+    exact = views.project(image, truth[track])
+    rough = Tracks(track, image, exact + rng.normal(0, 0.5, exact.shape), np.ones(120))
+    partners = [np.array([1]), np.array([0])]
+    precise = refine(sources, views, rough, intersected(views, rough), partners, 1, lambda _: None)
+    assert np.sum(precise.rays == 2) > 50
+
+
 def test_rays_farther_off_than_matching_reaches_are_found_in_reduced_pictures(tmp_path: Path) -> None:
     """Features of very large pictures are off by many stored pixels: here 8 px, in pictures halved twice."""
     places = np.array([[-4.0, 0, 40], [0, 1.0, 40], [4.0, 0, 41]])

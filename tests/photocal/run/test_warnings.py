@@ -131,3 +131,10 @@ def test_what_explains_as_much_is_told_beside_a_drift_of_c(tmp_path: Path, fall:
     assert first.clauses == (("same",) if rival else ())
     said = finding_text(first, catalogue("en"))
     assert ("cannot tell it from an error of the lever arm" in said) is rival
+
+
+def test_images_that_are_left_out_for_several_reasons_are_all_named(tmp_path: Path) -> None:
+    images = {"few-ties": ("a.jpg",), "not-joined": ("b.jpg", "c.jpg")}
+    left = [Finding("image-left-out", "doubtful", figures={"images": i}, cause=c) for c, i in images.items()]
+    found = gathered(tmp_path, measurements={"findings": [vars(finding) for finding in left]})
+    assert [tuple(finding.figures["images"]) for finding in found] == list(images.values())
