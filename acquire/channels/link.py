@@ -105,8 +105,7 @@ class LinkLog:
         if len(damage) and len(log_ns):
             # Damage has the time of the frame before it, at the beginning of a batch of the one after it.
             place = np.searchsorted(batch.start + batch.base, batch.damage[:, 0]) - 1
-            times = log_ns[np.maximum(place, 0)]
-            self._damage(batch, times, damage)
+            self._damage(batch, log_ns[np.maximum(place, 0)], damage)
         elif len(damage):
             self._damage(batch, np.full(len(damage), self.last_ns), damage)
         for part in decoded:

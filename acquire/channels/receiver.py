@@ -73,8 +73,7 @@ class ReceiverDecoder:
                 "time": Times(np.where(new.valid & (new.base != ubx.BASE_RECEIVER), utc, -1)),
                 "accuracy_ns": new.accuracy_ns,
             }
-            index = marks.index[new.index]
-            yield self._messages("TIM-TM2", index, publish).exposure(edge, columns)
+            yield self._messages("TIM-TM2", marks.index[new.index], publish).exposure(edge, columns)
 
     def _clocks(self, batch: Batch, log_ns: Integers, publish: Integers) -> Iterator[Decoded]:
         epochs = ubx.decode_rawx(batch).epochs

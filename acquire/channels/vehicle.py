@@ -40,8 +40,7 @@ class VehicleDecoder:
     def feed(self, batch: Batch, log_ns: Integers) -> tuple[Integers, list[Decoded]]:
         """Return the device's time of each frame and the decoded messages."""
         publish = log_ns.copy()
-        wanted = (batch.wire == Wire.MAVLINK) & batch.known
-        kinds = sorted(set(batch.kind[wanted].tolist()))
+        kinds = sorted(set(batch.kind[(batch.wire == Wire.MAVLINK) & batch.known].tolist()))
         boot = self._boot_offsets(batch)
         decoded: list[Decoded] = []
         for kind in kinds:

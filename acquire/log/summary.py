@@ -84,8 +84,7 @@ def verdict(offset_s: Floats, ratio: float | None) -> str:
 
 def _ratio(host: Integers, boot: Integers) -> float | None:
     """Return the rate of the autopilot's clock over the longest stretch without a restart."""
-    restarts = np.flatnonzero(np.diff(boot) < 0) + 1
-    edges = np.concatenate([[0], restarts, [len(boot)]])
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(boot) < 0) + 1, [len(boot)]])
     longest = int(np.argmax(np.diff(edges)))
     first, last = int(edges[longest]), int(edges[longest + 1]) - 1
     elapsed = float(host[last] - host[first]) / 1e9

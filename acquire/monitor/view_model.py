@@ -46,8 +46,7 @@ def layers(state: State) -> list[Layer]:
         for track in [state.tracks[key]]
     ]
     # Both the vehicle and the receiver tell of the same picture: what the camera reported counts.
-    kinds = {kind for _, kind in state.pictures}
-    kind = "feedback" if "feedback" in kinds else "rising"
+    kind = "feedback" if "feedback" in {kind for _, kind in state.pictures} else "rising"
     drawn += [
         Layer("picture", name, track.points, f"{state.flight} {source}")
         for (name, source), track in sorted(state.pictures.items())
@@ -308,8 +307,7 @@ def _link(name: str, link: Link, state: State, now_ns: int) -> LinkRow:
 
 def _receiver(name: str, receiver: Receiver, state: State, now_ns: int) -> ReceiverRow:
     stale_s = _seconds(now_ns - receiver.time_ns)
-    link = state.links.get(receiver.link, Link())
-    age_s = correction_age_s(receiver, link, now_ns)
+    age_s = correction_age_s(receiver, state.links.get(receiver.link, Link()), now_ns)
     return ReceiverRow(
         name=name,
         fix=_fix(receiver.fix, stale_s),

@@ -177,8 +177,7 @@ def _written(work: Work, output: Path) -> dict[str, Any]:
         measured = work()
     except UnorientedError as refusal:
         refused = refusal
-        record = {"schema": SCHEMA, "refused": str(refusal)}
-        measured = Measured(refusal.block, record)
+        measured = Measured(refusal.block, {"schema": SCHEMA, "refused": str(refusal)})
     with output_folder(output) as aside:
         write_block(aside, measured.block, measured.record)
     if refused is not None:

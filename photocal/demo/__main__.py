@@ -28,8 +28,7 @@ def fly(recording: Path, output: Path) -> tuple[str, ...]:
     from drivers.mavlink.dialect import ardupilotmega
 
     import_recordings([], [recording], output / "flight.mcap", lambda _: None)
-    figures = summarise(output / "flight.mcap", ardupilotmega()).as_json()
-    return tuple(_lines(figures))
+    return tuple(_lines(summarise(output / "flight.mcap", ardupilotmega()).as_json()))
 
 
 def _lines(figures: dict[str, Any]) -> list[str]:

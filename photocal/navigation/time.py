@@ -102,8 +102,7 @@ class UtcTime(Instants):
         sooner_or_later = (civil, civil + 60 * SECOND_NS)
         before, after = (civil + t + GPS_EPOCH_NS - gnsstime.gps_to_utc_ns(t) for t in sooner_or_later)
         # The larger offset holds from the step on, that is where it leads back to the same UTC.
-        gps = np.where(gnsstime.gps_to_utc_ns(after) == self.ns, after, before)
-        return GpsTime(gps)
+        return GpsTime(np.where(gnsstime.gps_to_utc_ns(after) == self.ns, after, before))
 
     def iso(self) -> list[str]:
         """Return calendar dates, UTC, to the millisecond, for messages."""

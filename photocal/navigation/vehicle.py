@@ -233,8 +233,7 @@ def autopilot_time(track: VehicleTrack, host: HostTime) -> tuple[GpsTime, Floats
     arrival, device = arrival[order], track.path.time.ns[order]
     after = np.clip(np.searchsorted(arrival, host.ns, side="right"), 1, max(len(arrival) - 1, 1))
     before = after - 1
-    span = np.maximum(arrival[after] - arrival[before], 1)
-    share = (host.ns - arrival[before]) / span
+    share = (host.ns - arrival[before]) / np.maximum(arrival[after] - arrival[before], 1)
     step = device[after] - device[before]
     time = device[before] + np.rint(share * step).astype(np.int64)
     inside = (host.ns >= arrival[0]) & (host.ns <= arrival[-1])

@@ -354,8 +354,7 @@ def _without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
     while True:
         block, fewer = without_weak_points(weak)
         lost += fewer
-        count = np.bincount(block.observations.image, minlength=len(block.images.names))
-        few = count < FEWEST_RAYS
+        few = np.bincount(block.observations.image, minlength=len(block.images.names)) < FEWEST_RAYS
         if not few.any() or few.all():
             break
         names += [block.images.names[k] for k in np.flatnonzero(few)]
@@ -429,5 +428,4 @@ def _as_residuals_agree(folder: Path) -> tuple[Result | None, dict[str, float]]:
 
 def _solved(folder: Path) -> Result:
     block = read_block(folder)
-    assembly = assemble(block)
-    return result_of(block, *adjusted(assembly))
+    return result_of(block, *adjusted(assemble(block)))

@@ -110,8 +110,7 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Rig, s
     from photocal.run.stage import Digests, made_in, update_stage
 
     if project.contents.flight is None:
-        choices = Choices(Sources(), project.picture_folder)
-        return place_exposures(choices, None, None), Rig(), ""
+        return place_exposures(Choices(Sources(), project.picture_folder), None, None), Rig(), ""
     stage = ppk_stage(project)
     digests = Digests(project.output / ".digests.json")
     try:
@@ -132,8 +131,7 @@ def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
     xyz, turn = projected(p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows], crs)
     covariance = turn @ p.covariance_m2[rows] @ np.swapaxes(turn, 1, 2)
     velocity = np.einsum("nab,nb->na", turn, p.velocity_m_s[rows])
-    seconds = (antenna.time.ns[rows] - antenna.time.ns[rows[0]]) / 1e9
-    strip, elapsed = strips(seconds, velocity)
+    strip, elapsed = strips((antenna.time.ns[rows] - antenna.time.ns[rows[0]]) / 1e9, velocity)
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     lines = []
     for k, row in enumerate(rows.tolist()):

@@ -30,8 +30,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
     path = given.observations if given is not None and given.observations is not None else Path()
     control = read_points(project.control.points or Path())
     table = read_table(path, ("image", "point", "x", "y"), ("sx", "sy"))
-    named = table.names("point")[1]
-    ties = tuple(sorted(set(named) - set(control.names)))
+    ties = tuple(sorted(set(table.names("point")[1]) - set(control.names)))
     left_out = tuple(sorted(set(without_exposure) - set(images.names)))
     unknown = sorted(set(table.names("image")[1]) - set(images.names) - set(left_out))
     if unknown:
@@ -41,8 +40,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
             where=path,
         )
     points = control.with_ties(ties, np.full((len(ties), 3), np.nan))
-    sigma = None if given is None else given.sigma_px
-    keys = ObservationKeys(unit="px", axes="pixel", sigma=sigma)
+    keys = ObservationKeys(unit="px", axes="pixel", sigma=None if given is None else given.sigma_px)
     seen, _ = read_observations(path, keys, images.names + left_out, points.names)
     kept = seen.image < len(images.names)
     # Points that the images left out alone made determined go with them.

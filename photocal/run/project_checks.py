@@ -216,8 +216,7 @@ def _neighbours(crs: str, latitude: float, longitude: float) -> Iterator[str]:
     from pyproj.aoi import AreaOfInterest
     from pyproj.database import query_utm_crs_info
 
-    system = CRS.from_user_input(crs)
-    datum = system.name.split(" / ")[0]
+    datum = CRS.from_user_input(crs).name.split(" / ")[0]
     for name in dict.fromkeys((datum, "WGS 84")):
         for sign in (1, -1):
             area = AreaOfInterest(longitude, sign * latitude, longitude, sign * latitude)

@@ -250,7 +250,6 @@ def _course(points: Floats, times: Floats, wind: Floats) -> BSpline[np.float64]:
     moving = np.hypot(*air.T) > 1.0
     air = air - wind
     course = np.arctan2(air[:, 0], air[:, 1])
-    rows = np.arange(len(times))
-    held = np.maximum.accumulate(np.where(moving, rows, -1))
+    held = np.maximum.accumulate(np.where(moving, np.arange(len(times)), -1))
     held[held < 0] = int(np.argmax(moving))
     return _spline(np.unwrap(course[held]), times)
