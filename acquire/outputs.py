@@ -43,7 +43,9 @@ def output_file(path: Path) -> Iterator[Path]:
         yield aside
         with refusals(path):
             # mkstemp makes private files; a result is as readable as any file that the user makes.
-            aside.chmod(0o666 & ~_umask())
+            mask = os.umask(0)
+            os.umask(mask)
+            aside.chmod(0o666 & ~mask)
             replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
@@ -124,9 +126,3 @@ def refusals(path: Path, remedy: str = "choose a place that you may write to") -
     except OSError as refusal:
         reason = refusal.strerror or str(refusal)
         raise OutputError(f"cannot be written ({reason})", remedy, where=path) from refusal
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

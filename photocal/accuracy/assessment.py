@@ -91,7 +91,17 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
 
     raises ConfigurationError: for a scale, interval or survey accuracy that cannot be.
     """
-    _require_positive(question)
+    for name, value in (
+        ("scale denominator", question.scale_denominator),
+        ("contour interval", question.interval_m),
+        ("survey accuracy", question.survey_horizontal_m),
+        ("survey accuracy", question.survey_vertical_m),
+        ("target accuracy", question.target_horizontal_m),
+        ("target accuracy", question.target_vertical_m),
+        ("ground sampling distance", question.gsd_m),
+    ):
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise ConfigurationError(f"{name} {value} is not a positive number")
     plane = discrepancies.planimetric()[1]
     height = discrepancies.component("h")[1][:, np.newaxis]
     given = {"planimetry": plane, "height": height}
@@ -180,20 +190,6 @@ def _apply(
     names = (limit.name for limit in table.unit_limits)
     admitted = tuple(classes.admitted_size(product, table, name, share, confidence) for name in names)
     return TableResult(standard.id, standard.title, table, size, decisions, admitted)
-
-
-def _require_positive(question: Question) -> None:
-    for name, value in (
-        ("scale denominator", question.scale_denominator),
-        ("contour interval", question.interval_m),
-        ("survey accuracy", question.survey_horizontal_m),
-        ("survey accuracy", question.survey_vertical_m),
-        ("target accuracy", question.target_horizontal_m),
-        ("target accuracy", question.target_vertical_m),
-        ("ground sampling distance", question.gsd_m),
-    ):
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise ConfigurationError(f"{name} {value} is not a positive number")
 
 
 def findings(assessment: Assessment) -> tuple[Finding, ...]:

@@ -188,7 +188,8 @@ def _expected(views: OrientedImages, number: int, track: Integers, surface: _Sur
     seen &= np.einsum("nk,nk->n", _directions(views, image, anchor), surface.towards[track]) > _COS_APART
     track, image, place, anchor = track[seen], image[seen], place[seen], anchor[seen]
     affinity = _jacobians(views, image, anchor, surface.axes[track]) @ surface.to_axes[track]
-    zoom = np.sqrt(np.abs(np.linalg.det(affinity)))
+    with np.errstate(invalid="ignore"):
+        zoom = np.sqrt(np.abs(np.linalg.det(affinity)))
     alike = np.isfinite(affinity).all(axis=(1, 2)) & (zoom < _ZOOM) & (zoom > 1 / _ZOOM)
     return _Rays(track, image, place, affinity).rows(alike)
 

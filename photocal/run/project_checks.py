@@ -16,6 +16,7 @@ from photocal.block.folder import read_block
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import block_frame
 from photocal.exchange.parts import PointEntry, object_points
+from photocal.geometry.frames import reference_frame
 from photocal.geometry.oriented_images import given_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
@@ -55,6 +56,9 @@ def check_project(project: Project) -> None:
         _check_place(project, control, *place)
     elif project.contents.flight is None and not any(f.has_position for f in facts_of_pictures(project)):
         _check_line(project, control)
+    if project.crs != "local" and len(control.names):
+        # Before hours of measuring, also of a geoid that is not here.
+        reference_frame(project.crs, project.height, np.nanmedian(control.values, axis=0))
 
 
 def _place(project: Project) -> Place | None:

@@ -269,7 +269,9 @@ def render(scene: Scene, number: int) -> Bytes:
     picture = np.asarray(cv2.filter2D(picture, -1, _spread(scene, number)), np.uint8)
     random = np.random.default_rng([world.configuration.seed, STREAMS.index("pictures"), number])
     noise = random.standard_normal(picture.shape[:2], dtype=np.float32) * np.float32(given.noise_grey)
-    exposed = picture * _light(camera, given.vignetting)[..., None]
+    row, column = ((np.arange(size) - (size - 1) / 2) for size in (camera.height, camera.width))
+    r2 = (row[:, None] ** 2 + column**2) / (row[0] ** 2 + column[0] ** 2)
+    exposed = picture * np.asarray(1 - given.vignetting * r2, np.float32)[..., None]
     exposed += noise[..., None]
     return np.asarray(np.clip(np.rint(exposed), 0, 255), np.uint8)
 
@@ -345,11 +347,3 @@ def _spread(scene: Scene, number: int) -> NDArray[np.float32]:
     apart = (columns[..., None] - way[:, 0]) ** 2 + (rows[..., None] - way[:, 1]) ** 2
     kernel = np.exp(-apart / (2 * sigma**2)).sum(axis=-1)
     return np.asarray(kernel / kernel.sum(), np.float32)
-
-
-def _light(camera: Camera, fall: float) -> NDArray[np.float32]:
-    """Give how much light reaches each pixel; `fall` is what is missing in the corners."""
-    rows = (np.arange(camera.height) - (camera.height - 1) / 2)[:, None]
-    columns = np.arange(camera.width) - (camera.width - 1) / 2
-    r2 = (rows**2 + columns**2) / (((camera.height - 1) / 2) ** 2 + ((camera.width - 1) / 2) ** 2)
-    return np.asarray(1 - fall * r2, np.float32)

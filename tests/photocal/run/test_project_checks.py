@@ -58,7 +58,6 @@ LATER = (
     "heights in feet",
     "heights with a wrong sign",
     "other names",
-    "height kind",
     "heights of another",
     "control 100",
 )
