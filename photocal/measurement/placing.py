@@ -38,7 +38,9 @@ LEVEL = 0.2
 # A position that misses by so many sigmas is wrong; positions that miss by so many all together are worse
 # than was assumed.
 WRONG_POSITION, WORSE_POSITIONS = 6.0, 2.0
-OF_POSITIONS = ("position-off", "positions-worse")
+OF_POSITIONS = ("position-off", "positions-worse", "heights-apart")
+# Heights of receivers and of control that differ by more count from different surfaces, m.
+HEIGHTS_APART_M = 9.0
 # Cosine of the angle to within which recorded directions and pictures agree; of so many of them, or the
 # record is none of the pictures. A picture whose upper edge points to the sky has no direction.
 SAME_WAY, MOST, UPRIGHT = 0.87, 0.9, 0.3
@@ -274,6 +276,8 @@ def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[F
         for j, k in enumerate(np.flatnonzero(observed))
         if wrong[j]
     ]
+    if abs(shift[2]) > HEIGHTS_APART_M:
+        findings.append(Finding("heights-apart", "note", figures={"up_m": float(shift[2])}))
     if factor > WORSE_POSITIONS:
         findings.append(Finding("positions-worse", "doubtful", figures={"factor": factor}))
         sigma[:, 3:] *= factor

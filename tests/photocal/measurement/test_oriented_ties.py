@@ -15,7 +15,7 @@ from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
 from photocal.geometry.camera import PARAMETERS, camera, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.measurement.oriented_ties import _views, first_orientation, orient_ties
-from photocal.measurement.placing import oriented
+from photocal.measurement.placing import oriented, position_sigmas
 from photocal.measurement.start_block import without_single_rays
 from photocal.measurement.tie_adjustment import _Ties, _where_rays_meet, adjust_ties
 from photocal.measurement.tie_block import brought_nearer, intersected, place, with_ties
@@ -98,6 +98,16 @@ def test_positions_of_a_corridor_keep_all_that_they_say() -> None:
     assert np.abs(found.values[:, 0]).max() < 0.2
     told = [one for one in oriented(start, found.tracks).findings if one.code == "positions-in-line"]
     assert 0.0 < float(told[0].figures["turn_deg"]) <= 11.5
+
+
+def test_heights_of_another_surface_are_told_by_control() -> None:
+    """Control puts all images 26 m below their own heights, as an undulation of -26 m does."""
+    places = np.array([[x, y, 40.0] for x in (-9.0, -3, 3, 9) for y in (-6.0, 6)])
+    images, values = _block(places).images, np.hstack([np.zeros((8, 3)), places - [0, 0, 26.0]])
+    (found,) = position_sigmas(images, values, shifted=True)[2]
+    assert (found.code, found.severity, found.figures) == ("heights-apart", "note", {"up_m": -26.0})
+    values[:, 5] += 20.0
+    assert position_sigmas(images, values, shifted=True)[2] == []
 
 
 def test_positions_tens_of_metres_off_bend_nothing() -> None:
