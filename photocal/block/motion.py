@@ -55,6 +55,17 @@ def motion_of(
 
     Also of which images the velocity is known, shape (n,).
     """
+    motion, sigma, known = observed_motion(block, centre, positions, turn)
+    gust = np.array([camera.gust[1] for camera in block.cameras])[block.images.camera]
+    motion[:, 3:6], sigma[:, 3:] = expected_rates(motion[:, 3:6], sigma[:, 3:], gust)
+    sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), gust[:, None], sigma[:, 3:])
+    return np.nan_to_num(motion), sigma, known
+
+
+def observed_motion(
+    block: Block, centre: Floats, positions: Positions, turn: Floats
+) -> tuple[Floats, Floats, Flags]:
+    """As `motion_of`, with rates and their sigmas as observed; NaN where nobody did."""
     images, attitudes = block.images, block.attitudes
     motion, sigma = images.motion.copy(), images.motion_sigma.copy()
     motion[:, :3] = np.einsum("nab,nb->na", turn, motion[:, :3])
@@ -77,9 +88,7 @@ def motion_of(
         spread_of_rate[attitudes.image] = np.sqrt(attitudes.rate_sigma**2 @ (to_camera**2).T)
         motion[:, 3:6] = np.where(np.isnan(motion[:, 3:6]), rate, motion[:, 3:6])
         sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), spread_of_rate, sigma[:, 3:])
-    motion[:, 3:6], sigma[:, 3:] = expected_rates(motion[:, 3:6], sigma[:, 3:], gust[:, 1])
-    sigma[:, 3:] = np.where(np.isnan(sigma[:, 3:]), gust[:, 1:], sigma[:, 3:])
-    return np.nan_to_num(motion), sigma, np.asarray(~unknown.any(axis=1))
+    return motion, sigma, np.asarray(~unknown.any(axis=1))
 
 
 def expected_rates(observed: Floats, sigma: Floats, gust: Floats) -> tuple[Floats, Floats]:
@@ -91,8 +100,7 @@ def expected_rates(observed: Floats, sigma: Floats, gust: Floats) -> tuple[Float
     images really turn is what the observed rates scatter beyond their sigmas, at least half of these; of few
     images it is the gust.
     """
-    # A rate that nobody observed may stand as zero, with the sigma of gusts.
-    seen = np.isfinite(observed) & np.isfinite(sigma) & (observed != 0.0)
+    seen = np.isfinite(observed) & np.isfinite(sigma)
     turning = np.broadcast_to(gust[:, None] ** 2, observed.shape).copy()
     for axis in range(observed.shape[1]):
         known = seen[:, axis]

@@ -15,6 +15,7 @@ from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
 from photocal.block.model import ROLES, Block
+from photocal.block.motion import observed_motion
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.georeferencing.direct import Calibration, direct_orientation, joint_covariance, with_calibration
@@ -141,13 +142,15 @@ def with_shutters(block: Block) -> Block:
     heads = tuple(replace(head, lag=lag.get(head.camera)) for head in block.heads)
     if not undecided:
         return replace(block, heads=heads)
-    motion, sigma = network.exposures.motion, network.exposures.motion_sigma
-    images = block.images
-    if motion is not None and sigma is not None:
-        places = assembly.frame.to_given(network.exposures.values[:, 3:])
-        back = np.linalg.inv(assembly.frame.derivative(places))
-        velocity = np.einsum("nab,nb->na", back, motion[:, :3])
-        images = replace(images, motion=np.hstack([velocity, motion[:, 3:]]), motion_sigma=sigma)
+    images, spread = block.images, network.exposures.motion_sigma
+    if spread is not None:
+        # Rates as they were observed: what is expected of them is asked anew of each network.
+        centre = network.exposures.values[:, 3:]
+        turn = assembly.frame.derivative(assembly.frame.to_given(centre))
+        motion, sigma, _ = observed_motion(block, centre, network.positions, turn)
+        motion[:, :3] = np.einsum("nab,nb->na", np.linalg.inv(turn), motion[:, :3])
+        sigma = np.where(np.isnan(sigma), spread, sigma)
+        images = replace(images, motion=motion, motion_sigma=sigma)
     cameras = (camera if camera.rolling else replace(camera, shutter="global") for camera in network.cameras)
     return replace(block, cameras=tuple(cameras), images=images, heads=heads)
 

@@ -23,6 +23,7 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import Similarity, aligned_similarity, misses_of, robust_similarity
+from photocal.measurement.start_block import POSITION_SIGMA_M
 from photocal.measurement.tie_block import views_of, with_ties
 from photocal.measurement.tracks import Tracks
 
@@ -40,7 +41,7 @@ LEVEL = 0.2
 WRONG_POSITION, WORSE_POSITIONS = 6.0, 2.0
 OF_POSITIONS = ("position-off", "positions-worse", "heights-apart")
 # Heights of receivers and of control that differ by more count from different surfaces, m.
-HEIGHTS_APART_M = 9.0
+HEIGHTS_APART_M = 3 * POSITION_SIGMA_M[2]
 # Cosine of the angle to within which recorded directions and pictures agree; of so many of them, or the
 # record is none of the pictures. A picture whose upper edge points to the sky has no direction.
 SAME_WAY, MOST, UPRIGHT = 0.87, 0.9, 0.3

@@ -6,12 +6,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError, IllPosedError
+from drivers.errors import ConfigurationError
 from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
 from photocal.navigation.attitude import Attitudes
 from photocal.navigation.events import Events
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
-from photocal.navigation.matching import Matching, match, no_matching
+from photocal.navigation.matching import Matching, UnrelatedImagesError, match, no_matching
 from photocal.navigation.rig import Rig
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import LARGEST_GAP_S, Placed
@@ -179,10 +179,11 @@ def match_images(
 ) -> tuple[list[str], list[CameraMatch]]:
     """Match images to events, camera by camera.
 
-    raises IllPosedError: when those of none can be matched; a telephone's among them belong to no event.
+    raises IllPosedError: when those of one may belong to several events; when those of none belong to any: a
+        telephone's among them need not.
     """
     names = [""] * len(events)
-    matches, refusals = list[CameraMatch](), list[IllPosedError]()
+    matches, refusals = list[CameraMatch](), list[UnrelatedImagesError]()
     event_s = (events.time.ns - events.time.ns[0]) / 1e9
     origin_s = float(events.time.to_utc().ns[0]) / 1e9
     for camera in dict.fromkeys(image.camera for image in images):
@@ -191,7 +192,7 @@ def match_images(
         resolution = max(image.resolution_s for image in of_camera)
         try:
             matching = match(image_s, event_s, resolution_s=resolution, largest_offset_s=largest_offset_s)
-        except IllPosedError as refusal:
+        except UnrelatedImagesError as refusal:
             refusals.append(refusal)
             matching = no_matching(len(of_camera))
         for i, e in zip(matching.image.tolist(), matching.event.tolist(), strict=True):

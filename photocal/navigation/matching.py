@@ -17,6 +17,10 @@ _LATE = 12.0
 _CHANCE = 5e-4
 
 
+class UnrelatedImagesError(IllPosedError):
+    """Nothing shows that images are of the flight: few, of other times, or most of them beside all events."""
+
+
 @dataclass(frozen=True)
 class Matching:
     """Images and events that belong together.
@@ -61,13 +65,14 @@ def match(
     image_s, event_s (n,): times in seconds since any origin that both share up to the offset; any order.
     largest_offset_s, largest_drift: bounds of offset (s) and drift between the clocks.
     returns: pairs that are each other's only candidates; everything else is listed as unmatched.
-    raises IllPosedError: when there are too few common moments, or a second offset explains nearly as many
-        (shots at equal intervals): the pairs would be guessed.
+    raises UnrelatedImagesError: when there are too few common moments.
+    raises IllPosedError: when a second offset explains nearly as many (shots at equal intervals): the pairs
+        would be guessed.
     """
     images, events = np.argsort(image_s, kind="stable"), np.argsort(event_s, kind="stable")
     x, y = np.asarray(image_s, float)[images], np.asarray(event_s, float)[events]
     if min(len(x), len(y)) < _LEAST_PAIRS:
-        raise IllPosedError(
+        raise UnrelatedImagesError(
             f"{len(x)} images and {len(y)} events: at least {_LEAST_PAIRS} of each are needed to align them",
             "give events and images of the same flight",
         )
@@ -130,9 +135,7 @@ def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift:
     difference = (y[None, :] - x[:, None]).ravel()
     candidates = np.sort(difference[np.abs(difference) <= largest + reach])
     if not len(candidates):
-        raise IllPosedError(
-            f"no event lies within {largest:g} s of an image", "check the date and time of camera and log"
-        )
+        raise _far_apart(x, y, resolution, largest, drift)
     # How many differences lie within the reach of each: the votes for it.
     votes = np.searchsorted(candidates, candidates + reach, side="right") - np.searchsorted(
         candidates, candidates - reach
@@ -144,12 +147,31 @@ def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift:
     top = apart[np.argsort(-votes[np.abs(candidates - best) > 3 * reach], kind="stable")[:200]]
     rival = int(_hits(x, y, top, reach).max(initial=0))
     if score < _LEAST_PAIRS or rival > _CERTAIN * score:
-        raise IllPosedError(
+        raise (IllPosedError if 2 * score > len(x) else UnrelatedImagesError)(
             f"the match is ambiguous: an offset of {best:+.3f} s pairs {score} of {len(x)} images, "
             f"another one {rival} (middle of the flight at {middle:.0f} s)",
             "narrow the offset of the clocks, or use a camera that stamps fractions of a second",
         )
     return best
+
+
+def _far_apart(x: Floats, y: Floats, resolution: float, largest: float, drift: float) -> IllPosedError:
+    """Tell a clock that is far off from images of another flight: only the one fits with some offset."""
+    cause = f"no event lies within {largest:g} s of an image"
+    try:
+        offset = _best_offset(x, y, resolution, np.inf, drift)
+        hits = int(_hits(x, y, np.array([offset]), 2 * resolution + drift * (x[-1] - x[0]) / 2)[0])
+    except IllPosedError:
+        hits = 0
+    if 2 * hits > len(x):
+        return IllPosedError(
+            f"{cause}, but {hits} of {len(x)} images fit if their clock is {-offset:+.0f} s off",
+            f"if it was, say clock_offset_s = {abs(offset) + 1:.0f} under [flight], or correct their times",
+        )
+    return UnrelatedImagesError(
+        f"{cause}, and with no other offset of the clocks do they fit: images of another flight",
+        "take the images of this flight, or its log",
+    )
 
 
 def _hits(x: Floats, y: Floats, offsets: Floats, reach: float) -> Integers:

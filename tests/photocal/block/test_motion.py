@@ -133,11 +133,16 @@ def test_rates_that_nobody_observed_stay_as_they_are() -> None:
     assert np.isnan(sigma).all()
 
 
-def test_rates_that_nobody_observed_keep_the_size_of_gusts_in_georeferencing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("observed", [False, True])
+def test_rates_and_gusts_are_the_same_in_georeferencing(tmp_path: Path, observed: bool) -> None:
     folder = blocks.dcs460(tmp_path / "block")
     table, setup = folder / "images.csv", folder / "block.toml"
-    lines = table.read_text().splitlines()
-    table.write_text("\n".join([lines[0] + ",vX,vY,vZ", *(f"{line},1,2,3" for line in lines[1:])]))
+    head, *lines = table.read_text().splitlines()
+    rng = np.random.default_rng(3)
+    rates = [",".join(f"{value:.3f}" for value in (*rng.normal(0.0, 3.0, 3), 2.0, 2.0, 2.0)) for _ in lines]
+    more = (",wx,wy,wz,swx,swy,swz", [f",{rate}" for rate in rates]) if observed else ("", [""] * len(lines))
+    rows = [f"{line},1,2,3{rate}" for line, rate in zip(lines, more[1], strict=True)]
+    table.write_text("\n".join([f"{head},vX,vY,vZ{more[0]}", *rows]))
     text = setup.read_text()
     for before, after in (
         ('"P2"]', '"P2", "readout"]'),
@@ -149,7 +154,10 @@ def test_rates_that_nobody_observed_keep_the_size_of_gusts_in_georeferencing(tmp
     block = read_block(folder)
     decided = with_shutters(block)
     assert np.isfinite(decided.images.motion_sigma).all()
-    gusts, kept = (assemble(one).network.exposures.motion_sigma for one in (block, decided))
-    assert gusts is not None
-    assert kept is not None
-    assert np.allclose(kept[:, 3:], gusts[:, 3:])
+    given, kept = (assemble(one).network.exposures for one in (block, decided))
+    assert given.motion is not None
+    assert given.motion_sigma is not None
+    assert kept.motion is not None
+    assert kept.motion_sigma is not None
+    assert np.allclose(kept.motion, given.motion)
+    assert np.allclose(kept.motion_sigma, given.motion_sigma)

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.errors import IllPosedError
-from photocal.navigation.matching import match
+from photocal.navigation.matching import UnrelatedImagesError, match
 
 Floats = NDArray[np.float64]
 JITTER_S = 0.0005
@@ -116,9 +116,21 @@ def test_two_images_for_one_event_are_left_out() -> None:
     assert 30 in found.unmatched_events
 
 
+def test_a_clock_three_hours_off_is_no_other_flight() -> None:
+    rng = np.random.default_rng(8)
+    event = np.cumsum(rng.uniform(1.6, 3.2, 60))
+    camera = np.delete(event, [4, 30]) - 10_800.0 + rng.normal(0, 0.001, 58)
+    with pytest.raises(IllPosedError, match=r"58 of 58 images fit if their clock is -10800 s off") as refusal:
+        match(camera, event, resolution_s=0.01)
+    assert not isinstance(refusal.value, UnrelatedImagesError)
+    assert len(match(camera, event, resolution_s=0.01, largest_offset_s=10_801.0).image) == 58
+    with pytest.raises(UnrelatedImagesError, match="images of another flight"):
+        match(np.cumsum(rng.uniform(1.6, 3.2, 58)) - 10_800.0, event, resolution_s=0.01)
+
+
 def test_nothing_in_common() -> None:
     few = np.linspace(0.0, 9.0, 10)
-    with pytest.raises(IllPosedError, match="no event lies within"):
-        match(few, few + 1e4, resolution_s=0.01)
+    with pytest.raises(UnrelatedImagesError, match="no event lies within"):
+        match(few, few**2 + 1e4, resolution_s=0.01)
     with pytest.raises(IllPosedError, match="at least 4"):
         match(few[:2], few, resolution_s=0.01)
