@@ -27,6 +27,9 @@ READOUT = PARAMETERS.index("readout")
 # The sigmas of gusts belong to the readout when it changes by less than this share; those of frames, too.
 SETTLED = 0.02
 ROUNDS = 5
+# Gusts get room for so many sigmas of the readout beside itself. Where both come out short, its error e and
+# sigma s together, e / s has a variance of 1 + 9 (s / readout)^2, to second order.
+ROOM = 3.0
 # A global shutter is called rolling in one of a thousand flights.
 SIGNIFICANCE = 0.001
 # Standard deviations that its estimate must be away from zero, on the side that the test found.
@@ -108,24 +111,47 @@ def _settled(
     network: Network, solution: Solution, report: Report | None, *, changed: bool
 ) -> tuple[Network, Solution]:
     """Adjust until the sigmas of gusts belong to the readouts; `solution` is of a network before a change."""
+    if not changed and _belong(network, _room(network, solution)):
+        return network, solution
     minimum = minimum_of(network, report, solution.state) if changed else None
-    estimated = [k for k, camera in enumerate(network.cameras) if camera.estimated[READOUT]]
+    free = _free(network)
     before = dict[int, tuple[float, float]]()
     for _ in range(ROUNDS):
         state = solution.state if minimum is None else minimum[1].state
-        # A prior observes the value that is given: that one stays.
-        values = {
-            k: float(state.cameras[k, READOUT])
-            for k in estimated
-            if np.isinf(network.cameras[k].prior_sigma[READOUT])
-        }
-        if all(abs(v - network.cameras[k].values[READOUT]) <= SETTLED * abs(v) for k, v in values.items()):
+        values = {k: float(state.cameras[k, READOUT]) for k in free}
+        if _belong(network, values):
             break
         pairs = {k: (float(network.cameras[k].values[READOUT]), v) for k, v in values.items()}
         settling = {k: _where_they_meet(before.get(k), pair) for k, pair in pairs.items()}
-        network = _with(network, {k: network.cameras[k].changed(readout=v) for k, v in settling.items()})
+        network = _with_values(network, settling)
         before, minimum = pairs, minimum_of(network, report, state)
-    return network, solution if minimum is None else with_statistics(*minimum)
+    solution = solution if minimum is None else with_statistics(*minimum)
+    room = _room(network, solution)
+    if _belong(network, room):
+        return network, solution
+    network = _with_values(network, room)
+    return network, adjust(network, report, solution.state)
+
+
+def _free(network: Network) -> list[int]:
+    """Cameras whose readout nobody observed: a prior observes the value that is given, and that one stays."""
+    return [
+        k
+        for k, camera in enumerate(network.cameras)
+        if camera.estimated[READOUT] and np.isinf(camera.prior_sigma[READOUT])
+    ]
+
+
+def _room(network: Network, solution: Solution) -> dict[int, float]:
+    """Readouts that gusts get their room by."""
+    variance = {k: float(solution.camera_covariance[k, READOUT, READOUT]) for k in _free(network)}
+    return {k: float(np.sqrt(solution.cameras[k, READOUT] ** 2 + ROOM**2 * v)) for k, v in variance.items()}
+
+
+def _belong(network: Network, readouts: dict[int, float]) -> bool:
+    """Whether given readouts are these."""
+    given = network.cameras
+    return all(abs(v - given[k].values[READOUT]) <= SETTLED * abs(v) for k, v in readouts.items())
 
 
 def _where_they_meet(before: tuple[float, float] | None, now: tuple[float, float]) -> float:
@@ -272,6 +298,10 @@ def _forward(camera: Camera) -> Camera:
     first, last = camera.readout_direction.split("-to-")
     other = cast("ReadoutDirection", f"{last}-to-{first}")
     return replace(camera.changed(readout=-camera.value("readout")), readout_direction=other)
+
+
+def _with_values(network: Network, readouts: dict[int, float]) -> Network:
+    return _with(network, {k: network.cameras[k].changed(readout=v) for k, v in readouts.items()})
 
 
 def _with(network: Network, changed: dict[int, Camera]) -> Network:

@@ -81,19 +81,18 @@ def _checked(case: flights.Case, readout_ms: int, seed: int) -> dict[str, Any]:
 
 
 def _goes_with(found: dict[Case, Any]) -> list[str]:
-    """Coverage of the readout where no attitudes are known, with its sigma, and with that of the true one."""
-    held = []
-    for (kind, case, readout_ms, _), one in found.items():
-        if kind == "coverage" and case != "attitudes" and readout_ms:
-            error = one["errors"].get("readout", np.nan)
-            held.append((error, error * (1.0 + error * one["sigma"] / (readout_ms / 1000))))
-    if not held:
-        return []
-    own, true = 100 * np.mean(np.abs(np.array(held)) < stats.norm.isf(0.025), axis=0)
+    """Errors of the readout over their sigmas where no attitudes are known."""
+    errors = [
+        one["errors"].get("readout", np.nan)
+        for (kind, case, readout_ms, _), one in found.items()
+        if kind == "coverage" and case != "attitudes" and readout_ms
+    ]
+    inside, size = np.mean(np.abs(errors) < stats.norm.isf(0.025)), np.sqrt(np.nanmean(np.square(errors)))
     return [
-        "Without attitudes a readout that came out short has too small a standard deviation: what images may",
-        f"depart from a steady flight goes with it. {own:.0f} % of {len(held)} intervals hold the readout;",
-        f"with sigmas in proportion to the true one {true:.0f} % would.",
+        "Without attitudes what images may depart from a steady flight goes with the readout, and so does",
+        "its standard deviation: both come out short together. Gusts therefore get room for three standard",
+        f"deviations of it: {100 * inside:.0f} % of {len(errors)} intervals of 95 % hold the readout, errors",
+        f"are {size:.2f} of their sigmas.",
     ]
 
 
