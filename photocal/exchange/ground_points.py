@@ -168,15 +168,17 @@ def _to_map(crs: str, x: Floats, y: Floats) -> Floats:
 
 def _head(path: Path) -> tuple[str, list[Line]]:
     lines = read_lines(path, comment="#")
-    first = lines[0].text.strip() if lines else ""
-    if not first or not any(first.upper().startswith(key) for key in ("EPSG:", "WGS84", "+PROJ", "+INIT")):
+    first = " ".join(lines[0].text.split()) if lines else ""
+    # ODM's own names: WGS84 UTM 22S, WGS84 longlat.
+    zone = re.fullmatch(r"WGS84 UTM (\d+) ?([NS])", first.upper())
+    if zone:
+        first = f"EPSG:{32600 + 100 * (zone[2] == 'S') + int(zone[1])}"
+    elif re.fullmatch(r"WGS84( LONGLAT| LATLONG)?", first.upper()):
+        first = "EPSG:4326"
+    if not re.fullmatch(r"EPSG: ?\d{4,6}(\+\d{4,6})?|\+(PROJ|INIT).*", first.upper()):
         raise InputMalformedError(
             f"begins with {first[:40]!r}, not with a coordinate system",
             "write EPSG:n, WGS84 UTM zone, or a PROJ string in the first line",
             where=path,
         )
-    # ODM's own name of a zone: WGS84 UTM 22S.
-    zone = re.fullmatch(r"WGS84 UTM (\d+) ?([NS])", " ".join(first.upper().split()))
-    if zone:
-        first = f"EPSG:{32600 + 100 * (zone[2] == 'S') + int(zone[1])}"
     return first, lines[1:]

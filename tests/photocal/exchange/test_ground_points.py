@@ -57,6 +57,10 @@ def test_recorded_gcp_list(shared: Path) -> None:
     ("text", "message"),
     [
         ("1 2 3 4 5 a.jpg\n", "not with a coordinate system"),
+        (
+            "EPSG:39791798743.39 -68423.09 179.77 4033 1367 image1.tif\n1 2 3 4 5 a.jpg\n",
+            "not with a coordinate",
+        ),
         ("EPSG:4326\n1 2 3 4 a.jpg\n", "has 5 cells"),
         ("EPSG:4326\n1 2 nan 4 5 a.jpg\n", "not finite"),
         ("EPSG:4326\n1 2 3 4 5 a.jpg p\n1 2 3 4 5 b.jpg q\n", "same coordinates"),
@@ -94,6 +98,21 @@ def test_angles_are_those_of_a_body_whose_camera_looks_down() -> None:
     # Looks down, the upper edge of the image to the east.
     assert to_camera[1] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0])
     assert np.isnan(angles_of_geo(np.full((1, 3, 3), np.nan))).all()
+
+
+@pytest.mark.parametrize(
+    ("head", "crs"),
+    [
+        ("WGS84 UTM 22S", "EPSG:32722"),
+        ("wgs84  utm 17 n", "EPSG:32617"),
+        ("WGS84 longlat", "EPSG:4326"),
+        ("EPSG:31982+5773", "EPSG:31982+5773"),
+        ("+proj=utm +zone=37 +south +datum=WGS84", "+proj=utm +zone=37 +south +datum=WGS84"),
+    ],
+)
+def test_heads_of_lists_of_real_flights(tmp_path: Path, head: str, crs: str) -> None:
+    (tmp_path / "gcp_list.txt").write_text(f"{head} \r\n1 2 3 4 5 a.jpg \r\n")
+    assert read_gcp_list(tmp_path / "gcp_list.txt")[0] == crs
 
 
 @pytest.mark.parametrize(
