@@ -114,7 +114,11 @@ def measure_images(
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "suspected_marks": suspects,
         **as_record(
-            [*bare, *oriented.findings, *findings_of_marks(unknown, (), suspects, oriented.left_out)]
+            [
+                *bare,
+                *oriented.findings,
+                *findings_of_marks(unknown, (), suspects, (*sighted.left_out, *oriented.left_out)),
+            ]
         ),
     }
     return Measured(oriented.adjusted.block, record)

@@ -28,10 +28,16 @@ _MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _CAMERA_TAGS = (
     "DewarpData", "DewarpFlag", "CalibratedFocalLength", "PerspectiveFocalLength", "PerspectiveDistortion",
     "PrincipalPoint", "FisheyeAffineMatrix", "FisheyePolynomial", "RigCameraIndex", "CaptureUUID",
-    "LineReadoutTime",
+    "CaptureId", "LineReadoutTime",
 )  # fmt: skip
-# A value as attribute (name="value") or as element (<name>value</name>) of the XMP packet.
-_XMP = re.compile(r"(?<=[\s<])([A-Za-z][\w.-]*):(\w+)(?:=\"([^\"<>]{0,200})\"|>([^<>]{0,200})</)")
+# A value as attribute (name="value"), as element (<name>value</name>), or as list of such, of the XMP packet.
+_XMP = re.compile(
+    r"(?<=[\s<])([A-Za-z][\w.-]*):(\w+)"
+    r"(?:=\"([^\"<>]{0,200})\"|>([^<>]{0,200})</|>\s*<rdf:Seq>((?:\s*<rdf:li>[^<>]{0,50}</rdf:li>){1,20}))"
+)
+_ITEM = re.compile(r"<rdf:li>([^<>]*)<")
+# What `altitude_kind` is where nothing but the height above the take-off point is stated.
+ABOVE_TAKE_OFF = "above take-off"
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,8 @@ class ImageFacts:
     taken: time of the camera's own clock, without zone ("2016-06-23T16:31:59"); empty when not given.
     gps_utc: UTC of the position, ISO 8601; empty when not given.
     latitude_deg, longitude_deg: WGS 84; NaN when not given.
-    altitude_m: as written; EXIF calls it "above sea level", drones write anything. NaN when not given.
+    altitude_m: as written; EXIF calls it "above sea level", drones write anything. Where nothing else is
+        given, above the take-off point. NaN when not given.
     relative_altitude_m: above the take-off point (XMP); NaN when not given.
     gimbal_deg, vehicle_deg: roll, pitch, yaw of the camera and of the vehicle (XMP); pitch -90 looks down.
         NaN when not given.
@@ -107,9 +114,19 @@ def read_facts(path: Path) -> ImageFacts:
         main, exif, gps = _tags(image)
         packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
         text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else str(packet)
-        xmp = {name: (a or b).strip() for _, name, a, b in _XMP.findall(text)}
+        xmp = {
+            name: (a or b or ",".join(_ITEM.findall(listed))).strip()
+            for _, name, a, b, listed in _XMP.findall(text)
+        }
         size = stored_size(image)
     orientation = _number(main.get(0x0112))
+    latitude = _angle(gps.get(2), _text(gps.get(1)), "S", 90.0)
+    longitude = _angle(gps.get(4), _text(gps.get(3)), "W", 180.0)
+    altitude, above = _altitude(gps, xmp), _number(xmp.get("RelativeAltitude"))
+    if latitude == 0 == longitude:
+        # What a receiver writes that has no position.
+        latitude = longitude = altitude = math.nan
+    only_above = math.isfinite(latitude + above) and not math.isfinite(altitude)
     return ImageFacts(
         path.name,
         size,
@@ -120,15 +137,15 @@ def read_facts(path: Path) -> ImageFacts:
         _positive(exif.get(0x920A)),
         _positive(exif.get(0xA405)),
         _taken(_text(exif.get(0x9003)) or _text(main.get(0x0132)), _text(exif.get(0x9291))),
-        _angle(gps.get(2), _text(gps.get(1)), "S", 90.0),
-        _angle(gps.get(4), _text(gps.get(3)), "W", 180.0),
-        _altitude(gps, xmp),
-        _number(xmp.get("RelativeAltitude")),
-        _triple(xmp, "GimbalRollDegree", "GimbalPitchDegree", "GimbalYawDegree"),
+        latitude,
+        longitude,
+        above if only_above else altitude,
+        above,
+        _gimbal(xmp),
         _triple(xmp, "FlightRollDegree", "FlightPitchDegree", "FlightYawDegree"),
         _accuracy(xmp),
         _pitch_mm(exif, size[0]),
-        xmp.get("AltitudeType", ""),
+        ABOVE_TAKE_OFF if only_above else xmp.get("AltitudeType", ""),
         {key: value for key, value in xmp.items() if key in _CAMERA_TAGS},
         exposure_s=_positive(exif.get(0x829A)),
         iso=_positive(exif.get(0x8827)),
@@ -171,6 +188,13 @@ def told_conditions(facts: Sequence[ImageFacts]) -> dict[str, dict[str, str]]:
     return {
         name: {key: value for key, value in section.items() if value} for name, section in sections.items()
     }
+
+
+def _gimbal(xmp: Mapping[str, str]) -> Triple:
+    """Attitude of the camera by DJI's and Autel's tags, else by those of Parrot."""
+    stated = _triple(xmp, "GimbalRollDegree", "GimbalPitchDegree", "GimbalYawDegree")
+    others = _triple(xmp, "CameraRollDegree", "CameraPitchDegree", "CameraYawDegree")
+    return stated if math.isfinite(stated[0]) else others
 
 
 def _accuracy(xmp: Mapping[str, str]) -> Triple:

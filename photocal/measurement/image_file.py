@@ -84,7 +84,7 @@ def each_picture(
         try:
             measured.append(measure(path))
         except PhotocalError as refusal:
-            left_out.append({"image": path.name, "reason": refusal.what})
+            left_out.append({"image": path.name, "reason": refusal.what, "code": "unreadable"})
         done(1)
     return measured, left_out
 

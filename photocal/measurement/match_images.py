@@ -1,6 +1,6 @@
 """Features and matches of a set of images: cached, on several processes, bounded in memory."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -10,7 +10,15 @@ import numpy as np
 from drivers.arrays import Floats, Integers
 from drivers.errors import PhotocalError
 from photocal.block.model import digest
-from photocal.measurement.features import Arrays, Features, FeatureSettings, cached, combined_key, detect
+from photocal.measurement.features import (
+    Arrays,
+    Features,
+    FeatureSettings,
+    array_key,
+    cached,
+    combined_key,
+    detect,
+)
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.matching import MatchSettings, match
 from photocal.measurement.tracks import Tracks, join_tracks
@@ -116,10 +124,19 @@ class MatchingPlan:
 def detect_all(
     paths: Sequence[Path], plan: MatchingPlan, done: Callable[[float], None]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Detect the features of all images into the cache."""
+    """Detect the features of all images into the cache; give their keys, and why an image cannot be used."""
     images = ((path, combined_key(FEATURES, digest(path), plan.features), plan) for path in paths)
     detected = list(run_tasks(_detect_one, images, plan.processes, done))
     return tuple(key for key, _ in detected), tuple(reason for _, reason in detected)
+
+
+def same_pictures(keys: Mapping[int, str], plan: MatchingPlan) -> dict[int, int]:
+    """Give for each picture the first that shows the same, to the last pixel.
+
+    One that was saved twice, under another name or with other tags, is no second observation.
+    """
+    first, seen = dict[str, int](), {k: _features(plan, key).pixels for k, key in keys.items()}
+    return {k: first.setdefault(array_key(px), k) if len(px) else k for k, px in seen.items()}
 
 
 def match_all(

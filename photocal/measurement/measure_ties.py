@@ -22,6 +22,9 @@ from photocal.measurement.tie_adjustment import camera_figures, pixel_residuals,
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.tasks.progress import Progress
 
+# Why a picture is left out that is there twice: nothing is lost with it.
+SAME = "same-picture"
+
 
 @dataclass(frozen=True)
 class Sighted:
@@ -45,7 +48,7 @@ class Sighted:
         keep = np.array([not reason for reason in reasons])
         number = np.where(keep, np.cumsum(keep) - 1, -1)
         pairs = number[self.pairs]
-        left = [{"image": f.name, "reason": r} for f, r in zip(self.facts, reasons, strict=True) if r]
+        left = [_entry(f.name, why, "other-size") for f, why in zip(self.facts, reasons, strict=True) if why]
         return replace(
             self,
             facts=tuple(f for f, good in zip(self.facts, keep, strict=True) if good),
@@ -54,6 +57,10 @@ class Sighted:
             pairs=pairs[(pairs >= 0).all(axis=1)],
             left_out=(*self.left_out, *left),
         )
+
+
+def _entry(image: str, reason: str, code: str) -> dict[str, str]:
+    return {"image": image, "reason": reason, "code": code}
 
 
 def sight(
@@ -73,7 +80,14 @@ def sight(
     with progress("detecting features", len(readable)) as done:
         keys, reasons = match_images.detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
-    left_out += [{"image": readable[k].name, "reason": r} for k, r in enumerate(reasons) if r]
+    left_out += [_entry(readable[k].name, why, "unreadable") for k, why in enumerate(reasons) if why]
+    first = match_images.same_pictures({k: keys[k] for k in good}, plan)
+    left_out += [
+        _entry(readable[k].name, f"is the same picture as {readable[j].name}", SAME)
+        for k, j in first.items()
+        if j != k
+    ]
+    good = [k for k in good if first[k] == k]
     facts, keys = [given(pictures[k][1]) for k in good], tuple(keys[k] for k in good)
     if len(facts) < 2:
         raise InputNotFoundError(

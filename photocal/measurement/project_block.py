@@ -15,7 +15,7 @@ from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
 from photocal.block.rig import make_heads
 from photocal.block.table import known_rows, read_table
 from photocal.exchange.parts import Mark
-from photocal.findings.finding import Figure, Finding
+from photocal.findings.finding import Figure, Finding, Severity
 from photocal.findings.texts import as_record
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
@@ -28,7 +28,14 @@ from photocal.measurement.lens_choice import before_the_choice, with_chosen_lens
 from photocal.measurement.maker_camera import NO_LENS
 from photocal.measurement.marks import read_any_marks, read_marks, with_marks
 from photocal.measurement.match_images import Footprints, MatchingPlan, footprints
-from photocal.measurement.measure_ties import Sighted, position_figures, sight, stated_footprints, tie_record
+from photocal.measurement.measure_ties import (
+    SAME,
+    Sighted,
+    position_figures,
+    sight,
+    stated_footprints,
+    tie_record,
+)
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
 from photocal.measurement.placing import OF_POSITIONS, pictures_turned, position_sigmas
@@ -136,13 +143,14 @@ def measure_project(
         released, block, chosen = with_chosen_lenses(released, block, tracks)
         more += chosen
     suspects = suspected_marks(released, control)
+    gone = (*oriented.left_out, *released.left_out)
     measured, of_positions = _restored(oriented.adjusted, released, block)
     if starts is None:
         gimbal = {facts.name: facts.gimbal_deg for facts in sighted.facts}
         recorded = np.radians([gimbal[name] for name in measured.images.names])
         more += pictures_turned(measured.images.names, released.values, recorded)
     record = {
-        **tie_record(sighted, replace(oriented, adjusted=released)),
+        **tie_record(sighted, replace(oriented, adjusted=released, left_out=gone)),
         "kind": "project",
         "marks": {
             "by_hand": len(by_hand),
@@ -160,9 +168,7 @@ def measure_project(
                 *(finding for finding in oriented.findings if not _outdated(finding, project.cameras)),
                 *of_positions,
                 *more,
-                *findings_of_marks(
-                    unknown, targets.strangers, suspects, (*oriented.left_out, *released.left_out)
-                ),
+                *findings_of_marks(unknown, targets.strangers, suspects, (*sighted.left_out, *gone)),
             ]
         ),
     }
@@ -455,7 +461,8 @@ def findings_of_marks(
     findings = []
     for cause in dict.fromkeys(entry.get("code", "unusable") for entry in left_out):
         images = tuple(entry["image"] for entry in left_out if entry.get("code", "unusable") == cause)
-        findings.append(Finding("image-left-out", "doubtful", figures={"images": images}, cause=cause))
+        lost: Severity = "note" if cause == SAME else "doubtful"
+        findings.append(Finding("image-left-out", lost, figures={"images": images}, cause=cause))
     findings += [Finding("unknown-mark", "doubtful", f"{mark.point} ({mark.image})") for mark in unknown]
     findings += [Finding("unknown-target", "doubtful", name) for name in strangers]
     return findings + _marks_off(suspects)

@@ -93,7 +93,8 @@ def _camera(facts: ImageFacts) -> tuple[object, ...]:
 
 def _together(facts: Sequence[ImageFacts]) -> bool:
     """Whether pictures were taken at one time; without times they may have been."""
-    captures = {image.maker_camera["CaptureUUID"] for image in facts if "CaptureUUID" in image.maker_camera}
+    stated = [image.maker_camera for image in facts]
+    captures = {tags[key] for tags in stated for key in ("CaptureUUID", "CaptureId") if key in tags}
     times = [datetime.fromisoformat(image.taken).timestamp() for image in facts if image.taken]
     return len(captures) < 2 and (not times or max(times) - min(times) < TOGETHER_S)
 

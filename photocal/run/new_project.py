@@ -14,7 +14,7 @@ from drivers.errors import InputNotFoundError, OutputError, PhotocalError
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after
 from photocal.measurement.rigs import Frame, recognised
@@ -194,6 +194,8 @@ class _Text:
         if any(image.altitude_kind.lower().startswith("rtk") for image in self.placed):
             return "  # RTK positions are"
         text = "pictures do not say from where their altitudes count: heights may be off by the geoid"
+        if any(image.altitude_kind == ABOVE_TAKE_OFF for image in self.placed):
+            text = "pictures state their height above the take-off point alone: all heights count from there"
         self.missing.append(text)
         return f"  # taken as such: {text}"
 

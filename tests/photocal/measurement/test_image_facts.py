@@ -69,3 +69,40 @@ def test_position_without_hemisphere_is_unknown(tmp_path: Path) -> None:
     assert math.isnan(facts.latitude_deg)
     assert facts.longitude_deg == pytest.approx(11.0)
     assert not facts.has_position
+
+
+def test_lists_of_a_maker_are_read(tmp_path: Path) -> None:
+    # As a RedEdge writes them.
+    path = tmp_path / "image.jpg"
+    items = "".join(f"\n <rdf:li>{value}</rdf:li>" for value in (-0.1, 0.13, -0.02, 3e-4, -2e-4))
+    listed = f"<Camera:PerspectiveDistortion>\n<rdf:Seq>{items}\n</rdf:Seq>\n</Camera:PerspectiveDistortion>"
+    capture = "<MicaSense:CaptureId>LUG7PD4D</MicaSense:CaptureId>"
+    Image.new("L", (32, 32)).save(
+        path, xmp=XMP.replace("</rdf:Desc", f"{capture}{listed}</rdf:Desc").encode()
+    )
+    tags = read_facts(path).maker_camera
+    assert tags["PerspectiveDistortion"] == "-0.1,0.13,-0.02,0.0003,-0.0002"
+    assert tags["CaptureId"] == "LUG7PD4D"
+
+
+def _with_gps(path: Path, latitude: float, longitude: float, altitude: float | None) -> Path:
+    exif = Image.Exif()
+    height = {} if altitude is None else {5: b"\0", 6: altitude}
+    exif.get_ifd(0x8825).update({1: "N", 2: (latitude, 0.0, 0.0), 3: "E", 4: (longitude, 0.0, 0.0), **height})
+    Image.new("L", (32, 32)).save(path, exif=exif, xmp=XMP.encode())
+    return path
+
+
+def test_a_receiver_without_a_fix_writes_zeros(tmp_path: Path) -> None:
+    facts = read_facts(_with_gps(tmp_path / "image.jpg", 0.0, 0.0, 0.0))
+    assert not facts.has_position
+    assert math.isnan(facts.latitude_deg)
+    # One of them alone may be zero: Quito lies on the equator.
+    assert read_facts(_with_gps(tmp_path / "image.jpg", 0.0, 78.0, 0.0)).has_position
+
+
+def test_height_above_the_take_off_point_where_no_other_is_stated(tmp_path: Path) -> None:
+    facts = read_facts(_with_gps(tmp_path / "image.jpg", 48.0, 2.0, None))
+    assert (facts.altitude_m, facts.altitude_kind) == (30.5, "above take-off")
+    facts = read_facts(_with_gps(tmp_path / "image.jpg", 48.0, 2.0, 110.0))
+    assert (facts.altitude_m, facts.altitude_kind) == (110.0, "")

@@ -110,8 +110,15 @@ def test_a_project_becomes_a_block(
     assert said.code == 0, said.err
     record = json.loads(said.out)
     assert record["left_out"] == [
-        {"image": "other.png", "reason": "its 300 x 200 px are not those of camera cam"}
+        {
+            "image": "other.png",
+            "reason": "its 300 x 200 px are not those of camera cam",
+            "code": "other-size",
+        }
     ]
+    assert "other.png: they have another size" in next(
+        finding["text"] for finding in record["findings"] if finding["code"] == "image-left-out"
+    )
     assert record["unknown_marks"] == ["P1 in none.png"]
     assert any("code 77" in name for name in record["unknown_targets"])
     block = read_block(tmp_path / "block")

@@ -22,6 +22,7 @@ from photocal.measurement.match_images import (
     detect_all,
     footprints,
     match_all,
+    same_pictures,
     select_pairs,
 )
 from photocal.measurement.matching import MatchSettings, match, mutual_matches, search_windows
@@ -270,6 +271,18 @@ def test_two_workers_give_the_tracks_of_one(tmp_path: Path) -> None:
     assert results[0].count > 100
     assert np.array_equal(results[0].pixels, results[1].pixels)
     assert np.array_equal(results[0].track, results[1].track)
+
+
+def test_a_picture_that_was_saved_twice_is_no_second_observation(tmp_path: Path) -> None:
+    texture = _texture(3, 500)
+    paths = [tmp_path / f"{name}.png" for name in ("1", "1 (1)", "2", "of 1", "dark", "dark too")]
+    for path, shift in zip(paths, (0, 0, 40, 0, 0, 0), strict=True):
+        grey = texture[shift : shift + 400, shift : shift + 400] * np.uint8("dark" not in path.name)
+        # The copy of another program has other tags, and is another file.
+        Image.fromarray(grey).save(path, compress_level=9 if path.stem == "of 1" else 6)
+    plan = MatchingPlan(tmp_path / "cache", 1, FeatureSettings(most=800))
+    keys, _ = detect_all(paths, plan, lambda _: None)
+    assert same_pictures(dict(enumerate(keys)), plan) == {0: 0, 1: 0, 2: 2, 3: 0, 4: 4, 5: 5}
 
 
 @pytest.mark.shared
