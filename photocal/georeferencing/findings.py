@@ -217,12 +217,15 @@ def _judged(judged: Judged) -> list[Finding]:
 
 def separation_findings(separation: Separation) -> tuple[Finding, ...]:
     """Name what the flight cannot separate, and what would."""
-    listed = []
-    for group in separation.groups:
-        bare = tuple(dict.fromkeys(name.split("[")[0] for name in group))
-        code = "not-determined" if len(group) == 1 else "not-separated"
-        listed.append(Finding(code, "note", figures={"terms": bare}, clauses=_advice(frozenset(bare))))
-    return tuple(listed)
+    groups = [tuple(dict.fromkeys(name.split("[")[0] for name in group)) for group in separation.groups]
+    # A finding each would be the same one for whoever collects them.
+    alone = tuple(dict.fromkeys(group[0] for group in groups if len(group) == 1))
+    together = [group for group in groups if len(group) > 1]
+    return tuple(
+        Finding(code, "note", " ".join(terms), {"terms": terms}, _advice(frozenset(terms)))
+        for code, terms in (*(("not-separated", group) for group in together), ("not-determined", alone))
+        if terms
+    )
 
 
 def _advice(names: frozenset[str]) -> tuple[str, ...]:

@@ -36,6 +36,12 @@ _XMP = re.compile(
     r"(?:=\"([^\"<>]{0,200})\"|>([^<>]{0,200})</|>\s*<rdf:Seq>((?:\s*<rdf:li>[^<>]{0,50}</rdf:li>){1,20}))"
 )
 _ITEM = re.compile(r"<rdf:li>([^<>]*)<")
+# Attitude of the camera by DJI and Autel, and by Parrot; sigmas by DJI, and by Parrot and MicaSense.
+_GIMBAL = (
+    ("GimbalRollDegree", "GimbalPitchDegree", "GimbalYawDegree"),
+    ("CameraRollDegree", "CameraPitchDegree", "CameraYawDegree"),
+)
+_ACCURACY = ("RtkStdLon", "RtkStdLat", "RtkStdHgt"), ("GPSXYAccuracy", "GPSXYAccuracy", "GPSZAccuracy")
 # What `altitude_kind` is where nothing but the height above the take-off point is stated.
 ABOVE_TAKE_OFF = "above take-off"
 
@@ -141,9 +147,9 @@ def read_facts(path: Path) -> ImageFacts:
         longitude,
         above if only_above else altitude,
         above,
-        _gimbal(xmp),
-        _triple(xmp, "FlightRollDegree", "FlightPitchDegree", "FlightYawDegree"),
-        _accuracy(xmp),
+        _triple(xmp, *_GIMBAL),
+        _triple(xmp, ("FlightRollDegree", "FlightPitchDegree", "FlightYawDegree")),
+        _triple(xmp, *_ACCURACY),
         _pitch_mm(exif, size[0]),
         ABOVE_TAKE_OFF if only_above else xmp.get("AltitudeType", ""),
         {key: value for key, value in xmp.items() if key in _CAMERA_TAGS},
@@ -188,20 +194,6 @@ def told_conditions(facts: Sequence[ImageFacts]) -> dict[str, dict[str, str]]:
     return {
         name: {key: value for key, value in section.items() if value} for name, section in sections.items()
     }
-
-
-def _gimbal(xmp: Mapping[str, str]) -> Triple:
-    """Attitude of the camera by DJI's and Autel's tags, else by those of Parrot."""
-    stated = _triple(xmp, "GimbalRollDegree", "GimbalPitchDegree", "GimbalYawDegree")
-    others = _triple(xmp, "CameraRollDegree", "CameraPitchDegree", "CameraYawDegree")
-    return stated if math.isfinite(stated[0]) else others
-
-
-def _accuracy(xmp: Mapping[str, str]) -> Triple:
-    """Sigmas of the position by DJI's tags, else by those of Parrot and MicaSense."""
-    stated = _triple(xmp, "RtkStdLon", "RtkStdLat", "RtkStdHgt")
-    others = _triple(xmp, "GPSXYAccuracy", "GPSXYAccuracy", "GPSZAccuracy")
-    return stated if math.isfinite(stated[0]) else others
 
 
 def _velocity(xmp: Mapping[str, str]) -> Triple:
@@ -256,9 +248,13 @@ def _positive(value: Any) -> float:
     return number if number > 0 else math.nan
 
 
-def _triple(xmp: Mapping[str, str], first: str, second: str, third: str) -> Triple:
-    values = (_number(xmp.get(first)), _number(xmp.get(second)), _number(xmp.get(third)))
-    return values if all(map(math.isfinite, values)) else _NOT_GIVEN
+def _triple(xmp: Mapping[str, str], *names: tuple[str, str, str]) -> Triple:
+    """Give the first of several triples of tags that is stated, as makers call them."""
+    for first, second, third in names:
+        values = (_number(xmp.get(first)), _number(xmp.get(second)), _number(xmp.get(third)))
+        if all(map(math.isfinite, values)):
+            return values
+    return _NOT_GIVEN
 
 
 def _angle(value: Any, hemisphere: str, negative: str, limit: float) -> float:

@@ -15,7 +15,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import Fault
 from photocal.findings.texts import catalogue, finding_text
 from photocal.georeferencing.findings import named, separation_findings
-from photocal.georeferencing.freed_groups import Estimate, separation
+from photocal.georeferencing.freed_groups import Estimate, Separation, separation
 from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.systematic import (
     Fit,
@@ -195,6 +195,19 @@ def test_one_height_does_not_separate_c_height_and_lever_arm(tmp_path: Path) -> 
     assert "cannot separate" in text
     assert "principal distance c" in text
     assert "second height" in text
+
+
+def test_all_that_a_flight_leaves_open_stands_in_one_finding() -> None:
+    groups = (("shift_x",), ("c[a]", "shift_z"), ("shift_y",), ("x0[a]", "lever_arm_x"))
+    found = separation_findings(Separation((), np.zeros(0), np.zeros((0, 0)), groups))
+    assert [finding.figures["terms"] for finding in found] == [
+        ("c", "shift_z"),
+        ("x0", "lever_arm_x"),
+        ("shift_x", "shift_y"),
+    ]
+    assert "datum shift in X, datum shift in Y" in english(found[-1])
+    # Whoever collects findings keeps one of each code and subject.
+    assert len({(finding.code, finding.subject) for finding in found}) == len(found)
 
 
 def test_one_speed_does_not_separate_time_and_forward_lever_arm(tmp_path: Path) -> None:
