@@ -205,7 +205,7 @@ def test_all_that_a_flight_leaves_open_stands_in_one_finding() -> None:
         ("x0", "lever_arm_x"),
         ("shift_x", "shift_y"),
     ]
-    assert "datum shift in X, datum shift in Y" in english(found[-1])
+    assert "datum shift in X and datum shift in Y" in english(found[-1])
     # Whoever collects findings keeps one of each code and subject.
     assert len({(finding.code, finding.subject) for finding in found}) == len(found)
 
