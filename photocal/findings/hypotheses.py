@@ -55,7 +55,15 @@ _OF_CAMERA = ("boresight", "camera-change", "principal-distance", "principal-poi
 # In the order in which they are tested.
 FAULTS: tuple[Fault, ...] = (
     Fault(
-        "camera-change", ("camera",), ("c",), "part", 0.1, imitates=("*",), contains=("principal-distance",)
+        "camera-change",
+        ("camera",),
+        ("c",),
+        "part",
+        0.1,
+        imitates=("*",),
+        contains=("principal-distance",),
+        # Images of two scales are pressed into one by what each may move while it is read.
+        symptoms=(*SYMPTOMS, "shutter-rolls", "images-shake"),
     ),
     Fault("lever-arm", ("positions",), tuple(f"lever_arm_{a}" for a in _XYZ), prior=100.0),
     Fault("datum-shift", ("positions",), tuple(f"shift_{a}" for a in _XYZ), prior=1000.0),

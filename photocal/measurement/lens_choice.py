@@ -12,7 +12,7 @@ from photocal.adjustment.readout import with_loose_sides
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, Model, among
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, assembled, without_readouts
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, assembled, scatter, without_readouts
 from photocal.measurement.tracks import Tracks
 
 # By how much another lens must lower v'Pv, and for each unknown more.
@@ -64,7 +64,7 @@ def with_chosen_lenses(
             better = adjust_ties(replace(adjusted.start, cameras=tuple(cameras)), adjusted.values, tracks)
         except (IllPosedError, NotConvergedError):
             continue
-        smaller = _scatter(better) <= NOT_WORSE * _scatter(adjusted)
+        smaller = scatter(better) <= NOT_WORSE * scatter(adjusted)
         if not lenses or (smaller and all(_still_pays(better, adjusted, name) for name in lenses)):
             break
     else:
@@ -177,8 +177,3 @@ def _least(adjusted: Adjusted, cameras: Sequence[Camera], place: int) -> tuple[f
     assembly, state = assembled(replace(adjusted.block, cameras=tuple(cameras)), adjusted.values)
     _, minimum = minimum_of(assembly.network, None, state)
     return minimum.iterations[-1].chi_squared, cameras[place].with_values(minimum.state.cameras[place])
-
-
-def _scatter(adjusted: Adjusted) -> float:
-    """What is left in the rays, each as its redundancy shows it, px."""
-    return float(adjusted.tie_sigma * np.sqrt(adjusted.solution.variance_factor))

@@ -22,7 +22,7 @@ from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.block_files import Measured
-from photocal.measurement.image_facts import ImageFacts, clock_seconds, read_facts
+from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, clock_seconds, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.lens_choice import before_the_choice, with_chosen_lenses
 from photocal.measurement.maker_camera import NO_LENS
@@ -38,7 +38,7 @@ from photocal.measurement.measure_ties import (
 )
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
-from photocal.measurement.placing import OF_POSITIONS, pictures_turned, position_sigmas
+from photocal.measurement.placing import KEPT_MISFIT, OF_POSITIONS, pictures_turned, position_sigmas
 from photocal.measurement.plain_targets import targets_of_project
 from photocal.measurement.position_files import Given, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
@@ -48,7 +48,7 @@ from photocal.measurement.start_block import (
     without_images,
     without_single_rays,
 )
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, by_ray
+from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, by_ray, scatter
 from photocal.measurement.tie_block import GROSS, brought_nearer, marked_control, place, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.project import Project
@@ -135,7 +135,7 @@ def measure_project(
     # Positions of a flight log come later, and with them what determines c.
     held, open_lens = oriented.adjusted, project.images.lens == "unknown"
     held = before_the_choice(held) if open_lens else held
-    released, block, more = _released(held, block, HOLDING if starts is None else ((),))
+    released, block, more = release(held, block, HOLDING if starts is None else ((),))
     if open_lens:
         # What one lens refused may fit the other.
         stay = np.isin(oriented.adjusted.block.images.names, released.block.images.names)
@@ -149,6 +149,9 @@ def measure_project(
         gimbal = {facts.name: facts.gimbal_deg for facts in sighted.facts}
         recorded = np.radians([gimbal[name] for name in measured.images.names])
         more += pictures_turned(measured.images.names, released.values, recorded)
+        above = any(facts.altitude_kind == ABOVE_TAKE_OFF for facts in sighted.facts)
+        if above and project.crs != "local" and len(marked_control(block)) < FEWEST_CONTROL:
+            more.append(Finding("heights-above-take-off", "doubtful"))
     record = {
         **tie_record(sighted, replace(oriented, adjusted=released, left_out=gone)),
         "kind": "project",
@@ -310,17 +313,19 @@ def _softened(block: Block) -> Block:
     return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma), heads=heads)
 
 
-def _released(
+def release(
     held: Adjusted, block: Block, holding: Sequence[Sequence[str]]
 ) -> tuple[Adjusted, Block, list[Finding]]:
     """Adjust once more with all parameters that the project estimates and the block bears.
 
     Only now the residuals are those of the measurements: a principal point that is held wrongly would go
     into the sigmas. The exterior orientation of it is not used, for c may drift with the heights. What runs
-    away, or leaves all that is known of it beforehand, is held as it was given.
+    away, or leaves all that is known of it beforehand, is held as it was given; unless the rays then miss by
+    far more: what was known is not of these pictures, which were cut or enlarged.
     """
     asked = {camera.id: camera for camera in block.cameras}
     refusal: dict[str, Figure] = {}
+    apart: Adjusted | None = None
     for held_here in holding:
         # Nobody asks for a readout: that it has one, an unknown shutter has shown.
         free, readout = ~among(*held_here), among("readout")
@@ -350,6 +355,18 @@ def _released(
         if not why or held_here == holding[-1]:
             break
         refusal = refusal or why
+        if "value" in why:
+            apart = released
+    if apart is not None and scatter(released) > KEPT_MISFIT * scatter(apart):
+        refuted = str(refusal["camera"])
+        cameras = tuple(
+            replace(
+                camera, prior_sigma=np.where(among("c") & (camera.id == refuted), np.inf, camera.prior_sigma)
+            )
+            for camera in block.cameras
+        )
+        findings = [Finding("c-refuted-by-rays", "doubtful", refuted, refusal)]
+        return apart, replace(block, cameras=cameras), findings
     # What is held has no prior: it would be an observation of what is no unknown.
     kept = tuple(
         replace(
@@ -357,7 +374,7 @@ def _released(
         )
         for camera in block.cameras
     )
-    findings = []
+    findings = list[Finding]()
     used = np.isin(np.arange(len(kept)), released.start.images.camera)
     for camera, before, in_use in zip(kept, block.cameras, used, strict=True):
         gone = before.estimated & ~camera.estimated

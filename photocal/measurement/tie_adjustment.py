@@ -345,6 +345,11 @@ def by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats
     return size, redundancy
 
 
+def scatter(adjusted: Adjusted) -> float:
+    """What is left in the rays, each as its redundancy shows it, px."""
+    return float(adjusted.tie_sigma * np.sqrt(adjusted.solution.variance_factor))
+
+
 def camera_figures(adjusted: Adjusted, freed: Solution | None) -> list[dict[str, Any]]:
     """Parameters of each camera, and what its principal distance becomes when it is released.
 

@@ -58,7 +58,10 @@ def check_project(project: Project) -> None:
         _check_line(project, control)
     if project.crs != "local" and len(control.names):
         # Before hours of measuring, also of a geoid that is not here.
-        reference_frame(project.crs, project.height, np.nanmedian(control.values, axis=0))
+        try:
+            reference_frame(project.crs, project.height, np.nanmedian(control.values, axis=0))
+        except ConfigurationError as refusal:
+            raise ConfigurationError(refusal.what, refusal.remedy, where=project.path) from refusal
 
 
 def _place(project: Project) -> Place | None:

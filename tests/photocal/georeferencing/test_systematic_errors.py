@@ -251,3 +251,11 @@ def test_a_new_fault_is_one_entry_and_its_texts(flown: Flown) -> None:
     assert text.endswith("Fix it with glue.")
     told = (replace(finding, stage="georeferencing"), Finding("global-test", "doubtful"))
     assert [one.severity for one in causes_first(told, 100.0, (new,))] == ["grave", "consequence"]
+
+
+def test_a_readout_beside_a_refocused_camera_is_told_as_what_follows() -> None:
+    readout, shake = (Finding(code, "note") for code in ("shutter-rolls", "images-shake"))
+    change = Finding("camera-change", "grave", stage="georeferencing")
+    told = causes_first((readout, shake, change), 100.0)
+    assert [one.severity for one in told] == ["grave", "consequence", "consequence"]
+    assert [one.severity for one in causes_first((readout, shake), 100.0)] == ["note", "note"]
