@@ -46,9 +46,11 @@ def token_proxy(address: Address, behind: tuple[str, int]) -> Iterator[str]:
     async def serve() -> None:
         stop = asyncio.Event()
         loop = asyncio.get_running_loop()
-        async with await asyncio.start_server(let_in, sock=listener, limit=_LONGEST_HEAD):
-            started.set_result(lambda: loop.call_soon_threadsafe(stop.set))
-            await stop.wait()
+        server = await asyncio.start_server(let_in, sock=listener, limit=_LONGEST_HEAD)
+        started.set_result(lambda: loop.call_soon_threadsafe(stop.set))
+        await stop.wait()
+        # Its connections end with the loop: from Python 3.12 on, to wait for it is to wait for all clients.
+        server.close()
 
     thread = threading.Thread(target=lambda: asyncio.run(serve()), name="token proxy", daemon=True)
     thread.start()
