@@ -14,6 +14,10 @@ from threading import Thread
 from typing import Any, TypeVar, cast
 
 import numba
+from llvmlite import ir
+from numba import types
+from numba.core.compiler import Compiler
+from numba.extending import intrinsic
 
 from acquire.operating_system import cache_folder, private_folder
 from drivers.errors import OutputError, ProgramMissingError
@@ -91,6 +95,38 @@ def compile_ahead() -> None:
 def compiled(function: Function) -> Function:
     """Compile a function of numbers and arrays that makes no arrays."""
     return _compiled(function, **_LEAN)
+
+
+class _Apart(Compiler):
+    """Tells the compiler that no array of a kernel lies over another, as for its own parallel loops."""
+
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)  # type: ignore[no-untyped-call]
+        self.state.flags.noalias = True
+
+
+def apart(function: Function) -> Function:
+    """Compile a function as `compiled` does whose arrays share no memory with those that it writes to."""
+    return _compiled(function, **_LEAN, pipeline_class=_Apart)
+
+
+def _fetch(_: Any, array: Any, place: Any) -> Any:
+    """Ask the memory for the line of an element, counted through a contiguous array, that is soon needed."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        ask = builder.module.declare_intrinsic("llvm.prefetch", (byte,), kind)
+        element = builder.bitcast(builder.gep(data, [arguments[1]]), byte)
+        # To be read, most likely more than once, as data.
+        builder.call(ask, [element, number(0), number(3), number(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, place), generate
+
+
+fetch = cast("Callable[[Any, int], None]", intrinsic(_fetch))
 
 
 def inlined(function: Function) -> Function:

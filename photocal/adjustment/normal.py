@@ -25,7 +25,8 @@ PIECES, RAYS_IN_PIECE, BORDERS = 16, 10_000, 4_000_000
 class Problem:
     """A network made ready for the kernels.
 
-    structure, strips: of the reduced matrix, and with a panel for each image, as pieces of points fill it.
+    structure, strips: of the reduced matrix, and with a panel for each image, as pieces of points fill it:
+        its offsets count rows.
     held (layout.size,): columns of the reduced system that are no unknowns.
     stiffened: columns that carry the datum of a free network, see `datum.with_datum`.
     """
@@ -109,10 +110,11 @@ def prepare(network: Network) -> Problem:
         *(np.ascontiguousarray(a, dtype=np.int64 if a.dtype.kind == "i" else float) for a in arrays)
     )
     structure, strips = (
-        Structure(
-            shape.panel, shape.last, shape.width, shape.offset, shape.band, shape.border, int(count.sum())
+        Structure(shape.panel, shape.last, shape.width, offset, shape.band, shape.border, int(count.sum()))
+        for shape, offset in (
+            (where.envelope, where.envelope.offset),
+            (where.strips, where.strips.offset // where.width),
         )
-        for shape in (where.envelope, where.strips)
     )
     held = np.zeros(where.size, dtype=np.bool_)
     held[: where.envelope.band] = True
@@ -192,16 +194,14 @@ def add_rays(
     """
     structure, strips = problem.structure, problem.strips
     first, last = design.reach.T
-    start = np.zeros(len(first) + 1, dtype=np.int64)
-    start[1:] = np.cumsum(strips.offset[last] - strips.offset[first] + structure.border**2)
-    room = np.zeros(int(start[-1]))
+    start = np.concatenate([[0], np.cumsum(strips.offset[last] - strips.offset[first])])
+    room = np.zeros((int(start[-1]), problem.layout.width))
+    corners = np.zeros((len(first), structure.border, structure.border))
     gradients, totals = np.zeros((len(first), problem.layout.size)), np.zeros(len(first))
     singular = np.zeros(len(design.point_free), dtype=np.bool_)
-    accumulate(design, values, strips, damping, start, room, gradients, totals, kept, singular)
+    accumulate(design, values, strips, damping, start, room, corners, gradients, totals, kept, singular)
     join(design, strips, structure, start, room, matrix)
-    border = matrix[structure.offset[-2] :]
-    for end in start[1:].tolist():
-        border += room[end - len(border) : end]
+    matrix[structure.offset[-2] :] += corners.sum(axis=0).ravel()
     return gradients.sum(axis=0), float(totals.sum()), singular
 
 

@@ -44,10 +44,10 @@ ROUNDING = 1e-6
 NEGLIGIBLE = 1e-12
 # Images that move while they are read, each in its own way, take up to twice as many.
 ITERATIONS, MOVING = 50, 100
-# Where a step gains no more than this share of v'Pv, and of what the one before has gained, or is shorter
+# Where a step gains no more than these shares of what the one before has gained, and of v'Pv, or is shorter
 # than a sigma, the rest of the way is gone with the factor that there is, in so many steps at most: each
 # costs a small part of a whole one. They may grow by this much where the ground is flatter than it seemed.
-FAST, WITHIN, CHORDS, FLATTER = 1e-2, 1.0, 16, 16.0
+FAST, MILD, WITHIN, CHORDS, FLATTER = 1e-2, 5e-2, 1.0, 16, 16.0
 # With a factor from elsewhere the rate is known less well: so much less is to be left.
 SURER = 1e-2
 # Where the iteration comes to no end, a step this short (sigmas) is none.
@@ -126,7 +126,7 @@ def minimise(
                 normal = replace(normal, chi_squared=normal.chi_squared - step_decrement)
                 _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, step_decrement, damping)])
                 return Minimum(moved, normal, tuple(steps), factored=True)
-            fast = step_decrement < FAST * min(decrement, normal.chi_squared)
+            fast = step_decrement < min(FAST * decrement, MILD * normal.chi_squared)
             if whole and (fast or step_decrement < min(WITHIN, FAST * tried)):
                 tried = step_decrement
                 there = _by_chords(problem, normal, moved, near, step_decrement, steps, report)

@@ -6,16 +6,59 @@ import numpy as np
 
 from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
-from photocal.adjustment.kernels.ray import inverse3, ray_rows
-from photocal.compiled import compiled, each_piece, inlined
+from photocal.adjustment.kernels.ray import corner_of, inverse3, ray_rows
+from photocal.compiled import apart, compiled, each_piece, fetch, inlined
 from photocal.geometry.lens import Scratch, scratch
 
+# So many points before they are worked on, their places in memory are asked for.
+AHEAD = 2
 
-class Place(NamedTuple):
-    """Where a piece's values stand: the first of its strips, as if none were before it; its border."""
 
-    base: int
-    border: int
+class Rows(NamedTuple):
+    """Rows of the design matrix that belong to one point's rays, in units of their sigmas, and room for more.
+
+    image, point (rays, 2, n): columns of each ray's own image and of the point.
+    lens (rays, 2, lens + 1): columns of the cameras; the last one is the residual.
+    less, free (3 and 2, lens + 1): by how much the point follows each of these columns, and what of them one
+        ray's rows then have left.
+    scaled (2, 3), other (2, columns of an image): one ray's rows of the point and of the image, transformed.
+    """
+
+    image: Floats
+    point: Floats
+    lens: Floats
+    less: Floats
+    free: Floats
+    scaled: Floats
+    other: Floats
+
+
+def most_rays(design: Design, piece: int) -> int:
+    """Largest number of rays of a point among one piece's points, at least 1."""
+    points = design.order[design.pieces[piece] : design.pieces[piece + 1]]
+    return int(np.max(design.ray_start[points + 1] - design.ray_start[points], initial=1))
+
+
+@inlined
+def fetch_point(design: Design, values: Values, kept: Eliminated, j: int) -> None:
+    """Ask the memory for what a point's work takes: it lies far from that of the point before."""
+    begin, end = design.ray_start[j], design.ray_start[j + 1]
+    fetch(values.points, 3 * j)
+    fetch(design.point_free, 3 * j)
+    fetch(design.prior_points, 3 * j)
+    fetch(kept.gradient, 3 * j)
+    for line in range(0, 16, 8):
+        fetch(design.prior_weight, 9 * j + line)
+        fetch(kept.inverse, 9 * j + line)
+    for r in range(begin, end, 4):
+        fetch(design.plane, 2 * r)
+        fetch(design.weight, 2 * r)
+        fetch(design.ray_image, r)
+    for line in range(3 * columns(design) * begin, 3 * columns(design) * end, 8):
+        fetch(kept.mixed, line)
+    size = kept.mixed_border.shape[1] * kept.mixed_border.shape[2]
+    for line in range(size * j, size * (j + 1), 8):
+        fetch(kept.mixed_border, line)
 
 
 @inlined
@@ -44,197 +87,180 @@ def own_block(design: Design, values: Values, j: int, block: Floats, side: Float
 def add_ray(
     design: Design,
     structure: Structure,
-    place: Place,
     r: int,
-    i: int,
     j: int,
     vx: float,
     vy: float,
     room: Scratch,
-    lens: Floats,
-    matrix: Floats,
-    gradient: Floats,
+    rows: Rows,
     kept: Eliminated,
     block: Floats,
-    side: Floats,
 ) -> None:
-    """Add one ray to the normal equations of its exposure, camera and point."""
-    by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
-    border, width = structure.border, columns(design)
+    """Add one ray to the normal equations of its point, and put its rows among those of the point."""
+    i, n, lens = design.ray_image[r], r - design.ray_start[j], structure.lens
     k = design.image_lens[i]
-    px, py = design.weight[r, 0], design.weight[r, 1]
-    column = design.image_column[i]
-    corner = place.base + structure.offset[column // width]
-    at, count = design.active_column[k], design.active_count[k]
-    foot = corner + (structure.last[column // width] - column + at) * width
-    for s in range(count):
-        lens[0, s] = by_camera[0, design.active[k, s]]
-        lens[1, s] = by_camera[1, design.active[k, s]]
-    for a in range(width):
-        ax, ay = px * by_image[0, a], py * by_image[1, a]
-        gradient[column + a] += ax * vx + ay * vy
-        for b in range(width):
-            matrix[corner + a * width + b] += ax * by_image[0, b] + ay * by_image[1, b]
-    for s in range(count):
-        cx, cy = px * lens[0, s], py * lens[1, s]
-        for b in range(width):
-            matrix[foot + s * width + b] += cx * by_image[0, b] + cy * by_image[1, b]
-    for a in range(3):
-        ax, ay = px * by_point[0, a], py * by_point[1, a]
-        side[a] += ax * vx + ay * vy
-        for b in range(width):
-            kept.mixed[r, a, b] = ax * by_image[0, b] + ay * by_image[1, b]
+    at = design.active_column[k]
+    for x in range(2):
+        root = np.sqrt(design.weight[r, x])
+        for b in range(columns(design)):
+            rows.image[n, x, b] = root * room.by_image[x, b]
         for b in range(3):
-            block[a, b] += ax * by_point[0, b] + ay * by_point[1, b]
-        for s in range(count):
-            kept.mixed_border[j, a, at + s] += ax * lens[0, s] + ay * lens[1, s]
-    diagonal = place.border + at * (border + 1)
-    for s in range(count):
-        cx, cy = px * lens[0, s], py * lens[1, s]
-        gradient[structure.band + at + s] += cx * vx + cy * vy
-        for b in range(s + 1):
-            matrix[diagonal + s * border + b] += cx * lens[0, b] + cy * lens[1, b]
+            rows.point[n, x, b] = root * room.by_point[x, b]
+        for s in range(lens):
+            rows.lens[n, x, s] = 0.0
+        for s in range(design.active_count[k]):
+            rows.lens[n, x, at + s] = root * room.by_camera[x, design.active[k, s]]
+        rows.lens[n, x, lens] = root * (vy if x else vx)
+    for a in range(3):
+        px, py = rows.point[n, 0, a], rows.point[n, 1, a]
+        kept.gradient[j, a] += px * rows.lens[n, 0, lens] + py * rows.lens[n, 1, lens]
+        for b in range(3):
+            block[a, b] += px * rows.point[n, 0, b] + py * rows.point[n, 1, b]
+        for b in range(columns(design)):
+            kept.mixed[r, a, b] = px * rows.image[n, 0, b] + py * rows.image[n, 1, b]
+        for s in range(lens):
+            kept.mixed_border[j, a, s] += px * rows.lens[n, 0, s] + py * rows.lens[n, 1, s]
 
 
 @inlined
 def eliminate(
     design: Design,
     structure: Structure,
-    place: Place,
+    base: int,
     j: int,
-    matrix: Floats,
-    gradient: Floats,
+    strips: Floats,
+    corner: Floats,
+    images: Floats,
+    cameras: Floats,
     kept: Eliminated,
-    scaled: Floats,
-    scaled_border: Floats,
+    rows: Rows,
 ) -> None:
-    """Subtract what the point's own unknowns explain from the normal equations of what sees it."""
-    border, lens, width = structure.border, structure.lens, columns(design)
-    mixed, mixed_border, inverse, side = kept.mixed, kept.mixed_border[j], kept.inverse[j], kept.gradient
+    """Add a point's rays to the normal equations of what sees it, less what its own unknowns explain.
+
+    With B, A, C the columns of the point, the images and the cameras with the residual, and V the point's own
+    normal equations: (A, C)' (C - B V^-1 B' C) and A' (1 - B V^-1 B') A. Where V^-1 is zero, all of it.
+    """
+    lens, width, image, point, free = structure.lens, columns(design), rows.image, rows.point, rows.free
     begin, end = design.ray_start[j], design.ray_start[j + 1]
-    g0, g1, g2 = side[j, 0], side[j, 1], side[j, 2]
+    mixed, inverse, less, scaled, other = kept.mixed_border, kept.inverse, rows.less, rows.scaled, rows.other
     for a in range(3):
+        i0, i1, i2 = inverse[j, a, 0], inverse[j, a, 1], inverse[j, a, 2]
         for s in range(lens):
-            scaled_border[a, s] = (
-                inverse[a, 0] * mixed_border[0, s]
-                + inverse[a, 1] * mixed_border[1, s]
-                + inverse[a, 2] * mixed_border[2, s]
-            )
-    for s in range(lens):
-        gradient[structure.band + s] -= (
-            scaled_border[0, s] * g0 + scaled_border[1, s] * g1 + scaled_border[2, s] * g2
-        )
-        m0, m1, m2 = mixed_border[0, s], mixed_border[1, s], mixed_border[2, s]
-        row = place.border + s * border
-        for t in range(s + 1):
-            matrix[row + t] -= m0 * scaled_border[0, t] + m1 * scaled_border[1, t] + m2 * scaled_border[2, t]
-    for r in range(begin, end):
-        column = design.image_column[design.ray_image[r]]
-        corner = place.base + structure.offset[column // width]
-        foot = corner + (structure.last[column // width] - column) * width
-        for a in range(3):
-            for b in range(width):
-                scaled[a, b] = (
-                    inverse[a, 0] * mixed[r, 0, b]
-                    + inverse[a, 1] * mixed[r, 1, b]
-                    + inverse[a, 2] * mixed[r, 2, b]
-                )
+            less[a, s] = i0 * mixed[j, 0, s] + i1 * mixed[j, 1, s] + i2 * mixed[j, 2, s]
+        less[a, lens] = i0 * kept.gradient[j, 0] + i1 * kept.gradient[j, 1] + i2 * kept.gradient[j, 2]
+    for n in range(end - begin):
+        i = design.ray_image[begin + n]
+        k, column = design.image_lens[i], design.image_column[i]
+        for x in range(2):
+            p0, p1, p2 = point[n, x, 0], point[n, x, 1], point[n, x, 2]
+            for s in range(lens + 1):
+                free[x, s] = rows.lens[n, x, s] - (p0 * less[0, s] + p1 * less[1, s] + p2 * less[2, s])
+            for a in range(3):
+                scaled[x, a] = inverse[j, a, 0] * p0 + inverse[j, a, 1] * p1 + inverse[j, a, 2] * p2
+        at, count = design.active_column[k], design.active_count[k]
+        for s in range(at, at + count):
+            cx, cy = rows.lens[n, 0, s], rows.lens[n, 1, s]
+            cameras[s] += cx * free[0, lens] + cy * free[1, lens]
+            for t in range(at + count):
+                corner[s, t] += cx * free[0, t] + cy * free[1, t]
+        strip = column // width
+        top = base + structure.offset[strip]
+        foot = top + structure.last[strip] - column
         for b in range(width):
-            gradient[column + b] -= scaled[0, b] * g0 + scaled[1, b] * g1 + scaled[2, b] * g2
+            images[strip, b] += image[n, 0, b] * free[0, lens] + image[n, 1, b] * free[1, lens]
         for s in range(lens):
-            m0, m1, m2 = mixed_border[0, s], mixed_border[1, s], mixed_border[2, s]
             for b in range(width):
-                matrix[foot + s * width + b] -= m0 * scaled[0, b] + m1 * scaled[1, b] + m2 * scaled[2, b]
-        for t in range(begin, end):
-            other = design.image_column[design.ray_image[t]]
-            if other < column:
+                strips[foot + s, b] += free[0, s] * image[n, 0, b] + free[1, s] * image[n, 1, b]
+        for m in range(end - begin):
+            below = design.image_column[design.ray_image[begin + m]] - column
+            if below < 0:
                 continue
+            for x in range(2):
+                s0, s1, s2 = scaled[x, 0], scaled[x, 1], scaled[x, 2]
+                gx = -(point[m, 0, 0] * s0 + point[m, 0, 1] * s1 + point[m, 0, 2] * s2)
+                gy = -(point[m, 1, 0] * s0 + point[m, 1, 1] * s1 + point[m, 1, 2] * s2)
+                if m == n and x == 0:
+                    gx += 1.0
+                elif m == n:
+                    gy += 1.0
+                for a in range(width):
+                    other[x, a] = gx * image[m, 0, a] + gy * image[m, 1, a]
             for a in range(width):
-                m0, m1, m2 = mixed[t, 0, a], mixed[t, 1, a], mixed[t, 2, a]
-                row = corner + (other - column + a) * width
                 for b in range(width):
-                    matrix[row + b] -= m0 * scaled[0, b] + m1 * scaled[1, b] + m2 * scaled[2, b]
+                    strips[top + below + a, b] += other[0, a] * image[n, 0, b] + other[1, a] * image[n, 1, b]
 
 
 @inlined
 def retain(
     design: Design,
     structure: Structure,
-    place: Place,
+    base: int,
     j: int,
     block: Floats,
-    matrix: Floats,
-    gradient: Floats,
+    strips: Floats,
+    corner: Floats,
+    cameras: Floats,
     kept: Eliminated,
 ) -> None:
     """Add the normal equations of a point that stays among the unknowns of the border."""
-    border, width = structure.border, columns(design)
-    at = design.point_column[j]
+    width, at = columns(design), design.point_column[j]
     for a in range(3):
-        row = place.border + (at + a) * border
-        gradient[structure.band + at + a] += kept.gradient[j, a]
+        cameras[at + a] += kept.gradient[j, a]
         for b in range(a + 1):
-            matrix[row + at + b] += block[a, b]
+            corner[at + a, at + b] += block[a, b]
         # The cameras' columns come before those of the points.
         for s in range(structure.lens):
-            matrix[row + s] += kept.mixed_border[j, a, s]
+            corner[at + a, s] += kept.mixed_border[j, a, s]
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             column = design.image_column[design.ray_image[r]]
-            corner = place.base + structure.offset[column // width]
-            foot = corner + (structure.last[column // width] - column + at + a) * width
+            foot = base + structure.offset[column // width] + structure.last[column // width] - column
             for b in range(width):
-                matrix[foot + b] += kept.mixed[r, a, b]
+                strips[foot + at + a, b] += kept.mixed[r, a, b]
         for b in range(3):
             kept.inverse[j, a, b] = 0.0
 
 
-@compiled
+@apart
 def accumulate_piece(
     design: Design,
     values: Values,
     structure: Structure,
     damping: float,
     piece: int,
-    place: Place,
-    matrix: Floats,
-    gradient: Floats,
+    base: int,
+    strips: Floats,
+    corner: Floats,
+    images: Floats,
+    cameras: Floats,
     kept: Eliminated,
     singular: Flags,
     room: Scratch,
-    lens: Floats,
+    rows: Rows,
     block: Floats,
-    side: Floats,
-    scaled: Floats,
-    scaled_border: Floats,
 ) -> float:
     """Normal equations of one piece's points; returns their v'Pv, infinite for a point behind a camera."""
-    total = 0.0
-    for nth in range(design.pieces[piece], design.pieces[piece + 1]):
+    total, end = 0.0, design.pieces[piece + 1]
+    for nth in range(design.pieces[piece], end):
         j = design.order[nth]
-        total += own_block(design, values, j, block, side)
+        fetch_point(design, values, kept, design.order[min(nth + AHEAD, end - 1)])
+        total += own_block(design, values, j, block, kept.gradient[j])
         for a in range(3):
             for s in range(structure.lens):
                 kept.mixed_border[j, a, s] = 0.0
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
-            i = design.ray_image[r]
-            vx, vy = ray_rows(design, values, r, i, j, room)
+            vx, vy = ray_rows(design, values, r, design.ray_image[r], j, room)
             total += design.weight[r, 0] * vx * vx + design.weight[r, 1] * vy * vy
             if not room.depth[0] > 0.0:
                 total = np.inf
-            add_ray(
-                design, structure, place, r, i, j, vx, vy, room, lens, matrix, gradient, kept, block, side
-            )
-        for a in range(3):
-            kept.gradient[j, a] = side[a]
+            add_ray(design, structure, r, j, vx, vy, room, rows, kept, block)
+        singular[j] = False
         if design.point_column[j] >= 0:
-            retain(design, structure, place, j, block, matrix, gradient, kept)
-            singular[j] = False
-            continue
-        for a in range(3):
-            block[a, a] *= 1.0 + damping
-        singular[j] = not inverse3(block, kept.inverse, j)
-        if not singular[j]:
-            eliminate(design, structure, place, j, matrix, gradient, kept, scaled, scaled_border)
+            retain(design, structure, base, j, block, strips, corner, cameras, kept)
+        else:
+            for a in range(3):
+                block[a, a] *= 1.0 + damping
+            singular[j] = not inverse3(block, kept.inverse, j)
+        eliminate(design, structure, base, j, strips, corner, images, cameras, kept, rows)
     return total
 
 
@@ -244,7 +270,8 @@ def accumulate(
     structure: Structure,
     damping: float,
     start: Integers,
-    matrix: Floats,
+    strips: Floats,
+    corners: Floats,
     gradients: Floats,
     totals: Floats,
     kept: Eliminated,
@@ -253,32 +280,21 @@ def accumulate(
     """Normal equations of the rays and of the weighted points, reduced to images and border, piece by piece.
 
     damping: relative addition to the diagonal of each point's own block (Marquardt 1963).
-    start (pieces + 1,): where each piece's strips begin in `matrix`; its border stands at their end.
+    start (pieces + 1,): first of each piece's rows in `strips`.
+    strips (rows, columns of an image), corners (pieces, border, border): receive what the pieces give. Rows
+        of known length and arrays that lie apart let the compiler use the processor's vectors.
     singular (points,): receives the points that their rays do not determine.
     """
 
     def work(piece: int) -> None:
+        rays, lens, wide = most_rays(design, piece), structure.lens + 1, width(design)
+        shapes = (rays, 2, wide), (rays, 2, 3), (rays, 2, lens), (3, lens), (2, lens), (2, 3), (2, wide)
+        of_images, of_cameras = np.split(gradients[piece], [structure.band])
         totals[piece] = accumulate_piece(
-            design,
-            values,
-            structure,
-            damping,
-            piece,
-            Place(
-                start[piece] - structure.offset[design.reach[piece, 0]],
-                start[piece + 1] - structure.border**2,
-            ),
-            matrix,
-            gradients[piece],
-            kept,
-            singular,
-            scratch(width(design)),
-            np.zeros((2, max(structure.lens, 1))),
-            np.zeros((3, 3)),
-            np.zeros(3),
-            np.zeros((3, width(design))),
-            np.zeros((3, max(structure.lens, 1))),
-        )
+            design, values, structure, damping, piece,
+            start[piece] - structure.offset[design.reach[piece, 0]], strips, corners[piece],
+            of_images.reshape(-1, wide), of_cameras, kept, singular, scratch(wide),
+            Rows(*map(np.zeros, shapes)), np.zeros((3, 3)))  # fmt: skip
 
     each_piece(len(totals), work)
 
@@ -298,10 +314,7 @@ def join_strips(
     wide, border = columns(design), structure.border
     for strip in range(begin, end):
         column, rows = strip * wide, strips.last[strip] - strip * wide
-        home = column // structure.panel
-        top, step = home * structure.panel, structure.width[home]
-        corner = structure.offset[home] + (column - top) * step + column - top
-        foot = structure.offset[home] + (structure.last[home] - top) * step + column - top
+        corner, foot, step = corner_of(structure, column)
         for piece in range(len(design.reach)):
             if strip < design.reach[piece, 0] or strip >= design.reach[piece, 1]:
                 continue
@@ -309,7 +322,7 @@ def join_strips(
             for row in range(rows + border):
                 to = corner + row * step if row < rows else foot + (row - rows) * step
                 for b in range(wide):
-                    matrix[to + b] += pieces[at + row * wide + b]
+                    matrix[to + b] += pieces[at + row, b]
 
 
 def join(

@@ -58,14 +58,22 @@ def inverse3(matrix: Floats, result: Floats, j: int) -> bool:
 
 
 @inlined
+def corner_of(structure: Structure, column: int) -> tuple[int, int, int]:
+    """Where a column's diagonal element and its first row of the border stand; from row to row."""
+    home = column // structure.panel
+    top = home * structure.panel
+    step = structure.width[home]
+    start = structure.offset[home] + column - top
+    return start + (column - top) * step, start + (structure.last[home] - top) * step, step
+
+
+@inlined
 def element_address(structure: Structure, row: int, column: int) -> int:
     """Where an element of the lower triangle stands among the values of the reduced matrix."""
-    panel, band = structure.panel, structure.band
+    band = structure.band
     if column >= band:
         return int(
             structure.offset[len(structure.width) - 1] + (row - band) * structure.border + column - band
         )
-    home = column // panel
-    top = home * panel
-    line = row - top if row < band else structure.last[home] - top + row - band
-    return int(structure.offset[home] + line * structure.width[home] + column - top)
+    corner, foot, step = corner_of(structure, column)
+    return int(corner + (row - column) * step if row < band else foot + (row - band) * step)

@@ -3,19 +3,9 @@
 from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.elimination import own_block
-from photocal.adjustment.kernels.ray import inverse3, ray_rows
+from photocal.adjustment.kernels.ray import corner_of, inverse3, ray_rows
 from photocal.compiled import compiled, inlined
 from photocal.geometry.lens import Scratch
-
-
-@inlined
-def corner_of(structure: Structure, column: int) -> tuple[int, int, int]:
-    """Where a column's diagonal element and its first row of the border stand; from row to row."""
-    home = column // structure.panel
-    top = home * structure.panel
-    step = structure.width[home]
-    start = structure.offset[home] + column - top
-    return start + (column - top) * step, start + (structure.last[home] - top) * step, step
 
 
 @inlined

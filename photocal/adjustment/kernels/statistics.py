@@ -4,48 +4,39 @@ import numpy as np
 
 from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
-from photocal.adjustment.kernels.ray import ray_rows
+from photocal.adjustment.kernels.elimination import most_rays
+from photocal.adjustment.kernels.ray import corner_of, ray_rows
 from photocal.compiled import compiled, each_piece, inlined
 from photocal.geometry.lens import Scratch, scratch
-
-
-def most_rays(design: Design, piece: int) -> int:
-    """Largest number of rays of a point among one piece's points, at least 1."""
-    points = design.order[design.pieces[piece] : design.pieces[piece + 1]]
-    return int(np.max(design.ray_start[points + 1] - design.ray_start[points], initial=1))
 
 
 @inlined
 def gather(design: Design, structure: Structure, j: int, inverse: Floats, local: Floats) -> int:
     """Copy the covariance among all that a point's rays touch; returns its size."""
-    panel, border, width = structure.panel, structure.border, structure.width
+    border = structure.border
     # Only a point that stays among the unknowns has columns behind those of the cameras.
     reach = border if design.point_column[j] >= 0 else structure.lens
     begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
     edge = columns(design) * n
     for r in range(n):
         column = design.image_column[design.ray_image[begin + r]]
-        home = column // panel
-        top = home * panel
-        step = width[home]
-        start = structure.offset[home] + column - top
+        corner, foot, step = corner_of(structure, column)
         for t in range(n):
             other = design.image_column[design.ray_image[begin + t]]
             if other < column:
                 continue
-            corner = start + (other - top) * step
+            start = corner + (other - column) * step
             for a in range(columns(design)):
                 for b in range(columns(design)):
-                    z = inverse[corner + a * step + b]
+                    z = inverse[start + a * step + b]
                     local[columns(design) * t + a, columns(design) * r + b] = z
                     local[columns(design) * r + b, columns(design) * t + a] = z
-        foot = start + (structure.last[home] - top) * step
         for s in range(reach):
             for b in range(columns(design)):
                 z = inverse[foot + s * step + b]
                 local[edge + s, columns(design) * r + b] = z
                 local[columns(design) * r + b, edge + s] = z
-    base = structure.offset[len(width) - 1]
+    base = structure.offset[len(structure.width) - 1]
     for s in range(reach):
         for t in range(s + 1):
             local[edge + s, edge + t] = inverse[base + s * border + t]
