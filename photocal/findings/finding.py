@@ -83,7 +83,7 @@ def of_global_test(
 
 def verdict(findings: Iterable[Finding]) -> Finding:
     """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
-    listed = tuple({(f.code, f.subject): f for f in findings}.values())
+    listed = tuple({(f.code, f.subject, f.cause): f for f in findings}.values())
     grave = [f for f in listed if f.severity in ("refused", "grave")]
     doubtful = [f for f in listed if f.severity in ("doubtful", "consequence") and f not in grave]
     decided = tuple(dict.fromkeys(f.code for f in grave or doubtful))

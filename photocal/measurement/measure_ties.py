@@ -81,7 +81,9 @@ def sight(
         keys, reasons = match_images.detect_all(readable, plan, done)
     good = [k for k, reason in enumerate(reasons) if not reason]
     left_out += [_entry(readable[k].name, why, "unreadable") for k, why in enumerate(reasons) if why]
-    first = match_images.same_pictures({k: keys[k] for k in good}, plan)
+    # Marks name the original, not "copy of" it, nor it with "(1)" behind.
+    by_length = sorted(good, key=lambda k: len(readable[k].name))
+    first = match_images.same_pictures({k: keys[k] for k in by_length}, plan)
     left_out += [
         _entry(readable[k].name, f"is the same picture as {readable[j].name}", SAME)
         for k, j in first.items()

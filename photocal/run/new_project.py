@@ -83,8 +83,13 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
             columns = ("image", "point", "x", "y", "sx", "sy")
             rows = [[m.image, m.point, *(f"{v:.3f}" for v in (m.x, m.y, *m.sigma))] for m in text.marks]
             files["marks.csv"] = rows_text(columns, rows)
+    # What is read stays as it is.
+    sources = {found.file for found in (*seen.control, *seen.marks)}
+    for name in [name for name in files if folder / name in sources]:
+        files[f"read-{name}"] = files.pop(name)
+        files[NAME] = files[NAME].replace(f'"{name}"', f'"read-{name}"')
     for name in files:
-        if (folder / name).exists() and not (name != NAME and (folder / name) == getattr(control, "file", 0)):
+        if (folder / name).exists():
             raise OutputError("is there already", "move it away, or use it", where=folder / name)
     for name, content in files.items():
         (folder / name).write_text(content, encoding="utf-8", newline="\n")

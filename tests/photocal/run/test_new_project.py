@@ -88,6 +88,20 @@ def test_marks_under_heads_of_a_spreadsheet(folder: Path) -> None:
     ]
 
 
+def test_tables_that_have_our_names_stay(folder: Path) -> None:
+    control = "name,latitude,longitude,ellipsoidal height\nW1,-25.45,-49.23,912.4\n"
+    marks = "image,point,x,y\na0.jpg,W1,10.5,20\na1.jpg,other,1,2\n"
+    (folder / "control.csv").write_text(control)
+    (folder / "marks.csv").write_text(marks)
+    project = read_project(new_project(folder, height="ellipsoidal").path)
+    assert [(folder / f"{name}.csv").read_text() for name in ("control", "marks")] == [control, marks]
+    points = read_points(project.control.points or folder)
+    assert points.values[0, 2] == 912.4
+    assert [(m.image, m.point, m.x) for m in read_marks(project.control.marks or folder)] == [
+        ("a0.jpg", "W1", 10.5)
+    ]
+
+
 def test_a_zone_as_odm_names_it(folder: Path) -> None:
     """Its documentation: the first line is a zone of WGS84, its number and N or S."""
     row = "677864,5 7184231,25 912,4 10,5 20 a0.jpg 1e5\n"
