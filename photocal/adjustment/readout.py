@@ -42,6 +42,8 @@ _LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
 # What the sides of pixels may differ by, as a share: sensors have square ones, but pictures are resampled.
 # Lines that are read while the camera flies on look much like that.
 SQUARE = 5e-5
+# Readouts of cameras on small aircraft lie about this.
+USUAL_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -220,6 +222,26 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
     except IllPosedError:
         return False
     return any(test.p_value < SIGNIFICANCE for test in tests.values())
+
+
+def left_by_movement(network: Network, solution: Solution) -> float:
+    """What is left of v'Pv, as a share, where images may move during a usual readout; 1 if none is unknown.
+
+    Strips to and fro with the camera turned hide how long a readout is: what the flight moves is the same in
+    all images, and goes into c and the positions. What gusts move is not.
+    """
+    doubtful = {
+        k: _freed(camera).changed(readout=USUAL_S)
+        for k, camera in enumerate(network.cameras)
+        if camera.shutter == "unknown" and not camera.rolling
+    }
+    if not doubtful or network.exposures.motion is None:
+        return 1.0
+    try:
+        minimum = minimum_of(_with(network, doubtful), None, solution.state)[1]
+    except (IllPosedError, NotConvergedError):
+        return 1.0
+    return minimum.iterations[-1].chi_squared / solution.chi_squared
 
 
 def with_loose_sides(camera: Camera) -> Camera:

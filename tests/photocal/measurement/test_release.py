@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from photocal.measurement.project_block import HOLDING, release
+from photocal.adjustment.readout import left_by_movement
+from photocal.measurement.project_block import HOLDING, MOVES, release
+from photocal.measurement.tie_adjustment import adjust_ties, assembled
 from tests.photocal.measurement.test_lens_choice import ESTIMATE, C, flown, lens
 
 
@@ -27,3 +29,14 @@ def test_a_c_of_other_pictures_is_not_held() -> None:
     assert chosen.cameras[0].free == ESTIMATE
     assert np.isinf(chosen.cameras[0].prior_sigma[0])
     assert chosen.cameras[0].prior_sigma[1] == prior[1]
+
+
+@pytest.mark.parametrize(("readout", "moves"), [(0.06, True), (0.0, False)])
+def test_what_images_may_move_while_read_tells_a_rolling_shutter(readout: float, moves: bool) -> None:
+    _, block, tracks = flown(lens("brown-ideal", (-0.1, 0.05)), 13, unknown=True, readout=readout)
+    closed = tuple(replace(own, shutter="global") for own in block.cameras)
+    still = adjust_ties(replace(block, cameras=closed), block.images.values, tracks)
+    unknown = tuple(replace(own, shutter="unknown") for own in still.block.cameras)
+    network = assembled(replace(still.block, cameras=unknown), still.values)[0].network
+    assert (left_by_movement(network, still.solution) < MOVES) == moves
+    assert left_by_movement(still.assembly.network, still.solution) == 1.0
