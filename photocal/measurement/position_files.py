@@ -20,25 +20,14 @@ from photocal.measurement.image_facts import ImageFacts
 Given = Callable[[ImageFacts], ImageFacts]
 # Heads of the columns of places as people write them; the last ones of X and Y are of degrees.
 _LONGITUDE, _LATITUDE = ("lon", "long", "longitude"), ("lat", "latitude")
+_HEIGHT = (
+    "z", "h", "height", "elevation", "altitude", "alt", "elev", "cota", "elevação", "altura",
+    "ellipsoidal height", "ellipsoidal_height", "orthometric height", "altitude elipsoidal",
+)  # fmt: skip
 PLACE_HEADS = {
     "X": ("x", "e", "east", "easting", "este", "leste", *_LONGITUDE),
     "Y": ("y", "n", "north", "northing", "norte", *_LATITUDE),
-    "Z": (
-        "z",
-        "h",
-        "height",
-        "elevation",
-        "altitude",
-        "alt",
-        "elev",
-        "cota",
-        "elevação",
-        "altura",
-        "ellipsoidal height",
-        "ellipsoidal_height",
-        "orthometric height",
-        "altitude elipsoidal",
-    ),
+    "Z": _HEIGHT,
     "sX": ("sx", "se", "sigma_x", "sigma_e", "accuracy_x"),
     "sY": ("sy", "sn", "sigma_y", "sigma_n", "accuracy_y"),
     "sZ": ("sz", "sh", "su", "sigma_z", "sigma_h", "accuracy_z"),
