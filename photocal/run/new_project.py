@@ -173,7 +173,9 @@ class _Text:
         elif not self.height and not self.control_points.names:
             self.height = "ellipsoidal"
         elif not self.height:
-            self.asked.append("height: whether the control points' heights are ellipsoidal or orthometric")
+            else_local = "" if self.crs else ', or "local" with such a crs'
+            asked = "height: whether the control points' heights are ellipsoidal or orthometric"
+            self.asked.append(asked + else_local)
 
     def lines(self) -> Iterator[str]:
         """Give the whole file."""
