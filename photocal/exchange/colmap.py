@@ -31,8 +31,8 @@ from photocal.exchange.pinhole import (
     to_vision,
 )
 from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
-from photocal.exchange.rigs import of_colmap
-from photocal.exchange.source import Line, image_size, numbers, read_text, require_readable, whole
+from photocal.exchange.rigs import Frame, Rig, Sensor, of_colmap, sensor_of
+from photocal.exchange.source import Line, image_size, numbers, read_lines, read_text, require_readable, whole
 from photocal.geometry.camera import PARAMETERS, Camera, Model
 from photocal.geometry.conversion import Conversion
 
@@ -192,6 +192,31 @@ def _points(path: Path) -> Iterator[Point]:
         )
 
 
+def _rigs(path: Path) -> Iterator[Rig]:
+    reader = _Reader(path)
+    for _ in range(reader.count(8)):
+        key, count = reader.take("II")
+        sensors: dict[str, Sensor] = {}
+        for k in range(count):
+            name = "{} {}".format(*reader.take("iI"))
+            if k == 0:
+                sensors[name] = np.eye(3), np.zeros(3)
+            elif reader.take("B")[0]:
+                pose = reader.take("7d")
+                sensors[name] = sensor_of(pose[:4], pose[4:], path)
+            else:
+                sensors[name] = None
+        yield key, sensors
+
+
+def _frames(path: Path) -> Iterator[Frame]:
+    reader = _Reader(path)
+    for _ in range(reader.count(68)):
+        key, rig, *_, count = reader.take("II7dI")
+        data = (reader.take("iIQ") for _ in range(count))
+        yield key, rig, [(f"{kind} {sensor}", image) for kind, sensor, image in data]
+
+
 def write_binary_model(
     folder: Path, lenses: Sequence[Lens], shots: Sequence[Shot], points: Sequence[Point]
 ) -> None:
@@ -272,6 +297,33 @@ def _text_points(path: Path) -> Iterator[Point]:
         yield key, values[1:4], values[7], np.array(track, dtype=np.int64).reshape(-1, 2)
 
 
+def _text_rigs(path: Path) -> Iterator[Rig]:
+    for line in read_lines(path):
+        cells = line.text.split()
+        sensors: dict[str, Sensor] = {" ".join(cells[2:4]): (np.eye(3), np.zeros(3))}
+        at = 4
+        while at + 2 < len(cells):
+            name, known = " ".join(cells[at : at + 2]), cells[at + 2] == "1"
+            pose = numbers(" ".join(cells[at + 3 : at + 10]), line.place, "sensor", 7) if known else []
+            sensors[name] = sensor_of(pose[:4], pose[4:], line.place) if known else None
+            at += 10 if known else 3
+        yield whole(cells[0], line.place, "rig"), sensors
+
+
+def _text_frames(path: Path) -> Iterator[Frame]:
+    for line in read_lines(path):
+        cells = line.text.split()
+        if len(cells) < 10:
+            raise line.malformed("is no row of a frame", "is the file cut?")
+        key, rig = (whole(cell, line.place, "frame") for cell in cells[:2])
+        places = range(10, len(cells) - 2, 3)
+        yield (
+            key,
+            rig,
+            [(" ".join(cells[k : k + 2]), whole(cells[k + 2], line.place, "frame")) for k in places],
+        )
+
+
 def write_text_model(
     folder: Path, lenses: Sequence[Lens], shots: Sequence[Shot], points: Sequence[Point]
 ) -> None:
@@ -339,7 +391,13 @@ def read_colmap(folder: Path) -> Reconstruction:
         np.array([position[key] for shot, use in uses for key in shot.points[use].tolist()], dtype=np.int64),
         np.vstack([np.empty((0, 2)), *(shot.marks[use] for shot, use in uses)]) - 0.5,
     )
-    return of_colmap(given, folder, {shot.key: shot.name for shot in shots})
+    keys = {shot.key: shot.name for shot in shots}
+    suffix = "bin" if binary else "txt"
+    paths = folder / f"rigs.{suffix}", folder / f"frames.{suffix}"
+    if not all(path.is_file() for path in paths):
+        return of_colmap(given, folder, keys, (), ())
+    read = (_rigs, _frames) if binary else (_text_rigs, _text_frames)
+    return of_colmap(given, folder, keys, read[0](paths[0]), read[1](paths[1]))
 
 
 def write_colmap(

@@ -62,7 +62,7 @@ def read_reconstruction(path: Path) -> Reconstruction:
             np.empty((0, 2)),
         )
 
-    reconstruction = of_opensfm(structured(path, _WHAT, made), path)
+    reconstruction = of_opensfm(structured(path, _WHAT, made), path, content[0])
     tracks = tracks_beside(path)
     return _with_tracks(reconstruction, tracks) if tracks.is_file() else reconstruction
 

@@ -8,7 +8,7 @@ were Cartesian; so does the block. Source: layouts of real projects, of one full
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from photocal.exchange.reconstruction import (
     file_name,
     without_weak_points,
 )
+from photocal.exchange.rigs import of_poses
 from photocal.exchange.source import Line, fingerprint, image_size, number, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
@@ -93,6 +94,7 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
     member = [lenses.index(lens) for lens in own_lenses]
     poses = from_vision(np.array(rotation), -np.einsum("nij,nj->ni", rotation, local))
     poses[:, 3:] += offset
+    heads, exposure = of_poses(cameras, np.array(member), poses)
     control, adjusted, remarks = _control(folder)
     rows, unknown = _measurements(bingo, image_names, member, cameras, set(control))
     if unknown:
@@ -116,15 +118,25 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
         "",
         "control",
         cameras,
-        Images(tuple(image_names), np.array(member, dtype=np.int64), poses),
+        Images(tuple(image_names), np.array(member, dtype=np.int64), poses, exposure=exposure),
         object_points(entries),
         observations,
         (fingerprint(path), fingerprint(bingo)),
+        heads=heads,
     )
     block, weak = without_weak_points(block)
     if weak:
         remarks.append(f"{weak} points have one ray only: left out")
     position, sigma, pose_sigma = _positions(folder, image_names)
+    if heads:
+        remarks.append(
+            f"{len(heads)} cameras lie the same to each other at all exposures: heads on one frame"
+        )
+        # The heads of an exposure have one and the same fix of the receiver.
+        others = (np.array(exposure) != "") & (
+            np.array(member) != [c.id for c in cameras].index(heads[0].camera)
+        )
+        position[others] = np.nan
     away = np.linalg.norm(position - poses[:, 3:], axis=1)
     if np.isfinite(away).any() and np.nanmedian(away) > FAR_M:
         remarks.append(
@@ -233,8 +245,7 @@ def _measurements(
     path: Path, names: Sequence[str], member: Sequence[int], cameras: Sequence[Camera], control: set[str]
 ) -> tuple[list[tuple[int, str, float, float]], int]:
     """Rays (image, point, column, row) of BINGO's table, and how many of its images are not known."""
-    whole = {name.casefold(): k for k, name in enumerate(names)}
-    stems = {Path(name).stem.casefold(): k for k, name in enumerate(names)}
+    image_of = _in_order(names)
     rays: dict[tuple[int, str], tuple[float, float]] = {}
     image, pitch, unknown = -1, (0.0, 0.0), 0
     # What the .cam files assume.
@@ -256,8 +267,9 @@ def _measurements(
             x, y = number(cells[-2], line.place, "x"), number(cells[-1], line.place, "y")
             rays.setdefault((image, name), (middle[0] + x / pitch[0], middle[1] - y / pitch[1]))
         else:
-            title = (" ".join(cells[:-1]) if len(cells) > 1 else cells[0]).casefold()
-            image = whole.get(title, stems.get(Path(title).stem, stems.get(title, -1)))
+            # Names of images and of cameras may have blanks.
+            titles = (" ".join(cells[:k]) for k in range(max(len(cells) - 1, 1), 0, -1))
+            image = next((k for k in map(image_of, titles) if k >= 0), -1)
             unknown += image < 0
             if image >= 0:
                 camera = cameras[member[image]]
@@ -266,6 +278,24 @@ def _measurements(
     if not rays:
         raise InputMalformedError("has no measurement of a calibrated image", where=path)
     return [(i, name, x, y) for (i, name), (x, y) in rays.items()], unknown
+
+
+def _in_order(names: Sequence[str]) -> Callable[[str], int]:
+    """How a table names its images, with or without ending; of equal names each next one; -1 for none."""
+    left: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        for key in {name.casefold(), _stem(name)}:
+            left.setdefault(key, []).append(k)
+
+    def image(title: str) -> int:
+        places = left.get(title.casefold()) or left.get(_stem(title)) or [-1]
+        return places.pop(0) if len(places) > 1 else places[0]
+
+    return image
+
+
+def _stem(name: str) -> str:
+    return Path(name).stem.casefold()
 
 
 def _pitch(
@@ -294,20 +324,20 @@ def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floa
     count = len(names)
     given, stated = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     promised = np.full((count, 6), np.nan)
-    row = {name.casefold(): k for k, name in enumerate(names)}
-    row |= {Path(name).stem.casefold(): k for k, name in enumerate(names)}
+    image_of = _in_order(names)
     path = _file(folder, _ERRORS)
     for line in read_lines(path) if path is not None else ():
         cells = re.split(r"[,;\s]+", line.text.strip())
-        known = [j for j in (1, 0) if j < len(cells) and cells[j].casefold() in row]
-        if not known:
+        # Index, name, X Y Z adjusted and given, two or three accuracies, three angles, six uncertainties, one
+        # probability; names may have blanks.
+        ways = ((3, 1), (2, 1), (3, 0), (2, 0))
+        titles = ((" ".join(cells[j : len(cells) - 16 - n]), n) for n, j in ways)
+        k, accuracies = next(((k, n) for title, n in titles if (k := image_of(title)) >= 0), (-1, 0))
+        if k < 0:
+            if any(image_of(cell) >= 0 for cell in cells[:2]):
+                raise line.malformed(f"has {len(cells)} cells where 20 or 21 were expected")
             continue
-        k = row[cells[known[0]].casefold()]
-        values = [_value(cell) for cell in cells[known[0] + 1 :]]
-        # X Y Z adjusted and given, two or three accuracies, three angles, six uncertainties, one probability.
-        accuracies = len(values) - 16
-        if accuracies not in (2, 3):
-            raise line.malformed(f"has {len(cells)} cells where 20 or 21 were expected")
+        values = [_value(cell) for cell in cells[-16 - accuracies :]]
         sigma = values[6 : 6 + accuracies]
         given[k], stated[k] = values[3:6], sigma if accuracies == 3 else [sigma[0], sigma[0], sigma[1]]
         tail = values[6 + accuracies + 3 :]

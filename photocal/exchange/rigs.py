@@ -1,35 +1,45 @@
 """Rigs of other programs: which images are of one exposure, and how their cameras lie on a frame.
 
-COLMAP: `rigs.txt` and `frames.txt` of a model (3.12 and later), or the `rig_config.json` that its
-rig_configurator takes (prefixes of image names; what follows them names the exposure). OpenSfM:
+COLMAP: rigs and frames of a model (3.12 and later), or the `rig_config.json` that its rig_configurator takes
+(prefixes of image names; what follows them names the exposure). OpenSfM: the reconstruction itself, or
 `rig_cameras.json` and `rig_assignments.json`. Both state sensor from rig, x = R X + t, in camera axes x
 right, y down, z forward. Metashape: sensors with a master have place and rotation to its axes, images a
 `master_id`. What a program found has no standard deviations: turns and places start there and are free.
-Pix4D's `params` have no rig. Sources: COLMAP documentation, "Rig Support" and "Output Format"; OpenSfM
-documentation, "Rig"; Metashape Python reference, "Sensor".
+Pix4D's `params` do not say which images are of one exposure: their poses do. Sources: COLMAP documentation,
+"Rig Support" and "Output Format"; OpenSfM documentation, "Rig"; Metashape Python reference, "Sensor".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats
+from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.block.rig import Head
 from photocal.exchange.pinhole import FLIP, rotation_from_quaternion
 from photocal.exchange.reconstruction import Reconstruction
-from photocal.exchange.source import numbers, read_json, read_lines, structured
+from photocal.exchange.source import numbers, read_json, structured
+from photocal.geometry.camera import Camera
+from photocal.geometry.rotation import matrix_from_angles
 
 # By how much a quaternion that was printed may fail the length 1.
 LARGEST_MISFIT = 1e-3
+# Heads are on a frame where nearly all their exposures, and so many, agree to what is printed.
+SAME_M, SAME_RAD, MOST, FEWEST_EXPOSURES = 1e-3, 1e-5, 0.9, 3
 # Rotation and translation from rig to sensor, in vision axes; none where it is not known.
 Sensor = tuple[Floats, Floats] | None
+# Of COLMAP: number of a rig, and its sensors by name, the reference first; number of a frame, that of its
+# rig, and the images of its sensors.
+Rig = tuple[int, dict[str, Sensor]]
+Frame = tuple[int, int, list[tuple[str, int]]]
 
 
 def with_rig(
@@ -86,78 +96,77 @@ def _head(name: str, base: str, ids: Mapping[str, str], sensors: Mapping[str, Se
     return Head(ids[name], ids[base], Rotation.from_matrix(between).as_rotvec(), values, sigma)
 
 
-def of_opensfm(given: Reconstruction, path: Path) -> Reconstruction:
-    """Give an OpenSfM reconstruction the rigs of the files beside it, if there are any."""
-    poses, assigned = path.with_name("rig_cameras.json"), path.with_name("rig_assignments.json")
-    if not (poses.is_file() and assigned.is_file()):
-        return given
+def of_opensfm(given: Reconstruction, path: Path, first: Mapping[str, Any]) -> Reconstruction:
+    """Give an OpenSfM reconstruction its own rigs, else those of the files beside it, if there are any.
 
-    def sensors() -> dict[str, Sensor]:
+    first: as it stands in the file.
+    """
+    poses, assigned = path.with_name("rig_cameras.json"), path.with_name("rig_assignments.json")
+
+    def sensors(content: Mapping[str, Any]) -> dict[str, Sensor]:
         return {
             name: (
                 Rotation.from_rotvec(np.array(keys["rotation"], dtype=float).reshape(3)).as_matrix(),
                 np.array(keys["translation"], dtype=float).reshape(3),
             )
-            for name, keys in read_json(poses).items()
+            for name, keys in content.items()
         }
 
-    def members() -> dict[str, tuple[str, str]]:
+    def beside() -> dict[str, tuple[str, str]]:
         content = read_json(assigned)
         instances = content if isinstance(content, dict) else dict(enumerate(content))
         return {str(image): (str(head), str(key)) for key, rows in instances.items() for image, head in rows}
 
-    of = structured(assigned, "a file of OpenSfM's rigs", members)
-    known = structured(poses, "a file of OpenSfM's rigs", sensors)
+    def inside() -> dict[str, tuple[str, str]]:
+        # Images by themselves are instances of one, too.
+        return {
+            str(image): (str(head), key)
+            for key, instance in first.get("rig_instances", {}).items()
+            for image, head in instance["rig_camera_ids"].items()
+            if len(instance["rig_camera_ids"]) > 1
+        }
+
+    of = structured(path, "an OpenSfM file", inside)
+    known = structured(path, "an OpenSfM file", lambda: sensors(first.get("rig_cameras", {}))) if of else {}
+    if not of and poses.is_file() and assigned.is_file():
+        of = structured(assigned, "a file of OpenSfM's rigs", beside)
+        known = structured(poses, "a file of OpenSfM's rigs", lambda: sensors(read_json(poses)))
     pairs = [of.get(name, ("", "")) for name in given.image_names]
     return with_rig(given, [head for head, _ in pairs], [key for _, key in pairs], known)
 
 
-def of_colmap(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> Reconstruction:
-    """Give a COLMAP model its rigs: of the model, else of a rig_config.json in its folder or above."""
-    if (folder / "rigs.txt").is_file() and (folder / "frames.txt").is_file():
-        return _of_model(given, folder, keys)
+def of_colmap(
+    given: Reconstruction, folder: Path, keys: Mapping[int, str], rigs: Iterable[Rig], frames: Iterable[Frame]
+) -> Reconstruction:
+    """Give a COLMAP model its rigs, else those of a rig_config.json in its folder or above.
+
+    keys: names of the images by their numbers.
+    """
+    several = {rig: sensors for rig, sensors in rigs if len(sensors) > 1}
+    if several:
+        member = {
+            keys.get(image, ""): (of, sensor, frame) for frame, of, data in frames for sensor, image in data
+        }
+        for rig, sensors in several.items():
+            members = [member.get(name, (-1, "", 0)) for name in given.image_names]
+            head = [sensor if of == rig else "" for of, sensor, _ in members]
+            given = with_rig(given, head, [str(frame) for *_, frame in members], sensors)
+        return given
     paths = (parent / "rig_config.json" for parent in (folder, *folder.parents[:2]))
     path = next((path for path in paths if path.is_file()), None)
     if path is None:
         return given
 
-    def rigs() -> list[list[tuple[str, bool, Sensor]]]:
+    def configured() -> list[list[tuple[str, bool, Sensor]]]:
         return [[_prefixed(camera, path) for camera in rig["cameras"]] for rig in read_json(path)]
 
-    for k, rig in enumerate(structured(path, "a rig_config.json of COLMAP", rigs)):
+    for k, rig in enumerate(structured(path, "a rig_config.json of COLMAP", configured)):
         sensors = {prefix: sensor for prefix, _, sensor in sorted(rig, key=lambda entry: not entry[1])}
         head = [
             next((sensor for sensor in sensors if name.startswith(sensor)), "") for name in given.image_names
         ]
         exposure = [f"{k}/{n[len(prefix) :]}" for n, prefix in zip(given.image_names, head, strict=True)]
         given = with_rig(given, head, exposure, sensors)
-    return given
-
-
-def _of_model(given: Reconstruction, folder: Path, keys: Mapping[int, str]) -> Reconstruction:
-    """Rigs with more than one sensor, and the frames that they were in."""
-    rigs = dict[str, dict[str, Sensor]]()
-    for line in read_lines(folder / "rigs.txt"):
-        cells = line.text.split()
-        sensors: dict[str, Sensor] = {" ".join(cells[2:4]): (np.eye(3), np.zeros(3))}
-        at = 4
-        while at + 2 < len(cells):
-            name, known = " ".join(cells[at : at + 2]), cells[at + 2] == "1"
-            pose = numbers(" ".join(cells[at + 3 : at + 10]), line.place, "sensor", 7) if known else []
-            sensors[name] = _sensor(pose[:4], pose[4:], line.place) if known else None
-            at += 10 if known else 3
-        if len(sensors) > 1:
-            rigs[cells[0]] = sensors
-    member = dict[str, tuple[str, str, str]]()
-    for line in read_lines(folder / "frames.txt"):
-        cells = line.text.split()
-        for at in range(10, len(cells) - 2, 3):
-            image = keys.get(int(cells[at + 2]) if cells[at + 2].isdecimal() else -1, "")
-            member[image] = cells[1], " ".join(cells[at : at + 2]), cells[0]
-    for rig, sensors in rigs.items():
-        members = [member.get(name, ("", "", "")) for name in given.image_names]
-        head = [sensor if of == rig else "" for of, sensor, _ in members]
-        given = with_rig(given, head, [frame for _, _, frame in members], sensors)
     return given
 
 
@@ -170,14 +179,50 @@ def _prefixed(camera: dict[str, Any], path: Path) -> tuple[str, bool, Sensor]:
     if "cam_from_rig_rotation" not in camera:
         return prefix, first, None
     shift = camera.get("cam_from_rig_translation", [0.0] * 3)
-    return prefix, first, _sensor(camera["cam_from_rig_rotation"], shift, path)
+    return prefix, first, sensor_of(camera["cam_from_rig_rotation"], shift, path)
 
 
-def _sensor(wxyz: Sequence[float], shift: Sequence[float], place: object) -> Sensor:
+def sensor_of(wxyz: Sequence[float], shift: Sequence[float], place: object) -> Sensor:
+    """Rotation and translation from rig to sensor, of a quaternion w, x, y, z."""
     quaternion = np.array(wxyz, dtype=float).reshape(4)
     if not abs(np.linalg.norm(quaternion) - 1) < LARGEST_MISFIT:
         raise InputMalformedError("the quaternion of a sensor of a rig has not the length 1", where=place)
     return rotation_from_quaternion(quaternion), np.array(shift, dtype=float).reshape(3)
+
+
+def of_poses(
+    cameras: Sequence[Camera], image_camera: Integers, poses: Floats
+) -> tuple[tuple[Head, ...], tuple[str, ...]]:
+    """Heads that a program held on a frame, and the exposure of each image (empty for one by itself).
+
+    They lie the same to each other at all exposures, as no free images do.
+    """
+    rotation, centre = matrix_from_angles(poses[:, :3]), poses[:, 3:]
+    ids, exposure, heads = [camera.id for camera in cameras], np.full(len(poses), -1), list[Head]()
+    for lead, other in combinations(range(len(ids)), 2):
+        on_frame = {head.camera: head.of for head in heads}
+        first, second = (np.flatnonzero(image_camera == k) for k in (lead, other))
+        alone = on_frame.get(ids[lead], ids[lead]) == ids[lead] and ids[other] not in on_frame
+        if not alone or min(len(first), len(second)) < FEWEST_EXPOSURES:
+            continue
+        first = first[cKDTree(centre[first]).query(centre[second])[1]]
+        between = rotation[second] @ np.swapaxes(rotation[first], 1, 2)
+        apart = np.einsum("nab,nb->na", rotation[first], centre[second] - centre[first])
+        place = np.median(apart, axis=0)
+        usual = np.argmin(np.linalg.norm(apart - place, axis=1))
+        turned = np.linalg.norm(between - between[usual], axis=(1, 2))
+        same = (turned < SAME_RAD) & (np.linalg.norm(apart - place, axis=1) < SAME_M)
+        if np.mean(same) < MOST or len(np.unique(first[same])) < same.sum():
+            continue
+        exposure[first[same]] = exposure[second[same]] = first[same]
+        if ids[lead] not in on_frame:
+            none = np.zeros(len(OF_HEAD))
+            heads.append(Head(ids[lead], ids[lead], np.zeros(3), none, none))
+        values, sigma = np.zeros(len(OF_HEAD)), np.zeros(len(OF_HEAD))
+        values[CENTRE], sigma[TURN], sigma[CENTRE] = place, np.inf, np.inf
+        turn = Rotation.from_matrix(between[usual]).as_rotvec()
+        heads.append(Head(ids[other], ids[lead], turn, values, sigma))
+    return tuple(heads), tuple("" if key < 0 else f"e{key}" for key in exposure)
 
 
 def of_metashape(

@@ -1,7 +1,7 @@
 """`photocal adopt`: the project of another program adjusted anew, and side by side what both say."""
 
 import datetime as dt
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,20 +12,29 @@ from scipy.stats import f
 from acquire.outputs import write_json, write_rows
 from drivers.arrays import Flags, Floats
 from drivers.errors import IllPosedError, NotConvergedError
+from photocal.adjustment.datum import with_datum
+from photocal.adjustment.factored import factored
+from photocal.adjustment.groups import member_tests
+from photocal.adjustment.network import NO_RELATIONS
+from photocal.adjustment.normal import prepare
+from photocal.adjustment.rig import OF_HEAD
+from photocal.adjustment.snooping import ray_fit, robust_state, subset
+from photocal.adjustment.state import start_state
 from photocal.adjustment.variance_components import estimate_components
 from photocal.block.folder import read_block
-from photocal.block.network import assemble, block_frame
+from photocal.block.model import ObjectPoints
+from photocal.block.network import assemble, behind_cameras, block_frame
 from photocal.block.setup import MountingKeys
 from photocal.exchange.project_detection import read_foreign_project
 from photocal.exchange.reconstruction import ForeignProject, estimating_what_it_has, without_weak_points
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
-from photocal.geometry.similarity import similarity
+from photocal.geometry.similarity import aligned_similarity, robust_similarity
 from photocal.measurement.block_files import SCHEMA as MEASURED
 from photocal.measurement.block_files import write_block
 from photocal.measurement.marks import in_map_system, named_after, read_control_marks, with_marks
 from photocal.measurement.start_block import without_images
-from photocal.measurement.tie_block import intersected, views_of
+from photocal.measurement.tie_block import TIE, intersected, views_of
 from photocal.measurement.tracks import Tracks
 from photocal.results.adjusted import adjust_block, adjusted, result_of
 from photocal.results.result import Result
@@ -37,7 +46,14 @@ from photocal.tasks.progress import Progress
 SHIFTED = 3.0
 SCHEMA = "photocal.adoption/1"
 FIGURES = "adoption.json"
+GROSS_RAYS = "rays-left-out.csv"
+# What a camera is known to while gross errors are sought, as a share of c.
+ROUGHLY = 0.01
+# Less of an observation than this is not taken to be checked by others.
+LEAST_CHECKED = 0.05
 FEWEST_CONTROL = 3
+# Weight of the direction in which images look, beside places of control that lie nearly in a line.
+LEVELLING_M2, _UP = 1.0, np.array([[0.0, 0.0, 1.0]])
 # Three rays give a pose that nothing checks; images that are named in one remark.
 FEWEST_RAYS, MOST_NAMED = 4, 6
 # How often the sigmas of image coordinates are estimated, where the program states none.
@@ -70,8 +86,34 @@ def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
     return figures
 
 
+def head_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any]]:
+    """Relative orientation of each head (deg, m): ours with sigmas, and its difference from theirs."""
+    given = {
+        head.camera: dict(zip(OF_HEAD, head.values.tolist(), strict=True)) for head in foreign.block.heads
+    }
+    return [
+        {
+            "camera": head.camera,
+            "of": head.of,
+            "exposures": head.exposures,
+            "rotation_deg": head.rotation_deg,
+            "values": {
+                key: {
+                    "ours": value.value,
+                    "sigma": value.sigma,
+                    # Turns count from the rotation that they have.
+                    "difference": value.value - (given[head.camera][key] if key in "xyz" else 0.0),
+                }
+                for key, value in head.values.items()
+                if value.estimated
+            },
+        }
+        for head in result.heads
+    ]
+
+
 def sigma_figures(
-    foreign: ForeignProject, result: Result, factors: Mapping[str, float]
+    foreign: ForeignProject, result: Result, found: Mapping[str, Floats]
 ) -> list[dict[str, Any]]:
     """What each group of observations was promised to be, and what its residuals show."""
     tie, seen = ties_of(result), result.residuals
@@ -90,19 +132,25 @@ def sigma_figures(
                     "found": sigma,
                 }
             )
-    points = foreign.block.points
-    control = np.flatnonzero(points.of_role("control"))
-    if len(control):
-        place = dict(zip(result.points.names, result.points.values, strict=True))
-        error = np.array([place[points.names[k]] - points.values[k] for k in control])
-        for name, axes in (("control in plane", slice(0, 2)), ("control in height", slice(2, 3))):
-            rows.append(_group(name, axes, error, points.sigma[control], factors.get("control")))
-    known = np.isfinite(foreign.position).all(axis=1)
-    if known.any():
-        error = (result.images.values[:, 3:] - foreign.position)[known]
-        error -= np.mean(error, axis=0)
-        for name, axes in (("positions in plane", slice(0, 2)), ("positions in height", slice(2, 3))):
-            rows.append(_group(name, axes, error, foreign.position_sigma[known], factors.get("position")))
+    points, known = foreign.block.points, np.isfinite(foreign.position).all(axis=1)
+    stated_of = {
+        "control": points.sigma[points.of_role("control")],
+        "position": foreign.position_sigma[known],
+    }
+    for kind, sigmas in stated_of.items():
+        for axes, where in ((slice(0, 2), "in plane"), (slice(2, 3), "in height")) if len(sigmas) else ():
+            # A held coordinate promises nothing that could be kept.
+            promised = sigmas[:, axes][np.isfinite(sigmas[:, axes])]
+            variance = np.mean(found[kind][axes]) if kind in found else np.nan
+            rows.append(
+                {
+                    "group": f"{kind if kind == 'control' else 'positions'} {where}",
+                    "unit": "m",
+                    "n": len(sigmas),
+                    "stated": float(np.sqrt(np.mean(promised**2))) if len(promised) else None,
+                    "found": float(np.sqrt(variance)) if variance > 0 else None,
+                }
+            )
     return rows
 
 
@@ -112,22 +160,6 @@ def ties_of(result: Result) -> Flags:
     roles = dict(zip(result.points.names, result.points.role, strict=True))
     tie = np.array([roles.get(name, "tie") == "tie" for name in seen.point_names])
     return np.asarray(tie[seen.point])
-
-
-def _group(name: str, axes: slice, error: Floats, stated: Floats, factor: float | None) -> dict[str, Any]:
-    """Some axes of a group; the errors share among them what was found for all together."""
-    usable = np.isfinite(stated) & np.isfinite(error)
-    used = usable[:, axes]
-    row = {"group": name, "unit": "m", "n": len(error), "stated": None, "found": None}
-    if not used.any():
-        return row
-    typical = float(np.sqrt(np.mean(stated[:, axes][used] ** 2)))
-    if factor is None:
-        return {**row, "stated": typical}
-    # Residuals are smaller than errors by what the adjustment takes from their observations.
-    whole = np.sqrt(np.mean((error[usable] / stated[usable]) ** 2))
-    share = np.sqrt(np.mean((error[:, axes][used] / stated[:, axes][used]) ** 2)) / whole
-    return {**row, "stated": typical, "found": float(typical * factor * share)}
 
 
 def position_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] | None:
@@ -207,6 +239,19 @@ def adoption_text(figures: dict[str, Any]) -> str:
             ours = f"{parameter['ours']:.8g}" + (f" +- {sigma:.2g}" if sigma else " held")
             away = "" if sigma is None else f"{parameter['difference_in_sigmas']:+.2f} sd"
             lines.append(f"  {key:<4}{theirs:>28}{ours:>28}{away:>14}")
+    for head in figures["heads"]:
+        turns, places = (
+            ", ".join(
+                f"{factor * value['difference']:+.2f} +- {factor * value['sigma']:.2f}"
+                for key, value in head["values"].items()
+                if key.startswith("turn") == turning
+            )
+            for turning, factor in ((True, 3600.0), (False, 1000.0))
+        )
+        lines.append(
+            f"head {head['camera']} on {head['of']} ({head['exposures']} exposures), ours minus theirs: "
+            f"turned by {turns} arcsec, centre {places} mm (x, y, z)"
+        )
     for row in figures["sigmas"]:
         stated = "not stated" if row["stated"] is None else f"stated {row['stated']:.3g} {row['unit']}"
         kept = (
@@ -249,6 +294,8 @@ def adopt(
         foreign = _without_what_hangs_loose(replace(foreign, block=block))
     source, run = output / "block", output / "calibration"
     source.mkdir(parents=True, exist_ok=True)
+    with progress("gross errors of the rays", None):
+        foreign = _without_what_hangs_loose(_without_gross_rays(foreign, output))
     with progress("weights of the image coordinates", None):
         foreign = _determined(source, foreign)
         if not foreign.weighted:
@@ -258,7 +305,7 @@ def adopt(
     with progress("analysis", None):
         hidden = analyse_run(run, source).findings
     with progress("sigmas of control and positions", None):
-        weighed, factors = _as_residuals_agree(source)
+        found = _as_residuals_agree(source)
     figures = {
         "schema": SCHEMA,
         "program": foreign.program,
@@ -269,7 +316,8 @@ def adopt(
         "remarks": list(foreign.remarks),
         "sigma0_squared": result.sigma0_squared,
         "cameras": camera_figures(foreign, result),
-        "sigmas": sigma_figures(foreign, weighed or result, factors),
+        "heads": head_figures(foreign, result),
+        "sigmas": sigma_figures(foreign, result, found),
         "positions": position_figures(foreign, result),
         "control": control_figures(foreign, result),
         "exterior": exterior_figures(foreign, result),
@@ -302,13 +350,17 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     places = frame.to_given(intersected(views_of(block, frame), tracks))
     met = np.isfinite(places).all(axis=1)
     # The map is taken as if it were Cartesian.
-    fit = similarity(places[met], control.points.values[kept[met]])
-    if fit is None:
+    if met.sum() < FEWEST_CONTROL:
         raise IllPosedError(
             f"{int(met.sum())} control points of the list are marked in two images and more",
             "three that are not in a line bring the block onto them",
             where=lists[0],
         )
+    # The map is taken as if it were Cartesian; control along a line leaves a turn to where images look from.
+    looks = -matrix_from_angles(block.images.values[:, :3])[:, 2].mean(axis=0)
+    source, target = places[met], control.points.values[kept[met]]
+    robust = robust_similarity(source, target)
+    fit = robust[0] if robust else aligned_similarity(source, target, -looks[None], _UP, LEVELLING_M2)
     rotation = fit.applied_to_rotations(matrix_from_angles(block.images.values[:, :3]))
     poses = np.hstack([angles_from_matrix(rotation), fit.applied(block.images.values[:, 3:])])
     ties, rays = tuple(f"tie {name}" for name in block.points.names), block.observations
@@ -320,9 +372,70 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
         points=control.points.with_ties(ties, fit.applied(block.points.values)),
         observations=seen.plus(rays.image, rays.point + len(control.points.names), rays.values, rays.sigma),
     )
-    remarks = [f"control of {lists[0].name}, in {control.crs}, taken as Cartesian"]
+    assumed = f"{ASSUMED_M[0]} and {ASSUMED_M[1]} m assumed"
+    remarks = [
+        f"control of {lists[0].name}, in {control.crs}, taken as Cartesian; without accuracies: {assumed}"
+    ]
     remarks += [f"{len(unknown)} marks are in no image of the project"] if unknown else []
     return replace(given, block=moved, remarks=(*given.remarks, *remarks))
+
+
+def _without_gross_rays(foreign: ForeignProject, output: Path) -> ForeignProject:
+    """Leave out rays that do not fit the others, whatever control and positions say; `output` lists them."""
+    block = foreign.block
+    seen, tie = block.observations, block.points.of_role("tie")
+    rays = np.flatnonzero(np.bincount(seen.point, minlength=len(tie))[seen.point] > 1)
+    # What was surveyed may be exchanged: it is where its rays meet.
+    places = np.where(tie[:, None], block.points.values, np.nan)
+    bare = replace(
+        block,
+        datum="free",
+        datum_points=(),
+        cameras=tuple(_nearly_known(camera) for camera in block.cameras),
+        images=replace(block.images, sigma=np.full_like(block.images.sigma, np.inf)),
+        points=ObjectPoints(block.points.names, places, np.full_like(places, np.inf), np.full(len(tie), TIE)),
+        observations=seen.rows(rays),
+        relations=NO_RELATIONS,
+        heads=(),
+    )
+    assembly = assemble(bare)
+    whole = assembly.network
+    lost = behind_cameras(whole.exposures, whole.rays, whole.points.values)
+    network, kept, _ = subset(whole, ~lost[whole.rays.point])
+    problem, start = prepare(network), start_state(network)
+    fit = ray_fit(problem, robust_state(with_datum(problem, start), start))
+    gross = np.zeros(len(seen.point), dtype=np.bool_)
+    rays = rays[assembly.rays]
+    gross[rays] = True
+    rays = rays[kept]
+    # Residuals are as much smaller than errors as unknowns take from them; of the lengths of pairs of normal
+    # deviates the median is known, and what one in all exceeds.
+    taken = (3 * len(network.point_names) + 6 * len(network.image_names)) / (2 * len(fit))
+    limit = np.sqrt(np.log(2 * len(fit)) / np.log(2) / max(1 - taken, LEAST_CHECKED))
+    for kind in (tie[seen.point[rays]], ~tie[seen.point[rays]]):
+        gross[rays[kind]] = fit[kind] > limit * np.median(fit[kind])
+    if not gross.any():
+        return foreign
+    names, points = block.images.names, block.points.names
+    listed = [(names[seen.image[k]], points[seen.point[k]], *seen.values[k]) for k in np.flatnonzero(gross)]
+    write_rows(output / GROSS_RAYS, ("image", "point", "x", "y"), ([*map(str, row)] for row in listed))
+    remarks = [f"{len(listed)} of {len(gross)} rays do not fit the others: left out ({GROSS_RAYS})"]
+    marks = [
+        f"{points[seen.point[k]]} in {names[seen.image[k]]}" for k in np.flatnonzero(gross & ~tie[seen.point])
+    ]
+    remarks += [f"{len(marks)} marks of surveyed points among them: {_some(marks)}"] if marks else []
+    fitting = replace(block, observations=seen.rows(~gross))
+    return replace(foreign, block=fitting, remarks=(*foreign.remarks, *remarks))
+
+
+def _nearly_known(camera: Camera) -> Camera:
+    """The camera with c, x0 and y0 within a hundredth of c: a level block alone does not determine them."""
+    sigma = np.where(among("c", "x0", "y0"), ROUGHLY * camera.value("c"), camera.prior_sigma)
+    return replace(camera, prior_sigma=np.minimum(sigma, camera.prior_sigma))
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:MOST_NAMED]) + (" ..." if len(names) > MOST_NAMED else "")
 
 
 def _write(folder: Path, foreign: ForeignProject) -> None:
@@ -367,8 +480,7 @@ def _without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
         )
     remarks = [f"{lost} points have one ray only: left out"] if lost else []
     if names:
-        listed = ", ".join(names[:MOST_NAMED]) + (" ..." if len(names) > MOST_NAMED else "")
-        remarks += [f"{len(names)} images have fewer than {FEWEST_RAYS} rays: left out ({listed})"]
+        remarks += [f"{len(names)} images have fewer than {FEWEST_RAYS} rays: left out ({_some(names)})"]
     return replace(foreign, block=block, remarks=(*foreign.remarks, *remarks))
 
 
@@ -414,16 +526,31 @@ def _weighted(folder: Path, foreign: ForeignProject) -> None:
         _write(folder, replace(foreign, block=replace(foreign.block, observations=observations)))
 
 
-def _as_residuals_agree(folder: Path) -> tuple[Result | None, dict[str, float]]:
-    """Adjust with the sigmas that the residuals of each group show, and by what they were multiplied."""
-    block = read_block(folder)
-    assembly = assemble(block)
+def _as_residuals_agree(folder: Path) -> dict[str, Floats]:
+    """Variances of control points and of positions along the axes, m^2, (3,), that the residuals show."""
+    network = assemble(read_block(folder)).network
     try:
-        estimated = estimate_components(assembly.network, settled=_SETTLED)
+        # Frames may be as stiff as they are stated to be, or stiffer.
+        estimated = estimate_components(network, hold=("rig",), settled=_SETTLED)
+        members = member_tests(factored(estimated.network, estimated.solution.state), estimated.solution)
     except (IllPosedError, NotConvergedError):
-        return None, {}
-    factors = {component.name: component.factor for component in estimated.components if component.estimated}
-    return result_of(block, replace(assembly, network=estimated.network), estimated.solution), factors
+        return {}
+    points, positions = estimated.network.points, estimated.network.positions
+    given = dict(zip(positions.image.tolist(), positions.covariance, strict=True))
+    variances: dict[str, list[Floats]] = {}
+    for member in members:
+        own = (
+            given[member.index] if member.kind == "position" else np.linalg.pinv(points.weight[member.index])
+        )
+        # What the others say departs from an observation by its error and by theirs.
+        variances.setdefault(member.kind, []).append(
+            np.where(
+                np.isfinite(np.diag(member.covariance)),
+                member.error**2 - np.diag(member.covariance - own),
+                np.nan,
+            )
+        )
+    return {kind: np.nanmean(rows, axis=0) for kind, rows in variances.items() if np.isfinite(rows).any()}
 
 
 def _solved(folder: Path) -> Result:
