@@ -138,8 +138,8 @@ FORMATS: tuple[Format, ...] = (
            "geographic:write_kml:block.kml", ""),
     Format("geopackage", "GeoPackage", ("orientations", "points", "marks"), "wgs84", CENTRE, PHOTO, "none",
            "deg, m, px", "geographic:export_geopackage", ""),
-    Format("photoscan", "PhotoScan, project", WHOLE, "own", CORNER, VISION, "brown-ideal", "px, m", "", "",
-           "photoscan:read_photoscan", ("*.psz",)),
+    Format("photoscan", "PhotoScan and Metashape, project", WHOLE, "own", CORNER, VISION, "brown-ideal",
+           "px, m", "", "", "photoscan:read_photoscan", ("*.psz", "*.psx")),
 )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ files give fx, fy and cx, cy from the upper-left corner. Source: Metashape user 
 models".
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
@@ -18,13 +18,15 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, Role
-from photocal.exchange.parts import UNKNOWN, PointEntry
+from photocal.exchange.parts import UNKNOWN, PointEntry, distinct
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
 from photocal.exchange.rigs import of_metashape, slave_in_master
 from photocal.exchange.source import child, image_size, number, numbers, read_xml, write_xml
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted, in_pixels
+from photocal.geometry.frames import ReferenceFrame
+from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
 # Our parameter for each key, its sign (y is up here and down there), and by which power of f it is divided.
 TERMS: dict[str, tuple[str, int, int]] = {
@@ -46,12 +48,15 @@ class Chunk:
     """What a camera XML holds.
 
     reconstruction: cameras that are used, aligned images, markers as points and their projections as rays.
-    crs: the chunk's coordinate system; empty when local.
+    crs: the chunk's coordinate system; empty when local. Its orientations are geocentric otherwise.
+    position, position_sigma (images, 3): observed, in the chunk's system; NaN without.
     """
 
     reconstruction: Reconstruction
     markers: tuple[PointEntry, ...]
     crs: str
+    position: Floats
+    position_sigma: Floats
 
 
 def read_metashape(path: Path) -> Chunk:
@@ -76,7 +81,7 @@ def chunk_of(root: Element, path: Path) -> Chunk:
     lost = [shot for shot in shots if shot.get("sensor_id") not in sensors]
     if lost:
         raise malformed(f"image {lost[0].get('label')} has a sensor without calibration")
-    order = {key: k for k, key in enumerate(sensors)}
+    names, order = image_names(chunk), {key: k for k, key in enumerate(sensors)}
     matrices = np.array([poses_of[shot.get("id", "")] for shot in shots])
     poses = _poses(matrices.reshape(-1, 4, 4), chunk_transform(chunk, path))
     listed = markers(chunk, path)
@@ -91,7 +96,7 @@ def chunk_of(root: Element, path: Path) -> Chunk:
     table = np.array(rays, dtype=float).reshape(-1, 4)
     reconstruction = Reconstruction(
         tuple(sensors.values()),
-        tuple(shot.get("label", "") for shot in shots),
+        tuple(names[shot.get("id", "")] for shot in shots),
         np.array([order[shot.get("sensor_id", "")] for shot in shots], dtype=np.int64),
         poses,
         tuple(marker.name for marker in listed.values()),
@@ -102,9 +107,47 @@ def chunk_of(root: Element, path: Path) -> Chunk:
         tuple(marker.role for marker in listed.values()),
         xyz_sigma=np.array([marker.sigma for marker in listed.values()], dtype=float).reshape(-1, 3),
     )
-    reconstruction = of_metashape(reconstruction, chunk, shots, path)
+    reconstruction = of_metashape(reconstruction, shots)
     crs = (chunk.findtext("reference") or "").strip()
-    return Chunk(reconstruction, tuple(listed.values()), "" if crs.startswith("LOCAL_CS") else crs)
+    crs = "" if crs.startswith("LOCAL_CS") else crs
+    references = np.array([_reference(shot, path) for shot in shots], dtype=float).reshape(-1, 2, 3)
+    return Chunk(reconstruction, tuple(listed.values()), crs, references[:, 0], references[:, 1])
+
+
+def local_chunk(chunk: Chunk) -> Chunk:
+    """Take a chunk in a reference system to east, north and up at its middle."""
+    if not chunk.crs:
+        return chunk
+    given = chunk.reconstruction
+    known = np.vstack([given.xyz, chunk.position])
+    known = known[np.isfinite(known).all(axis=1)]
+    if not len(known):
+        raise InputMalformedError("has no coordinates in its system", "export markers or camera references")
+    frame = ReferenceFrame(chunk.crs, known.mean(axis=0))
+    origin, axes = frame.axes
+    turned = angles_from_matrix(matrix_from_angles(given.poses[:, :3]) @ axes.T)
+    poses = np.hstack([turned, (given.poses[:, 3:] - origin) @ axes.T])
+    moved = replace(given, poses=poses, xyz=frame.to_local(given.xyz))
+    listed = tuple(replace(marker, xyz=xyz) for marker, xyz in zip(chunk.markers, moved.xyz, strict=True))
+    position = frame.to_local(chunk.position)
+    return replace(chunk, reconstruction=moved, markers=listed, crs="", position=position)
+
+
+def _reference(shot: Element, path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Position of an image and its standard deviations, as far as they are given and used."""
+    given = shot.find("reference")
+    if given is None or not given.get("x") or given.get("enabled", "true").lower() not in ("true", "1"):
+        return UNKNOWN, UNKNOWN
+    return tuple(number(given.get(axis, ""), path, "camera reference") for axis in "xyz"), _accuracy(
+        given, path
+    )
+
+
+def image_names(chunk: Element) -> dict[str, str]:
+    """Names of a chunk's images by their number."""
+    shots = list(chunk.iterfind("cameras/camera"))
+    labels = distinct(shot.get("label", "") for shot in shots)
+    return {shot.get("id", ""): label for shot, label in zip(shots, labels, strict=True)}
 
 
 def _matrices(chunk: Element, path: Path) -> dict[str, Floats]:
@@ -212,14 +255,7 @@ def read_local(path: Path) -> Reconstruction:
 
 def read_camera_block(path: Path) -> Block:
     """Read a camera XML."""
-    chunk = read_metashape(path)
-    if chunk.crs:
-        raise InputMalformedError(
-            f"is in the coordinate system {chunk.crs[:60]!r}, its orientations are not",
-            "export the cameras of a chunk in local coordinates",
-            where=path,
-        )
-    return vision_block(path.stem, chunk.reconstruction, [path])
+    return vision_block(path.stem, local_chunk(read_metashape(path)).reconstruction, [path])
 
 
 def recognises(path: Path) -> bool:

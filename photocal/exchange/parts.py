@@ -1,5 +1,6 @@
 """Putting a block together from what a foreign file holds: names to indices, and nothing twice."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,6 +127,16 @@ def require_unique(names: Sequence[str], what: str, place: object) -> None:
     if len(set(names)) < len(names):
         twice = next(name for k, name in enumerate(names) if name in names[:k])
         raise InputMalformedError(f"{what} {twice} is listed twice", "keep one of the rows", where=place)
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Names of which none comes twice: images of several folders often have equal ones."""
+    count = Counter[str]()
+    found = list[str]()
+    for name in names:
+        count[name] += 1
+        found.append(name if count[name] == 1 else f"{name} ({count[name]})")
+    return found
 
 
 def require_file_name(name: str) -> None:

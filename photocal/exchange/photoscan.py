@@ -1,6 +1,7 @@
-"""PhotoScan projects of one file (.psz): cameras, markers and tie points into a block.
+"""Projects of PhotoScan (.psz) and Metashape (.psx): cameras, markers and tie points into a block.
 
-A zip archive with doc.xml (see `metashape`, whose conventions hold) and PLY tables: projections of each image
+A zip archive with doc.xml (see `metashape`, whose conventions hold) and PLY tables, or for .psx a folder of
+such archives, one each for project, chunk, frame and tie points: projections of each image
 (x, y in px from the upper-left corner of the upper-left pixel, track) and points (chunk coordinates, track).
 Standard deviations come from the project's settings: `accuracy_projections` for markers, `accuracy_tiepoints`
 for tie points (px), `accuracy_markers` for markers without their own (m). Nothing is unpacked to disk.
@@ -9,6 +10,7 @@ for tie points (px), `accuracy_markers` for markers without their own (m). Nothi
 import struct
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from drivers.errors import InputMalformedError
 from photocal.block.model import Block, Images
 from photocal.exchange import parts
-from photocal.exchange.metashape import Chunk, chunk_of, chunk_transform
+from photocal.exchange.metashape import Chunk, chunk_of, chunk_transform, image_names, local_chunk
 from photocal.exchange.source import MAX_XML_BYTES, child, fingerprint, number, parse_xml, require_readable
 
 _TYPES = {
@@ -42,24 +44,68 @@ _ARCHIVE_FAILURES = (
 
 def read_photoscan(path: Path) -> Block:
     """Read a project with one chunk."""
+    return read_project(path)[0]
+
+
+def read_project(path: Path) -> tuple[Block, Chunk]:
+    """Read a project with one chunk: its block, and the chunk with the positions of its images."""
     require_readable(path)
     try:
+        if path.suffix.lower() == ".psx":
+            return _of_parts(path)
         with zipfile.ZipFile(path) as archive:
-            return _block(archive, path)
+            return _block(archive, parse_xml(_member(archive, "doc.xml", path, MAX_XML_BYTES), path), path)
     except _ARCHIVE_FAILURES as failure:
         raise InputMalformedError(
             f"is no readable archive ({failure})", "was it written completely?", where=path
         ) from failure
 
 
-def _block(archive: zipfile.ZipFile, path: Path) -> Block:
-    root = parse_xml(_member(archive, "doc.xml", path, MAX_XML_BYTES), path)
-    chunk = chunk_of(root, path)
+def _of_parts(path: Path) -> tuple[Block, Chunk]:
+    """Put the archives of a project together: each names those below it by `path`."""
+    folder = path.with_suffix(".files")
+
+    def part(place: Path) -> Element:
+        require_readable(place)
+        with zipfile.ZipFile(place) as archive:
+            return parse_xml(_member(archive, "doc.xml", place, MAX_XML_BYTES), place)
+
+    def below(place: Path, element: Element | None) -> Path:
+        name = "" if element is None else element.get("path", "")
+        inside = (place.parent / name).resolve()
+        if not name or folder.resolve() not in inside.parents:
+            raise InputMalformedError("does not name its parts", "is it a project?", where=place)
+        return inside
+
+    root = part(folder / "project.zip")
+    chunks = child(root, "chunks", path)
+    for listed in list(chunks):
+        place = below(folder / "project.zip", listed)
+        chunk = part(place)
+        frames = child(chunk, "frames", place)
+        at = below(place, frames.find("frame"))
+        frame = part(at)
+        frames[:] = [frame]
+        chunks.remove(listed)
+        chunks.append(chunk)
+        cloud = frame.find("point_cloud")
+        if cloud is None:
+            raise InputMalformedError("has no tie points", "align the photos, and save", where=path)
+        points = below(at, cloud)
+        frame.remove(cloud)
+        frame.append(part(points))
+    with zipfile.ZipFile(points) as archive:
+        return _block(archive, root, path)
+
+
+def _block(archive: zipfile.ZipFile, root: Element, path: Path) -> tuple[Block, Chunk]:
+    given_chunk = chunk_of(root, path)
+    chunk = local_chunk(given_chunk)
     element = child(root, "chunks/chunk", path)
     settings = {
         key.get("name", ""): number(key.get("value", ""), path, key.get("name", ""))
         for key in element.iterfind("settings/property")
-        if key.get("name", "").startswith("accuracy_")
+        if key.get("name", "").startswith("accuracy_") and len(key.get("value", "").split()) == 1
     }
     given = chunk.reconstruction
     entries = [_marker(marker, settings, path) for marker in chunk.markers]
@@ -69,17 +115,15 @@ def _block(archive: zipfile.ZipFile, path: Path) -> Block:
         for i, j, (x, y) in zip(given.image, given.point, given.pixels.tolist(), strict=True)
     ]
     ties, tie_marks = _tie_points(
-        archive, element, chunk, _setting(settings, "accuracy_tiepoints", path), path
+        archive, element, given_chunk, _setting(settings, "accuracy_tiepoints", path), path
     )
-    return parts.block(
-        path.stem,
-        given.cameras,
-        Images(given.image_names, given.image_camera, given.poses),
-        [*entries, *ties],
-        [*marks, *tie_marks],
-        [fingerprint(path)],
-        frame=chunk.crs or "local",
+    shots = Images(given.image_names, given.image_camera, given.poses, exposure=given.exposure)
+    block = parts.block(
+        path.stem, given.cameras, shots, [*entries, *ties], [*marks, *tie_marks], [fingerprint(path)]
     )
+    common = settings.get("accuracy_cameras", np.nan)
+    sigma_m = np.where(np.isnan(chunk.position_sigma), common, chunk.position_sigma)
+    return replace(block, heads=given.heads), replace(chunk, position_sigma=sigma_m)
 
 
 def _marker(marker: parts.PointEntry, settings: dict[str, float], path: Path) -> parts.PointEntry:
@@ -105,13 +149,14 @@ def _tie_points(
     points = _ply(archive, child(cloud, "points", path).get("path", ""), ("x", "y", "z", "id"), path)
     to_world = chunk_transform(element, path)
     xyz = np.column_stack([points[axis] for axis in "xyz"]).astype(float)
-    xyz = xyz @ to_world[:3, :3].T + to_world[:3, 3]
+    # Geocentric ones are left to their rays.
+    xyz = np.full_like(xyz, np.nan) if chunk.crs else xyz @ to_world[:3, :3].T + to_world[:3, 3]
     # Markers have numbers for names too.
     names = {int(key): f"tie{key}" for key in points["id"]}
     entries = [
         parts.PointEntry(names[int(key)], "tie", row) for key, row in zip(points["id"], xyz, strict=True)
     ]
-    labels = {shot.get("id", ""): shot.get("label", "") for shot in element.iterfind("cameras/camera")}
+    labels = image_names(element)
     oriented = set(chunk.reconstruction.image_names)
     marks = []
     for projections in cloud.iterfind("projections"):

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.arrays import Floats
 from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Block, Images, Observations, Role
-from photocal.exchange.parts import PointEntry, object_points
+from photocal.exchange.parts import PointEntry, distinct, object_points
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import (
     ASSUMED_M,
@@ -118,7 +118,7 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
         "",
         "control",
         cameras,
-        Images(tuple(image_names), np.array(member, dtype=np.int64), poses, exposure=exposure),
+        Images(tuple(distinct(image_names)), np.array(member, dtype=np.int64), poses, exposure=exposure),
         object_points(entries),
         observations,
         (fingerprint(path), fingerprint(bingo)),

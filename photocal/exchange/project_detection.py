@@ -11,8 +11,9 @@ from photocal.exchange.colmap import FILES as COLMAP_FILES
 from photocal.exchange.dbat import read_dbat_cameras
 from photocal.exchange.dbat_camera import from_dbat
 from photocal.exchange.formats import read_foreign_block
-from photocal.exchange.metashape import TERMS
+from photocal.exchange.metashape import TERMS, Chunk, local_chunk, read_metashape
 from photocal.exchange.micmac import PLACEHOLDER, read_micmac
+from photocal.exchange.photoscan import read_project
 from photocal.exchange.pix4d_project import CAMERAS, read_pix4d_project
 from photocal.exchange.reconstruction import ASSUMED_M, ForeignProject, bare_project
 from photocal.exchange.source import numbers, read_xml
@@ -20,6 +21,7 @@ from photocal.geometry.camera import Camera
 
 _PROGRAMS = {
     ".psz": ("PhotoScan", True),
+    ".psx": ("Metashape", True),
     ".opf": ("OPF", False),
     ".json": ("OpenSfM", False),
     ".txt": ("PhotoModeler", True),
@@ -40,7 +42,7 @@ def read_foreign_project(path: Path) -> ForeignProject:
     refusal: PhotocalError | None = None
     for pattern, read in (
         (f"*{CAMERAS}", lambda file: read_pix4d_project(file.parent)),
-        ("*.psz", _of_file),
+        ("*.ps[xz]", _of_file),
         ("project.opf", _of_file),
         ("*.opf", _of_file),
         ("cameras.bin", _of_file),
@@ -68,9 +70,12 @@ def read_foreign_project(path: Path) -> ForeignProject:
 
 
 def _of_file(path: Path) -> ForeignProject:
-    block = read_foreign_block(path)
     kind = path.suffix.lower()
     program, weighted = _PROGRAMS.get(kind, (path.name, True))
+    if kind in (".psz", ".psx"):
+        block, chunk = read_project(path)
+        return _with_positions(bare_project(program, block, weighted=weighted), chunk)
+    block = read_foreign_block(path)
     if path.stem in COLMAP_FILES and kind in (".txt", ".bin"):
         program, weighted = "COLMAP", False
     given = bare_project(program, block, weighted=weighted)
@@ -78,7 +83,15 @@ def _of_file(path: Path) -> ForeignProject:
         return given
     if read_xml(path).get("dbat_script_version"):
         return replace(given, program="DBAT", cameras=_dbat_results(path, block))
-    return replace(given, program="Metashape", weighted=False, camera_sigma=_metashape_sigmas(path, block))
+    given = replace(given, program="Metashape", weighted=False, camera_sigma=_metashape_sigmas(path, block))
+    return _with_positions(given, local_chunk(read_metashape(path)))
+
+
+def _with_positions(given: ForeignProject, chunk: Chunk) -> ForeignProject:
+    # Positions whose accuracy is not said weigh nothing.
+    stated = (chunk.position_sigma > 0).all(axis=1, keepdims=True)
+    position, sigma = (np.where(stated, values, np.nan) for values in (chunk.position, chunk.position_sigma))
+    return replace(given, position=position, position_sigma=sigma)
 
 
 def _dbat_results(path: Path, block: Block) -> tuple[Camera, ...]:

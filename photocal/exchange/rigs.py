@@ -24,7 +24,7 @@ from drivers.arrays import Floats, Integers
 from drivers.errors import InputMalformedError
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.block.rig import Head
-from photocal.exchange.pinhole import FLIP, rotation_from_quaternion
+from photocal.exchange.pinhole import FLIP, rotation_from_quaternion, to_vision
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import numbers, read_json, structured
 from photocal.geometry.camera import Camera
@@ -225,17 +225,18 @@ def of_poses(
     return tuple(heads), tuple("" if key < 0 else f"e{key}" for key in exposure)
 
 
-def of_metashape(
-    given: Reconstruction, chunk: Element, shots: Sequence[Element], path: Path
-) -> Reconstruction:
-    """Give a Metashape chunk its multi-camera system: sensors with a master, images with a `master_id`."""
+def of_metashape(given: Reconstruction, shots: Sequence[Element]) -> Reconstruction:
+    """Give a Metashape chunk its multi-camera system: images with a `master_id`."""
+    place = {shot.get("id", ""): k for k, shot in enumerate(shots)}
+    rotation, translation = to_vision(given.poses)
     sensors = dict[str, Sensor]()
-    for sensor in chunk.iterfind("sensors/sensor"):
-        if sensor.get("master_id") is not None:
-            sensors.setdefault(sensor.get("master_id", ""), (np.eye(3), np.zeros(3)))
-            matrix = slave_in_master(sensor, path)
-            rotation = matrix[:3, :3].T
-            sensors[sensor.get("id", "")] = rotation, -rotation @ matrix[:3, 3]
+    # As images lie to those of their masters: a chunk has a scale of its own.
+    for k, shot in enumerate(shots):
+        a = place.get(shot.get("master_id", ""), k)
+        if a != k:
+            sensors.setdefault(shots[a].get("sensor_id", ""), (np.eye(3), np.zeros(3)))
+            turn = rotation[k] @ rotation[a].T
+            sensors.setdefault(shot.get("sensor_id", ""), (turn, translation[k] - turn @ translation[a]))
     head = [shot.get("sensor_id", "") for shot in shots]
     exposure = [shot.get("master_id", shot.get("id", "")) for shot in shots]
     return with_rig(given, head, exposure, sensors) if sensors else given

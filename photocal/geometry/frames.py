@@ -76,7 +76,7 @@ class ReferenceFrame:
         return f"+a={ellipsoid.semi_major_metre!r} +b={ellipsoid.semi_minor_metre!r}"
 
     @cached_property
-    def _axes(self) -> tuple[Floats, Floats]:
+    def axes(self) -> tuple[Floats, Floats]:
         """Geocentric origin and rotation from geocentric to east, north, up."""
         longitude, latitude, _ = self._geodetic(self.origin[None])[0]
         return self._geocentric(self.origin[None])[0], enu_axes(latitude, longitude)
@@ -100,7 +100,7 @@ class ReferenceFrame:
 
     def to_local(self, given: Floats) -> Floats:
         """See `Frame`."""
-        origin, rotation = self._axes
+        origin, rotation = self.axes
         local = np.full(given.shape, np.nan)
         known = np.isfinite(given).all(axis=1)
         if known.any():
@@ -109,7 +109,7 @@ class ReferenceFrame:
 
     def to_given(self, local: Floats) -> Floats:
         """See `Frame`."""
-        origin, rotation = self._axes
+        origin, rotation = self.axes
         latitude, longitude, height = geodetic(local @ rotation + origin, self._ellipsoid)
         return np.column_stack(self._to_geodetic.transform(longitude, latitude, height, direction="INVERSE"))
 

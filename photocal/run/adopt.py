@@ -3,6 +3,7 @@
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.stats import f
 
 from acquire.outputs import write_json, write_rows
-from drivers.arrays import Flags, Floats
+from drivers.arrays import Flags, Floats, Integers
 from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factored
@@ -22,7 +23,7 @@ from photocal.adjustment.snooping import ray_fit, robust_state, subset
 from photocal.adjustment.state import start_state
 from photocal.adjustment.variance_components import estimate_components
 from photocal.block.folder import read_block
-from photocal.block.model import ObjectPoints
+from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import assemble, behind_cameras, block_frame
 from photocal.block.setup import MountingKeys
 from photocal.exchange.project_detection import read_foreign_project
@@ -36,7 +37,7 @@ from photocal.measurement.marks import in_map_system, named_after, read_control_
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_block import TIE, intersected, views_of
 from photocal.measurement.tracks import Tracks
-from photocal.results.adjusted import adjust_block, adjusted, result_of
+from photocal.results.adjusted import adjust_block, adjust_network, adjusted, result_of
 from photocal.results.result import Result
 from photocal.run.block import mounting_text
 from photocal.run.folder_survey import ASSUMED_M
@@ -49,6 +50,9 @@ FIGURES = "adoption.json"
 GROSS_RAYS = "rays-left-out.csv"
 # What a camera is known to while gross errors are sought, as a share of c.
 ROUGHLY = 0.01
+# Control so many times farther than usual from where its rays meet would bend the block; so much is enough to
+# tell what is usual.
+FAR, ENOUGH_CONTROL = 30.0, 5
 # Less of an observation than this is not taken to be checked by others.
 LEAST_CHECKED = 0.05
 FEWEST_CONTROL = 3
@@ -116,7 +120,7 @@ def sigma_figures(
     foreign: ForeignProject, result: Result, found: Mapping[str, Floats]
 ) -> list[dict[str, Any]]:
     """What each group of observations was promised to be, and what its residuals show."""
-    tie, seen = ties_of(result), result.residuals
+    tie, seen = ties_of(foreign, result), result.residuals
     rows: list[dict[str, Any]] = []
     for name, rays in (("image coordinates of tie points", tie), ("marks of surveyed points", ~tie)):
         free = float(seen.redundancy[rays].sum())
@@ -154,23 +158,32 @@ def sigma_figures(
     return rows
 
 
-def ties_of(result: Result) -> Flags:
+def ties_of(foreign: ForeignProject, result: Result) -> Flags:
     """Which observations are of tie points, shape (n,)."""
-    seen = result.residuals
-    roles = dict(zip(result.points.names, result.points.role, strict=True))
-    tie = np.array([roles.get(name, "tie") == "tie" for name in seen.point_names])
-    return np.asarray(tie[seen.point])
+    points, seen = foreign.block.points, result.residuals
+    role = dict(zip(points.names, points.of_role("tie").tolist(), strict=True))
+    return np.array([role[name] for name in seen.point_names])[seen.point]
 
 
-def position_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] | None:
-    """The shift that all positions have in common, adjusted minus given."""
+def position_figures(
+    foreign: ForeignProject, result: Result, sigmas: Sequence[dict[str, Any]]
+) -> dict[str, Any] | None:
+    """The shift that all positions have in common, adjusted minus given; its sigma as positions are found."""
+    worse = max(
+        [1.0]
+        + [
+            row["found"] / row["stated"]
+            for row in sigmas
+            if row["group"].startswith("positions") and row["found"] and row["stated"]
+        ]
+    )
     mounting = result.mounting
     known = np.isfinite(foreign.position).all(axis=1)
     if mounting is None or not known.any():
         return None
     # The shift belongs to the observed positions: observed = true + shift.
     shift = {axis: -mounting[f"shift_{axis}"].value for axis in "xyz"}
-    sigma = {axis: mounting[f"shift_{axis}"].sigma for axis in "xyz"}
+    sigma = {axis: worse * mounting[f"shift_{axis}"].sigma for axis in "xyz"}
     theirs = np.mean((foreign.block.images.values[:, 3:] - foreign.position)[known], axis=0)
     return {
         "images": int(known.sum()),
@@ -182,8 +195,13 @@ def position_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] 
 
 
 def control_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any]]:
-    """Adjusted minus surveyed at control and check points, theirs and ours."""
-    survey = dict(zip(foreign.block.points.names, foreign.block.points.values, strict=True))
+    """Adjusted minus surveyed at control and check points, theirs and ours, and what the adjustment promises.
+
+    `sigma_m`: of what is adjusted, at check points with the survey where that is stated.
+    """
+    given = foreign.block.points
+    survey = dict(zip(given.names, given.values, strict=True))
+    sigma = dict(zip(given.names, np.where(np.isfinite(given.sigma), given.sigma, 0.0), strict=True))
     rows = []
     for k, (name, role) in enumerate(zip(result.points.names, result.points.role, strict=True)):
         if role == "tie":
@@ -196,6 +214,7 @@ def control_figures(foreign: ForeignProject, result: Result) -> list[dict[str, A
                 "rays": int(result.points.rays[k]),
                 "theirs_m": None if theirs is None else (theirs - survey[name]).tolist(),
                 "ours_m": (result.points.values[k] - survey[name]).tolist(),
+                "sigma_m": np.hypot(result.points.sigma[k], sigma[name] * (role == "check")).tolist(),
             }
         )
     return rows
@@ -270,8 +289,10 @@ def adoption_text(figures: dict[str, Any]) -> str:
             "-" if row[key] is None else ", ".join(f"{1e3 * v:+.0f}" for v in row[key])
             for key in ("theirs_m", "ours_m")
         ]
+        promised = ", ".join(f"{1e3 * v:.0f}" for v in row["sigma_m"])
         lines.append(
-            f"{row['role']} {row['point']} ({row['rays']} rays): theirs {cells[0]}; ours {cells[1]} mm"
+            f"{row['role']} {row['point']} ({row['rays']} rays): theirs {cells[0]}; ours {cells[1]} mm "
+            f"(+- {promised})"
         )
     lines += [f"hidden: {sentence}" for sentence in figures["hidden"]]
     return "\n".join(lines)
@@ -305,7 +326,7 @@ def adopt(
     with progress("analysis", None):
         hidden = analyse_run(run, source).findings
     with progress("sigmas of control and positions", None):
-        found = _as_residuals_agree(source)
+        sigmas = sigma_figures(foreign, result, _as_residuals_agree(source))
     figures = {
         "schema": SCHEMA,
         "program": foreign.program,
@@ -317,8 +338,8 @@ def adopt(
         "sigma0_squared": result.sigma0_squared,
         "cameras": camera_figures(foreign, result),
         "heads": head_figures(foreign, result),
-        "sigmas": sigma_figures(foreign, result, found),
-        "positions": position_figures(foreign, result),
+        "sigmas": sigmas,
+        "positions": position_figures(foreign, result, sigmas),
         "control": control_figures(foreign, result),
         "exterior": exterior_figures(foreign, result),
         "hidden": [finding_text(finding, catalogue("en"), plain) for finding in hidden],
@@ -384,26 +405,16 @@ def _without_gross_rays(foreign: ForeignProject, output: Path) -> ForeignProject
     """Leave out rays that do not fit the others, whatever control and positions say; `output` lists them."""
     block = foreign.block
     seen, tie = block.observations, block.points.of_role("tie")
-    rays = np.flatnonzero(np.bincount(seen.point, minlength=len(tie))[seen.point] > 1)
-    # What was surveyed may be exchanged: it is where its rays meet.
-    places = np.where(tie[:, None], block.points.values, np.nan)
-    bare = replace(
-        block,
-        datum="free",
-        datum_points=(),
-        cameras=tuple(_nearly_known(camera) for camera in block.cameras),
-        images=replace(block.images, sigma=np.full_like(block.images.sigma, np.inf)),
-        points=ObjectPoints(block.points.names, places, np.full_like(places, np.inf), np.full(len(tie), TIE)),
-        observations=seen.rows(rays),
-        relations=NO_RELATIONS,
-        heads=(),
-    )
-    assembly = assemble(bare)
+    rays = np.flatnonzero(_crossed(block))
+    assembly = assemble(_by_rays_alone(block))
     whole = assembly.network
     lost = behind_cameras(whole.exposures, whole.rays, whole.points.values)
-    network, kept, _ = subset(whole, ~lost[whole.rays.point])
+    network, kept, kept_points = subset(whole, ~lost[whole.rays.point])
     problem, start = prepare(network), start_state(network)
-    fit = ray_fit(problem, robust_state(with_datum(problem, start), start))
+    state = robust_state(with_datum(problem, start), start)
+    places = assembly.frame.to_given(state.points)
+    foreign = _without_gross_control(foreign, assembly.points[kept_points], places)
+    block, fit = foreign.block, ray_fit(problem, state)
     gross = np.zeros(len(seen.point), dtype=np.bool_)
     rays = rays[assembly.rays]
     gross[rays] = True
@@ -426,6 +437,57 @@ def _without_gross_rays(foreign: ForeignProject, output: Path) -> ForeignProject
     remarks += [f"{len(marks)} marks of surveyed points among them: {_some(marks)}"] if marks else []
     fitting = replace(block, observations=seen.rows(~gross))
     return replace(foreign, block=fitting, remarks=(*foreign.remarks, *remarks))
+
+
+def _without_gross_control(foreign: ForeignProject, points: Integers, places: Floats) -> ForeignProject:
+    """Take control points that lie far from where their rays meet as check points.
+
+    points (n,): those of the block that have `places` (n, 3) by rays alone.
+    """
+    block = foreign.block
+    control = block.points.of_role("control")[points]
+    names, source, target = points[control], places[control], block.points.values[points[control]]
+    known = np.isfinite(target).all(axis=1) & np.isfinite(source).all(axis=1)
+    names, source, target = names[known], source[known], target[known]
+    if len(names) < ENOUGH_CONTROL:
+        return foreign
+    robust = robust_similarity(source, target)
+    seen = robust[0].applied(source) if robust else source - np.median(source - target, axis=0)
+    miss = np.linalg.norm(seen - target, axis=1)
+    limit = FAR * max(float(np.median(miss)), float(np.median(block.points.sigma[names])))
+    far = np.flatnonzero(miss > limit)
+    if not 0 < len(far) < len(names) / 2:
+        return foreign
+    label = [block.points.names[k] for k in names]
+    told = [f"{label[k]} {miss[k]:.3g} m" for k in far]
+    remarks = [f"control that lies far from where its rays meet is taken as check points: {_some(told)}"]
+    remarks += [
+        f"coordinates of {label[a]} and {label[b]} are exchanged"
+        for a, b in combinations(far, 2)
+        if max(np.linalg.norm(seen[a] - target[b]), np.linalg.norm(seen[b] - target[a])) < limit
+    ]
+    role = block.points.role.copy()
+    role[names[far]] = ROLES.index("check")
+    points_now = replace(block.points, role=role)
+    return replace(foreign, block=replace(block, points=points_now), remarks=(*foreign.remarks, *remarks))
+
+
+def _by_rays_alone(block: Block) -> Block:
+    """Free block of images and their rays, whatever control and positions say."""
+    # What was surveyed may be exchanged: it is where its rays meet.
+    places = np.where(block.points.of_role("tie")[:, None], block.points.values, np.nan)
+    count = len(places)
+    return replace(
+        block,
+        datum="free",
+        datum_points=(),
+        cameras=tuple(_nearly_known(camera) for camera in block.cameras),
+        images=replace(block.images, sigma=np.full_like(block.images.sigma, np.inf)),
+        points=ObjectPoints(block.points.names, places, np.full_like(places, np.inf), np.full(count, TIE)),
+        observations=block.observations.rows(np.flatnonzero(_crossed(block))),
+        relations=NO_RELATIONS,
+        heads=(),
+    )
 
 
 def _nearly_known(camera: Camera) -> Camera:
@@ -509,21 +571,31 @@ def _determined(folder: Path, foreign: ForeignProject) -> ForeignProject:
 
 def _weighted(folder: Path, foreign: ForeignProject) -> None:
     """Estimate the sigmas of tie points and of marks from their residuals, px, and write them."""
+    block, tie = foreign.block, foreign.block.points.of_role("tie")[foreign.block.observations.point]
     for _ in range(_WEIGHTINGS):
-        result = _solved(folder)
-        residuals, tie = result.residuals, ties_of(result)
-        sigma = foreign.block.observations.sigma.copy()
-        free = [float(residuals.redundancy[rays].sum()) for rays in (tie, ~tie)]
-        squares = [float((residuals.residual[rays] ** 2).sum()) for rays in (tie, ~tie)]
-        sigma[:] = np.sqrt(sum(squares) / sum(free))
+        try:
+            # Control that is exchanged says nothing of the marks.
+            residuals = adjust_network(_by_rays_alone(block)).residuals
+        except (IllPosedError, NotConvergedError):
+            residuals = _solved(folder).residuals
+        kinds = tie if len(residuals) == len(tie) else tie[_crossed(block)]
+        free = [float(np.nansum(residuals.redundancy[rays])) for rays in (kinds, ~kinds)]
+        squares = [float(np.nansum(residuals.residual[rays] ** 2)) for rays in (kinds, ~kinds)]
+        sigma = np.full_like(block.observations.sigma, np.sqrt(sum(squares) / sum(free)))
         # Marks get a sigma of their own where theirs is another for certain.
         if min(free) > FEWEST_FREE:
             ratio = squares[1] / free[1] / (squares[0] / free[0])
             if not LEAST < float(f.cdf(ratio, free[1], free[0])) < 1 - LEAST:
                 for rays, square, count in zip((tie, ~tie), squares, free, strict=True):
                     sigma[rays] = np.sqrt(square / count)
-        observations = replace(foreign.block.observations, sigma=sigma)
-        _write(folder, replace(foreign, block=replace(foreign.block, observations=observations)))
+        block = replace(block, observations=replace(block.observations, sigma=sigma))
+        _write(folder, replace(foreign, block=block))
+
+
+def _crossed(block: Block) -> Flags:
+    """Observations of points that two rays and more see, shape (n,)."""
+    seen = block.observations.point
+    return np.asarray(np.bincount(seen, minlength=len(block.points.names))[seen] > 1)
 
 
 def _as_residuals_agree(folder: Path) -> dict[str, Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -9,11 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.block.model import ROLES
 from photocal.exchange.metashape import read_metashape, to_metashape, write_metashape
+from photocal.exchange.photoscan import read_project
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import camera, plane_to_pixel
 from photocal.geometry.distortion import projected
+from photocal.geometry.rotation import matrix_from_angles
 
 # Phantom 4 Pro as published (table 3, figure 20), f, cx, cy in px; image of 5472 x 3648 px.
 P4P = {"f": 3673.03, "cx": -2.3621, "cy": -14.7955, "k1": 0.0115868, "k2": -0.0574271, "k3": 0.102937}
@@ -135,3 +139,104 @@ def test_photoscan_project(shared: Path, tmp_path: Path) -> None:
 def test_impossible_numbers(tmp_path: Path, values: dict[str, float], message: str) -> None:
     with pytest.raises(InputMalformedError, match=message):
         read_metashape(written(tmp_path / "c.xml", values))
+
+
+LISTED = '<document><chunks><chunk id="0" path="0/chunk.zip"/></chunks></document>'
+FRAME = '<frame><markers>{}</markers><point_cloud path="point_cloud/point_cloud.zip"/></frame>'
+
+
+def as_project(folder: Path) -> Path:
+    """A project in parts, in WGS 84: two images of one name, four markers (one for checks), a tie point."""
+    import pyproj
+
+    rng, f, size = np.random.default_rng(4), 900.0, (1000, 800)
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    places = [(-49.2001, -25.4, 430.0), (-49.1999, -25.4, 431.0)]
+    ground = np.array([-49.2, -25.4, 330.0]) + rng.uniform(-1, 1, (5, 3)) * [2e-4, 2e-4, 5.0]
+    centre, target = (np.array([to_ecef.transform(*p) for p in rows]) for rows in (places, ground))
+    up = centre[0] / np.linalg.norm(centre[0])
+    north = np.array([0, 0, 1.0]) - up[2] * up
+    north /= np.linalg.norm(north)
+    down = np.array([np.cross(north, up), -north, -up])
+    scale, turn = 0.3, np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    shots, seen = "", dict.fromkeys(range(4), "")
+    pc = '<point_cloud><points path="points0.ply"/>'
+    files = {}
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{}end_header\n"
+    columns = "".join(f"property float {axis}\n" for axis in "xyz") + "property uint id\n"
+    files["points0.ply"] = head.format(1, columns).encode() + struct.pack("<3fI", 0, 0, 0, 7)
+    for k, place in enumerate(centre):
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = turn.T @ down.T, turn.T @ (place - centre[0]) / scale
+        x, y, h = places[k]
+        shots += (
+            f'<camera id="{k}" sensor_id="0" label="A.JPG"><transform>'
+            f"{' '.join(map(repr, matrix.ravel().tolist()))}</transform>"
+            f'<reference x="{x}" y="{y}" z="{h}" sxy="0.02" sz="0.03" enabled="true"/></camera>'
+        )
+        xyz = (target - place) @ down.T
+        pixels = f * xyz[:, :2] / xyz[:, 2:] + np.array(size) / 2
+        for j in range(4):
+            u, v = pixels[j].tolist()
+            seen[j] += f'<location camera_id="{k}" x="{u!r}" y="{v!r}"/>'
+        columns = "property float x\nproperty float y\nproperty uint id\n"
+        files[f"p{k}.ply"] = head.format(1, columns).encode() + struct.pack("<2fI", *pixels[4], 7)
+        pc += f'<projections camera_id="{k}" path="p{k}.ply"/>'
+    listed = "".join(
+        f'<marker id="{k}" label="G{k}"><reference x="{x!r}" y="{y!r}" z="{h!r}" '
+        f'enabled="{"false" if k == 3 else "true"}"/></marker>'
+        for k, (x, y, h) in enumerate(ground[:4].tolist())
+    )
+    wkt = pyproj.CRS("EPSG:4326").to_wkt("WKT1_GDAL").replace('"', "&quot;")
+    chunk = (
+        '<chunk label="c"><sensors><sensor id="0" label="s" type="frame"><calibration type="frame">'
+        f'<resolution width="{size[0]}" height="{size[1]}"/><f>{f}</f></calibration></sensor></sensors>'
+        f"<cameras>{shots}</cameras><markers>{listed}</markers>"
+        f'<frames><frame id="0" path="0/frame.zip"/></frames><reference>{wkt}</reference>'
+        f"<transform><rotation>{' '.join(map(str, turn.ravel()))}</rotation><scale>{scale}</scale>"
+        f"<translation>{' '.join(map(repr, centre[0].tolist()))}</translation></transform>"
+        '<settings><property name="accuracy_projections" value="0.1"/>'
+        '<property name="accuracy_tiepoints" value="1"/><property name="accuracy_markers" value="0.005"/>'
+        '<property name="accuracy_cameras_ypr" value="1 1 2"/></settings></chunk>'
+    )
+    marked = "".join(f'<marker marker_id="{k}">{rays}</marker>' for k, rays in seen.items())
+    below = folder / "a.files" / "0" / "0" / "point_cloud"
+    below.mkdir(parents=True)
+    (folder / "a.psx").write_text('<document version="1.2.0" path="{projectname}.files/project.zip"/>')
+    for place, members in (
+        (below.parents[2] / "project.zip", {"doc.xml": LISTED}),
+        (below.parents[1] / "chunk.zip", {"doc.xml": chunk}),
+        (below.parent / "frame.zip", {"doc.xml": FRAME.format(marked)}),
+        (below / "point_cloud.zip", files | {"doc.xml": pc + "</point_cloud>"}),
+    ):
+        with zipfile.ZipFile(place, "w") as archive:
+            for name, content in members.items():
+                archive.writestr(name, content)
+    return folder / "a.psx"
+
+
+def test_a_project_in_parts_and_in_a_reference_system(tmp_path: Path) -> None:
+    """Its points are where its images show them, in east, north and up; positions of images come along."""
+    block, chunk = read_project(as_project(tmp_path))
+    assert block.images.names == ("A.JPG", "A.JPG (2)")
+    assert [ROLES[k] for k in block.points.role] == ["control"] * 3 + ["check", "tie"]
+    np.testing.assert_allclose(chunk.position, block.images.values[:, 3:], atol=1e-6)
+    assert chunk.position_sigma.tolist() == [[0.02, 0.02, 0.03]] * 2
+    assert np.ptp(block.images.values[:, 5]) == pytest.approx(1.0, abs=1e-3)
+    seen = block.observations
+    known = np.isfinite(block.points.values[seen.point]).all(axis=1)
+    assert known.sum() == 8
+    rotation = matrix_from_angles(block.images.values[seen.image[known], :3])
+    away = block.points.values[seen.point[known]] - block.images.values[seen.image[known], 3:]
+    q = np.einsum("nab,nb->na", rotation, away)
+    shown = np.column_stack([500 - 900 * q[:, 0] / q[:, 2], 400 + 900 * q[:, 1] / q[:, 2]])
+    np.testing.assert_allclose(seen.values[known] + 0.5, shown, atol=1e-3)
+
+
+@pytest.mark.parametrize("path", ["", "../../frame.zip", "0/none.zip"])
+def test_parts_that_are_not_there_are_refused(tmp_path: Path, path: str) -> None:
+    project = as_project(tmp_path)
+    with zipfile.ZipFile(tmp_path / "a.files" / "project.zip", "w") as archive:
+        archive.writestr("doc.xml", f'<document><chunks><chunk id="0" path="{path}"/></chunks></document>')
+    with pytest.raises((InputMalformedError, InputNotFoundError)):
+        read_project(project)

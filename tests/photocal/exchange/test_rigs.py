@@ -16,7 +16,10 @@ from photocal.adjustment.rig import CENTRE
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opensfm import read_reconstruction
+from photocal.exchange.pinhole import FLIP, from_vision
 from photocal.exchange.reconstruction import Reconstruction, as_block
+from photocal.exchange.rigs import of_poses
+from photocal.geometry.camera import camera
 from photocal.geometry.rotation import matrix_from_angles
 
 Floats = NDArray[np.float64]
@@ -60,8 +63,8 @@ def as_images_have_them(given: Reconstruction) -> None:
 
 
 def test_opensfm(tmp_path: Path) -> None:
-    camera = {"projection_type": "brown", "width": 1000, "height": 800, "focal_x": 0.9, "focal_y": 0.9}
-    camera |= dict.fromkeys(("c_x", "c_y", "k1", "k2", "k3", "p1", "p2"), 0.0)
+    lens = {"projection_type": "brown", "width": 1000, "height": 800, "focal_x": 0.9, "focal_y": 0.9}
+    lens |= dict.fromkeys(("c_x", "c_y", "k1", "k2", "k3", "p1", "p2"), 0.0)
     shots = {}
     for head in SENSORS:
         for frame in range(2):
@@ -69,7 +72,7 @@ def test_opensfm(tmp_path: Path) -> None:
             shots[f"{head}_{frame}.jpg"] = {
                 "rotation": turn.as_rotvec().tolist(), "translation": shift.tolist(), "camera": "one",
             }  # fmt: skip
-    (tmp_path / "reconstruction.json").write_text(json.dumps([{"cameras": {"one": camera}, "shots": shots}]))
+    (tmp_path / "reconstruction.json").write_text(json.dumps([{"cameras": {"one": lens}, "shots": shots}]))
     poses = {
         n: {"rotation": r.as_rotvec().tolist(), "translation": t.tolist()} for n, (r, t) in SENSORS.items()
     }
@@ -77,6 +80,70 @@ def test_opensfm(tmp_path: Path) -> None:
     assigned = {f"e{k}": [[f"{head}_{k}.jpg", head] for head in SENSORS] for k in range(2)}
     (tmp_path / "rig_assignments.json").write_text(json.dumps(assigned))
     as_images_have_them(read_reconstruction(tmp_path / "reconstruction.json"))
+
+
+def test_opensfm_with_rigs_in_the_reconstruction(tmp_path: Path) -> None:
+    test_opensfm(tmp_path)
+    file = tmp_path / "reconstruction.json"
+    (content,) = json.loads(file.read_text())
+    content["rig_cameras"] = json.loads((tmp_path / "rig_cameras.json").read_text())
+    assigned = json.loads((tmp_path / "rig_assignments.json").read_text())
+    content["rig_instances"] = {
+        key: {"rotation": [0, 0, 0], "translation": [0, 0, 0], "rig_camera_ids": dict(rows)}
+        for key, rows in assigned.items()
+    }
+    for name in ("rig_cameras.json", "rig_assignments.json"):
+        (tmp_path / name).unlink()
+    file.write_text(json.dumps([content]))
+    as_images_have_them(read_reconstruction(file))
+    # Images by themselves are instances, too.
+    content["rig_instances"] = {
+        name: {"rotation": [0, 0, 0], "translation": [0, 0, 0], "rig_camera_ids": {name: head}}
+        for rows in assigned.values()
+        for name, head in rows
+    }
+    file.write_text(json.dumps([content]))
+    assert not read_reconstruction(file).heads
+
+
+def test_binary_rigs_as_colmap_writes_them(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    test_colmap(tmp_path, "model")
+    made = pycolmap.Reconstruction()
+    made.read_text(str(tmp_path))
+    (tmp_path / "binary").mkdir()
+    made.write_binary(str(tmp_path / "binary"))
+    as_images_have_them(read_colmap(tmp_path / "binary"))
+
+
+def test_heads_are_known_by_their_poses() -> None:
+    rng = np.random.default_rng(3)
+    cameras = tuple(
+        camera(n, "brown-ideal", "px", (1000, 800), (1.0, 1.0), {"c": 900.0}) for n in (*SENSORS, "other")
+    )
+    rotation, centre, member = [], [], []
+    for frame in range(6):
+        own, at = Rotation.from_rotvec([2.9, 0.1 * frame, -0.2]), np.array([20.0 * frame, 3.0, 60.0])
+        for k, (turn, shift) in enumerate(SENSORS.values()):
+            whole = turn * own
+            rotation.append(whole.as_matrix())
+            centre.append(at - whole.inv().apply(shift))
+            member.append(k)
+        # A camera of another flight comes near all of them.
+        rotation.append((Rotation.from_rotvec(rng.normal(0, 0.01, 3)) * own).as_matrix())
+        centre.append(at + rng.normal(0, 0.3, 3))
+        member.append(3)
+    vision = np.array(rotation)
+    poses = from_vision(vision, -np.einsum("nij,nj->ni", vision, np.array(centre)))
+    heads, exposure = of_poses(cameras, np.array(member), poses)
+    assert [(head.camera, head.of) for head in heads] == [(name, "first") for name in SENSORS]
+    assert [len({*exposure[k : k + 3]}) for k in range(0, 24, 4)] == [1] * 6
+    assert set(exposure[3::4]) == {""}
+    for head in heads[1:]:
+        turn, shift = SENSORS[head.camera]
+        assert head.rotation is not None
+        assert np.allclose(Rotation.from_rotvec(head.rotation).as_matrix(), FLIP @ turn.as_matrix() @ FLIP)
+        assert np.allclose(head.values[CENTRE], FLIP @ -turn.inv().apply(shift))
 
 
 @pytest.mark.parametrize("form", ["model", "config"])

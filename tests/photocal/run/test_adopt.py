@@ -242,3 +242,51 @@ def test_models_with_a_list_of_control(
     figures = adopted(tmp_path, monkeypatch)
     assert len(figures["control"]) == int((~ties).sum())
     assert largest(figures) < 0.1
+
+
+def test_gross_errors_are_taken_out_and_told(
+    tmp_path: Path, adjusted: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One ray in fifty is wrong by 30 px, and two control points are exchanged: the camera stays the same."""
+    pixels, xyz = adjusted.pixels.copy(), adjusted.xyz.copy()
+    role = np.array(adjusted.roles)
+    rays = np.bincount(adjusted.point, minlength=len(role))
+    wrong = np.flatnonzero((role[adjusted.point] == "tie") & (rays[adjusted.point] == rays.max()))[::50]
+    pixels[wrong] += [30.0, -20.0]
+    a, b = np.flatnonzero((role == "control") & (rays > 1))[[1, 5]]
+    xyz[[a, b]] = xyz[[b, a]]
+    pix4d(tmp_path, replace(adjusted, pixels=pixels, xyz=xyz))
+    figures = adopted(tmp_path, monkeypatch)
+    names = adjusted.point_names
+    listed = (tmp_path / "adopted" / "rays-left-out.csv").read_text().splitlines()[1:]
+    left = {tuple(line.split(",")[:2]) for line in listed}
+    injected = {(adjusted.image_names[adjusted.image[k]], names[adjusted.point[k]]) for k in wrong}
+    assert injected <= left
+    # Rays of points that lose one of two may go with it.
+    assert len(left) < 2 * len(injected) + 10
+    told = " ".join(figures["remarks"])
+    assert f"{names[a]} and {names[b]} are exchanged" in told or f"{names[b]} and {names[a]} are" in told
+    assert {row["point"] for row in figures["control"] if row["role"] == "check"} == {names[a], names[b]}
+    assert largest(figures) < 2.0
+    found = {row["group"]: row["found"] for row in figures["sigmas"]}
+    assert found["image coordinates of tie points"] == pytest.approx(0.4, rel=0.1)
+
+
+def test_names_of_images_may_have_blanks_and_come_twice(tmp_path: Path, adjusted: Reconstruction) -> None:
+    count = len(adjusted.image_names)
+    # The same names in two folders, of which the program writes the last part only.
+    names = tuple(f"S\u00e3o Jo\u00e3o {k % (count // 2):04d}.JPG" for k in range(count))
+    pix4d(tmp_path, replace(adjusted, image_names=names))
+    bingo = next(tmp_path.glob("*tp_bingo.txt"))
+    bingo.write_text(bingo.read_text().replace(" H_", " Canon EOS 5D_H_"))
+    foreign = read_foreign_project(tmp_path)
+    assert len(set(foreign.block.images.names)) == count
+    assert np.isfinite(foreign.position).all()
+    seen = foreign.block.observations
+    assert np.bincount(seen.image).tolist() == np.bincount(adjusted.image).tolist()
+    places = {name: k for k, name in enumerate(foreign.block.points.names)}
+    k = len(adjusted.image) - 1
+    (row,) = np.flatnonzero(
+        (seen.image == adjusted.image[k]) & (seen.point == places[adjusted.point_names[adjusted.point[k]]])
+    )
+    assert seen.values[row] == pytest.approx(adjusted.pixels[k], abs=1e-6)
