@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
+from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, Role
 from photocal.exchange.parts import UNKNOWN, PointEntry, distinct
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision
@@ -25,7 +25,7 @@ from photocal.exchange.rigs import of_metashape, slave_in_master
 from photocal.exchange.source import child, image_size, number, numbers, read_xml, write_xml
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted, in_pixels
-from photocal.geometry.frames import ReferenceFrame
+from photocal.geometry.frames import ReferenceFrame, parsed
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
 # Our parameter for each key, its sign (y is up here and down there), and by which power of f it is divided.
@@ -123,6 +123,13 @@ def local_chunk(chunk: Chunk) -> Chunk:
     known = known[np.isfinite(known).all(axis=1)]
     if not len(known):
         raise InputMalformedError("has no coordinates in its system", "export markers or camera references")
+    try:
+        parsed(chunk.crs)
+    except ConfigurationError as refusal:
+        raise InputMalformedError(
+            f"is in the coordinate system {chunk.crs[:60]!r}, which is not known",
+            "export the cameras of a chunk in local coordinates, or in a system with an EPSG code",
+        ) from refusal
     frame = ReferenceFrame(chunk.crs, known.mean(axis=0))
     origin, axes = frame.axes
     turned = angles_from_matrix(matrix_from_angles(given.poses[:, :3]) @ axes.T)

@@ -160,8 +160,8 @@ def of_colmap(
     def configured() -> list[list[tuple[str, bool, Sensor]]]:
         return [[_prefixed(camera, path) for camera in rig["cameras"]] for rig in read_json(path)]
 
-    for k, rig in enumerate(structured(path, "a rig_config.json of COLMAP", configured)):
-        sensors = {prefix: sensor for prefix, _, sensor in sorted(rig, key=lambda entry: not entry[1])}
+    for k, listed in enumerate(structured(path, "a rig_config.json of COLMAP", configured)):
+        sensors = {prefix: sensor for prefix, _, sensor in sorted(listed, key=lambda entry: not entry[1])}
         head = [
             next((sensor for sensor in sensors if name.startswith(sensor)), "") for name in given.image_names
         ]
