@@ -229,9 +229,10 @@ middle line, and the command says so.
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {table}
 
-`photocal adjust` reads the files of the formats marked "adjust" directly, and PhotoScan projects (.psz);
-where a format has no standard deviations of image coordinates, all of them get 1 px, and the a posteriori
-variance factor says what they are worth. "yes": read by the package; a .cam file needs the image size
+`photocal adjust` reads the files of the formats marked "adjust" directly, and projects of PhotoScan and
+Metashape (.psz, .psx); where a format has no standard deviations of image coordinates, all of
+them get 1 px, and the a posteriori variance factor says what they are worth.
+"yes": read by the package; a .cam file needs the image size
 beside it, GCP lists go to `photocal measure --gcp`. Of PhotoModeler its tables of 2-D and 3-D points are
 read too.
 
