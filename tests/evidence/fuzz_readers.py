@@ -76,8 +76,7 @@ REPAIRED = (
     "a gigabyte; a Pix4D project with a word or a cut row in a matrix; rigs with vectors of other lengths;",
     "rig assignments that are a number; a PhotoModeler export that ends after its photos; a RINEX file whose",
     "antenna or epochs are no numbers of theirs; archives whose names are no text; a sensor width with two",
-    "points; a name of 300 letters; a rig whose prefix is a list, or whose rotation is none. What stands",
-    "above as uncaught fell before its repair.",
+    "points; a name of 300 letters; a rig whose prefix is a list, or whose rotation is none.",
 )
 LENGTHS = (0, 1 << 31, (1 << 32) - 1, 1 << 20)
 WORDS = (
