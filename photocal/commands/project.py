@@ -53,7 +53,7 @@ def adopt(
     import datetime as dt
 
     from photocal.run.adopt import adopt as adopted
-    from photocal.run.adopt import adoption_text
+    from photocal.run.adoption_figures import adoption_text
 
     figures = adopted(project, output, dt.datetime.now().astimezone().date(), progress, gcp)
     answer(as_json, lambda: figures, lambda: adoption_text(figures) + f"\nwritten: {output}")

@@ -1,7 +1,7 @@
-"""`photocal adopt`: the project of another program adjusted anew, and side by side what both say."""
+"""`photocal adopt`: the project of another program, checked for gross errors and adjusted anew."""
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -18,7 +18,6 @@ from photocal.adjustment.factored import factored
 from photocal.adjustment.groups import member_tests
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.normal import prepare
-from photocal.adjustment.rig import OF_HEAD
 from photocal.adjustment.snooping import ray_fit, robust_state, subset
 from photocal.adjustment.state import start_state
 from photocal.adjustment.variance_components import estimate_components
@@ -28,7 +27,7 @@ from photocal.block.network import assemble, behind_cameras, block_frame
 from photocal.block.setup import MountingKeys
 from photocal.exchange.project_detection import read_foreign_project
 from photocal.exchange.reconstruction import ForeignProject, estimating_what_it_has, without_weak_points
-from photocal.geometry.camera import PARAMETERS, Camera, among
+from photocal.geometry.camera import Camera, among
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import aligned_similarity, robust_similarity
 from photocal.measurement.block_files import SCHEMA as MEASURED
@@ -39,12 +38,18 @@ from photocal.measurement.tie_block import TIE, intersected, views_of
 from photocal.measurement.tracks import Tracks
 from photocal.results.adjusted import adjust_block, adjust_network, adjusted, result_of
 from photocal.results.result import Result
+from photocal.run.adoption_figures import (
+    camera_figures,
+    control_figures,
+    exterior_figures,
+    head_figures,
+    position_figures,
+    sigma_figures,
+)
 from photocal.run.block import mounting_text
 from photocal.run.folder_survey import ASSUMED_M
 from photocal.tasks.progress import Progress
 
-# A common shift of the positions is told as one of the datum from here on, in its standard deviations.
-SHIFTED = 3.0
 SCHEMA = "photocal.adoption/1"
 FIGURES = "adoption.json"
 GROSS_RAYS = "rays-left-out.csv"
@@ -67,235 +72,6 @@ FEWEST_FREE = 5.0
 _SETTLED = 0.02
 # Two variances are different from this significance on.
 LEAST = 0.0005
-
-
-def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
-    """Their parameters of each camera and ours, with sigmas and the difference in ours."""
-    figures: dict[str, Any] = {}
-    stated = {camera.id: camera for camera in (*foreign.block.cameras, *foreign.cameras)}
-    for camera in stated.values():
-        ours, promised = result.cameras[camera.id], foreign.camera_sigma.get(camera.id, {})
-        figures[camera.id] = {"unit": camera.unit, "model": camera.model, "parameters": {}}
-        for name in PARAMETERS:
-            if name not in ours.free and not camera.value(name):
-                continue
-            sigma = ours.sigma_of(name) if name in ours.free else None
-            figures[camera.id]["parameters"][name] = {
-                "theirs": camera.value(name),
-                "their_sigma": promised.get(name),
-                "ours": ours.value(name),
-                "sigma": sigma,
-                "difference_in_sigmas": (ours.value(name) - camera.value(name)) / sigma if sigma else None,
-            }
-    return figures
-
-
-def head_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any]]:
-    """Relative orientation of each head (deg, m): ours with sigmas, and its difference from theirs."""
-    given = {
-        head.camera: dict(zip(OF_HEAD, head.values.tolist(), strict=True)) for head in foreign.block.heads
-    }
-    return [
-        {
-            "camera": head.camera,
-            "of": head.of,
-            "exposures": head.exposures,
-            "rotation_deg": head.rotation_deg,
-            "values": {
-                key: {
-                    "ours": value.value,
-                    "sigma": value.sigma,
-                    # Turns count from the rotation that they have.
-                    "difference": value.value - (given[head.camera][key] if key in "xyz" else 0.0),
-                }
-                for key, value in head.values.items()
-                if value.estimated
-            },
-        }
-        for head in result.heads
-    ]
-
-
-def sigma_figures(
-    foreign: ForeignProject, result: Result, found: Mapping[str, Floats]
-) -> list[dict[str, Any]]:
-    """What each group of observations was promised to be, and what its residuals show."""
-    tie, seen = ties_of(foreign, result), result.residuals
-    rows: list[dict[str, Any]] = []
-    for name, rays in (("image coordinates of tie points", tie), ("marks of surveyed points", ~tie)):
-        free = float(seen.redundancy[rays].sum())
-        if free > 1:
-            stated = float(np.sqrt(np.mean(foreign.block.observations.sigma[rays] ** 2)))
-            sigma = float(np.sqrt((seen.residual[rays] ** 2).sum() / free))
-            rows.append(
-                {
-                    "group": name,
-                    "unit": "px",
-                    "n": int(rays.sum()),
-                    "stated": stated if foreign.weighted else None,
-                    "found": sigma,
-                }
-            )
-    points, known = foreign.block.points, np.isfinite(foreign.position).all(axis=1)
-    stated_of = {
-        "control": points.sigma[points.of_role("control")],
-        "position": foreign.position_sigma[known],
-    }
-    for kind, sigmas in stated_of.items():
-        for axes, where in ((slice(0, 2), "in plane"), (slice(2, 3), "in height")) if len(sigmas) else ():
-            # A held coordinate promises nothing that could be kept.
-            promised = sigmas[:, axes][np.isfinite(sigmas[:, axes])]
-            variance = np.mean(found[kind][axes]) if kind in found else np.nan
-            rows.append(
-                {
-                    "group": f"{kind if kind == 'control' else 'positions'} {where}",
-                    "unit": "m",
-                    "n": len(sigmas),
-                    "stated": float(np.sqrt(np.mean(promised**2))) if len(promised) else None,
-                    "found": float(np.sqrt(variance)) if variance > 0 else None,
-                }
-            )
-    return rows
-
-
-def ties_of(foreign: ForeignProject, result: Result) -> Flags:
-    """Which observations are of tie points, shape (n,)."""
-    points, seen = foreign.block.points, result.residuals
-    role = dict(zip(points.names, points.of_role("tie").tolist(), strict=True))
-    return np.array([role[name] for name in seen.point_names])[seen.point]
-
-
-def position_figures(
-    foreign: ForeignProject, result: Result, sigmas: Sequence[dict[str, Any]]
-) -> dict[str, Any] | None:
-    """The shift that all positions have in common, adjusted minus given; its sigma as positions are found."""
-    worse = max(
-        [1.0]
-        + [
-            row["found"] / row["stated"]
-            for row in sigmas
-            if row["group"].startswith("positions") and row["found"] and row["stated"]
-        ]
-    )
-    mounting = result.mounting
-    known = np.isfinite(foreign.position).all(axis=1)
-    if mounting is None or not known.any():
-        return None
-    # The shift belongs to the observed positions: observed = true + shift.
-    shift = {axis: -mounting[f"shift_{axis}"].value for axis in "xyz"}
-    sigma = {axis: worse * mounting[f"shift_{axis}"].sigma for axis in "xyz"}
-    theirs = np.mean((foreign.block.images.values[:, 3:] - foreign.position)[known], axis=0)
-    return {
-        "images": int(known.sum()),
-        "estimated": bool(mounting["shift_x"].estimated),
-        "common_shift_m": shift,
-        "sigma_m": sigma,
-        "theirs_m": dict(zip("xyz", theirs.tolist(), strict=True)),
-    }
-
-
-def control_figures(foreign: ForeignProject, result: Result) -> list[dict[str, Any]]:
-    """Adjusted minus surveyed at control and check points, theirs and ours, and what the adjustment promises.
-
-    `sigma_m`: of what is adjusted, at check points with the survey where that is stated.
-    """
-    given = foreign.block.points
-    survey = dict(zip(given.names, given.values, strict=True))
-    sigma = dict(zip(given.names, np.where(np.isfinite(given.sigma), given.sigma, 0.0), strict=True))
-    rows = []
-    for k, (name, role) in enumerate(zip(result.points.names, result.points.role, strict=True)):
-        if role == "tie":
-            continue
-        theirs = foreign.adjusted.get(name)
-        rows.append(
-            {
-                "point": name,
-                "role": role,
-                "rays": int(result.points.rays[k]),
-                "theirs_m": None if theirs is None else (theirs - survey[name]).tolist(),
-                "ours_m": (result.points.values[k] - survey[name]).tolist(),
-                "sigma_m": np.hypot(result.points.sigma[k], sigma[name] * (role == "check")).tolist(),
-            }
-        )
-    return rows
-
-
-def exterior_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] | None:
-    """How far our orientations lie from theirs, and the sigmas that both promise (medians)."""
-    theirs, values = foreign.block.images.values, result.images.values
-    if np.isnan(theirs).any():
-        return None
-    away = values[:, 3:] - theirs[:, 3:]
-    turn = matrix_from_angles(values[:, :3]) @ np.swapaxes(matrix_from_angles(theirs[:, :3]), 1, 2)
-    angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
-    covariance = result.images.covariance
-    ours = None if covariance is None else np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:])
-    promised = foreign.pose_sigma[np.isfinite(foreign.pose_sigma).all(axis=1)]
-    return {
-        "position_rms_m": np.sqrt(np.mean(away**2, axis=0)).tolist(),
-        "rotation_rms_deg": float(np.degrees(np.sqrt(np.mean(angle**2)))),
-        "their_position_sigma_m": np.median(promised[:, 3:], axis=0).tolist() if len(promised) else None,
-        "our_position_sigma_m": None if ours is None else np.median(ours, axis=0).tolist(),
-    }
-
-
-def adoption_text(figures: dict[str, Any]) -> str:
-    """Write it for people, side by side."""
-    size = f"{figures['images']} images, {figures['points']} points, {figures['observations']} observations"
-    lines = [
-        f"{figures['program']}: {size}, sigma0^2 {figures['sigma0_squared'] or 0:.3f}",
-        *(f"note: {remark}" for remark in figures["remarks"]),
-    ]
-    for name, camera in figures["cameras"].items():
-        lines.append(
-            f"camera {name} ({camera['unit']})          theirs            ours +- sigma     difference"
-        )
-        for key, parameter in camera["parameters"].items():
-            sigma = parameter["sigma"]
-            theirs = f"{parameter['theirs']:.8g}" + (
-                f" +- {parameter['their_sigma']:.2g}" if parameter["their_sigma"] else ""
-            )
-            ours = f"{parameter['ours']:.8g}" + (f" +- {sigma:.2g}" if sigma else " held")
-            away = "" if sigma is None else f"{parameter['difference_in_sigmas']:+.2f} sd"
-            lines.append(f"  {key:<4}{theirs:>28}{ours:>28}{away:>14}")
-    for head in figures["heads"]:
-        turns, places = (
-            ", ".join(
-                f"{factor * value['difference']:+.2f} +- {factor * value['sigma']:.2f}"
-                for key, value in head["values"].items()
-                if key.startswith("turn") == turning
-            )
-            for turning, factor in ((True, 3600.0), (False, 1000.0))
-        )
-        lines.append(
-            f"head {head['camera']} on {head['of']} ({head['exposures']} exposures), ours minus theirs: "
-            f"turned by {turns} arcsec, centre {places} mm (x, y, z)"
-        )
-    for row in figures["sigmas"]:
-        stated = "not stated" if row["stated"] is None else f"stated {row['stated']:.3g} {row['unit']}"
-        kept = (
-            "" if not row["stated"] or row["found"] is None else f": {row['found'] / row['stated']:.2f} times"
-        )
-        shown = "-" if row["found"] is None else f"{row['found']:.3g} {row['unit']}"
-        lines.append(f"{row['group']} ({row['n']}): {stated}, found {shown}{kept}")
-    shift = figures["positions"]
-    if shift is not None and shift["estimated"]:
-        text = ", ".join(f"{shift['common_shift_m'][a]:+.3f} +- {shift['sigma_m'][a]:.3f}" for a in "xyz")
-        large = any(abs(shift["common_shift_m"][a]) > SHIFTED * shift["sigma_m"][a] for a in "xyz")
-        verdict = "positions and control are not of one datum" if large else "not significant"
-        lines.append(f"all positions, adjusted minus given: {text} m (X, Y, Z): {verdict}")
-    for row in figures["control"]:
-        cells = [
-            "-" if row[key] is None else ", ".join(f"{1e3 * v:+.0f}" for v in row[key])
-            for key in ("theirs_m", "ours_m")
-        ]
-        promised = ", ".join(f"{1e3 * v:.0f}" for v in row["sigma_m"])
-        lines.append(
-            f"{row['role']} {row['point']} ({row['rays']} rays): theirs {cells[0]}; ours {cells[1]} mm "
-            f"(+- {promised})"
-        )
-    lines += [f"hidden: {sentence}" for sentence in figures["hidden"]]
-    return "\n".join(lines)
 
 
 def adopt(

@@ -24,7 +24,7 @@ from photocal.measurement.block_files import write_block
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from photocal.run import adopt as module
-from photocal.run.adopt import adoption_text
+from photocal.run.adoption_figures import adoption_text
 from tests.photocal.exchange.conftest import reconstruction_of
 
 ESTIMATED = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
