@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from acquire.outputs import output_folder
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
@@ -30,6 +28,8 @@ from photocal.adjustment.variance_components import (
     rays_by_camera,
     with_factors,
 )
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.files import output_folder
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.motion import require_motion
