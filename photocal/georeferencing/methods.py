@@ -18,7 +18,13 @@ from photocal.block.model import ROLES, Block
 from photocal.block.motion import observed_motion
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.georeferencing.direct import Calibration, direct_orientation, joint_covariance, with_calibration
+from photocal.georeferencing.direct import (
+    Calibration,
+    calibration_of,
+    direct_orientation,
+    joint_covariance,
+    with_calibration,
+)
 from photocal.georeferencing.space_intersection import intersect_points
 
 Method = Literal["direct", "integrated", "indirect"]
@@ -50,6 +56,7 @@ class Georeferenced:
     exposures (images, 6): omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
     joint: covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for
         direct georeferencing, and for more of them than `_MOST_JOINT`.
+    calibration: camera and mounting of the integrated method, where there are positions and attitudes.
     """
 
     method: Method
@@ -65,6 +72,7 @@ class Georeferenced:
     test: GlobalTest | None
     solution: Solution | None
     joint: Floats | None = None
+    calibration: Calibration | None = None
 
 
 def of_method(
@@ -255,10 +263,13 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         for j, name in enumerate(assembly.network.point_names)
         if wanted[j] and not control[assembly.points[j]]
     ]
-    joint = None
-    if 0 < len(checks) <= _MOST_JOINT:
+    joint = calibration = None
+    mounted = method == "integrated" and len(block.positions.image) and len(block.attitudes.image)
+    few = 0 < len(checks) <= _MOST_JOINT
+    if few or mounted:
         at = factored(assembly.network, solution.state)
-        joint = covariance_of(at, [("point", name) for name in checks])[1]
+        joint = covariance_of(at, [("point", name) for name in checks])[1] if few else None
+        calibration = calibration_of(at) if mounted else None
     labels = {
         "integrated": "integrated: positions, attitudes, control and image observations adjusted together",
         "indirect": "indirect: control and image observations only",
@@ -277,6 +288,7 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         global_test(solution.chi_squared, solution.degrees_of_freedom),
         solution,
         joint,
+        calibration,
     )
 
 
