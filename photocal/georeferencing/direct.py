@@ -8,6 +8,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
 from photocal.adjustment.envelope import border_inverse
 from photocal.adjustment.factored import Factored, factored
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import (
     BORESIGHT,
     HEIGHT_SCALE,
@@ -61,7 +62,8 @@ class Calibration:
 def calibrate(block: Block) -> Calibration:
     """Adjust a block and keep camera and mounting; raises PhotocalError as the adjustment does."""
     network = assemble(block).network
-    return calibration_of(factored(network, adjust(network).state))
+    with because("calibration on the job"):
+        return calibration_of(factored(network, adjust(network).state))
 
 
 def calibration_of(at: Factored) -> Calibration:

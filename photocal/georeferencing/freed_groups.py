@@ -15,6 +15,7 @@ from photocal.adjustment.condensed import Condensed, condensed, with_second_came
 from photocal.adjustment.covariance import Shared
 from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.groups import FEWEST, GroupTest, tested
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, STRIPS, TIME
 from photocal.adjustment.network import Network
 from photocal.adjustment.readout import READOUT
@@ -83,7 +84,8 @@ def opened(block: Block, first: Solution | None = None, table: tuple[Fault, ...]
 
     raises PhotocalError: as the adjustment does.
     """
-    first = first or adjust(assemble(block).network)
+    with because("integrated adjustment in which faults are sought"):
+        first = first or adjust(assemble(block).network)
     free = block
     for fault in table:
         if fault.frees and fault.each != "part" and _testable(block, fault, None):
@@ -403,7 +405,8 @@ def with_agreeing(block: Block, test: GroupTest) -> tuple[Block, GroupTest]:
             f"{test.name}s": replace(observed, covariance=observed.covariance * test.factor**2)
         }
         block = replace(block, **scaled)
-        groups = adjust(assemble(block).network).groups
+        with because(f"standard deviations of {test.name}s that agree"):
+            groups = adjust(assemble(block).network).groups
         test = tested(next(group for group in groups if group.name == test.name))
         if abs(test.factor - 1.0) < _SETTLED:
             break

@@ -8,6 +8,7 @@ import numpy as np
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance as covariance_of
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS
 from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.rig import LATER
@@ -141,7 +142,8 @@ def with_shutters(block: Block) -> Block:
         return block
     try:
         assembly = assemble(without_weak_images(checkable(block))[0])
-        network = with_moving_images(assembly.network, adjust(assembly.network))[0]
+        with because("shutters and lags of heads"):
+            network = with_moving_images(assembly.network, adjust(assembly.network))[0]
     except PhotocalError:
         return block
     lag = {
@@ -249,7 +251,8 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         )
     block, weak = without_weak_images(block)
     assembly = assemble(block)
-    solution = adjust(assembly.network)
+    with because(f"{method} georeferencing"):
+        solution = adjust(assembly.network)
     origin = local_origin(assembly)
     exposures = solution.exposures + np.concatenate([np.zeros(3), origin])
     exposures[weak] = np.nan
@@ -337,7 +340,8 @@ def degraded(block: Block, noise: Degradation, rng: np.random.Generator) -> Bloc
     """Adjust a block and give its images the result with noise, as observations."""
     adjusted, weak = without_weak_images(block)
     assembly = assemble(adjusted)
-    exposures = adjust(assembly.network).exposures
+    with because("simulated direct orientation"):
+        exposures = adjust(assembly.network).exposures
     sigma = np.broadcast_to(
         np.repeat([noise.attitude_rad, noise.position_m], 3), block.images.sigma.shape
     ).copy()

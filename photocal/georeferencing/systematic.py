@@ -18,6 +18,7 @@ from photocal.adjustment.adjust import minimum_of
 from photocal.adjustment.covariance import Shared, shared
 from photocal.adjustment.factored import factorised
 from photocal.adjustment.groups import GroupTest
+from photocal.adjustment.ledger import because
 from photocal.adjustment.solution import Solution
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
@@ -351,9 +352,9 @@ class _Search:
             chosen, freed = self._freed(groups)
             network = assemble(freed).network
             start = beside(network, self._given.first)
-            self._fits[groups] = self._of(
-                chosen, freed, shared(factorised(*minimum_of(network, state=start)))
-            )
+            with because(f"fault tested: {' and '.join(cause.code for cause in chosen)}"):
+                minimum = minimum_of(network, state=start)
+            self._fits[groups] = self._of(chosen, freed, shared(factorised(*minimum)))
             self._done()
         return self._fits[groups]
 
