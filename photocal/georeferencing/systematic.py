@@ -281,7 +281,8 @@ class _Search:
         self.first = _fit(_shared(given.first), {}, {})
         self._fits, self._as_stated = {frozenset[str](): self.first}, as_stated
         part = next((entry for entry in given.table if entry.each == "part"), None)
-        self._change, self._split = (part and best_change(given, part)) or (None, given.whole)
+        found = best_change(given, part) if part else None
+        self._change, self._split = found or (None, given.whole)
         # A second camera is made of the first one, so it stands before what is freed in both.
         self._faults = {cause.code: cause for cause in faults_of(given.block, self._change, given.table)}
         self.refused: dict[str, str] = {}
