@@ -27,6 +27,7 @@ from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.georeferencing.freed_groups import (
     SIGNIFICANCE,
+    Change,
     Estimate,
     Opened,
     beside,
@@ -282,7 +283,8 @@ class _Search:
         self._fits, self._as_stated = {frozenset[str](): self.first}, as_stated
         part = next((entry for entry in given.table if entry.each == "part"), None)
         found = best_change(given, part) if part else None
-        self._change, self._split = found or (None, given.whole)
+        self._change: Change | None = found[0] if found else None
+        self._split = found[1] if found else given.whole
         # A second camera is made of the first one, so it stands before what is freed in both.
         self._faults = {cause.code: cause for cause in faults_of(given.block, self._change, given.table)}
         self.refused: dict[str, str] = {}
