@@ -10,12 +10,9 @@ from photocal.accuracy import classes, statistics
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
 from photocal.accuracy.standard import LimitTable, Question, ScaleStandard, Standard, ValueStandard, size_text
 from photocal.accuracy.statistics import PROBABLE_ERROR, LengthStatistics
+from photocal.base import policy
 from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Figure, Finding
-
-# Below this number the standard deviation is known to worse than about a quarter of itself (95 %).
-SMALL_SAMPLE = 30
-_INTERVAL_CONFIDENCE = 0.95
 
 # The side on which a product lies, and what puts it there: the mean positive, and negative.
 _SIDES = {
@@ -209,8 +206,8 @@ def _sample_sizes(components: tuple[ComponentResult, ...]) -> list[Finding]:
         which = ", ".join(names)
         if n == 1:
             listed.append(Finding("single-check-point", "note", which))
-        elif n < SMALL_SAMPLE:
-            low, high = statistics.std_interval_factors(n, _INTERVAL_CONFIDENCE)
+        elif n < policy.SMALL_SAMPLE:
+            low, high = statistics.std_interval_factors(n, policy.CONFIDENCE)
             listed.append(Finding("small-sample", "note", which, {"n": float(n), "low": low, "high": high}))
     return listed
 

@@ -8,12 +8,10 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 
-# 1 / the 0.75 quantile of the standard normal distribution: the median of absolute deviations
-# times this estimates the standard deviation of normal data (Hoehle and Hoehle 2009).
-_MAD_TO_STD = 1.482602218505602
 # Directions over half a turn; the integrand is smooth and periodic, so the rectangle rule converges
 # exponentially and this many suffice for axis ratios down to about 1:100.
 _DIRECTIONS = 2048
@@ -21,8 +19,6 @@ _DIRECTIONS = 2048
 SHAPIRO_WILK_SAMPLES = range(3, 5001)
 # A smaller range is no measurement: all values are equal.
 _NO_RANGE_M = 1e-9
-# Below this many points a deviation cannot be told from the spread it makes itself.
-SMALLEST_SAMPLE = 5
 # More outliers than this are no outliers any more but another distribution.
 MOST_TESTED = 100
 PROBABLE_ERROR = 0.90
@@ -82,7 +78,7 @@ def moments(values_m: Floats) -> Moments:
 def spread(values_m: Floats) -> Spread:
     """Compute extremes, median and the robust standard deviation of one component."""
     median = float(np.median(values_m))
-    nmad = _MAD_TO_STD * float(np.median(np.abs(values_m - median)))
+    nmad = policy.MAD_TO_SIGMA * float(np.median(np.abs(values_m - median)))
     return Spread(float(np.min(values_m)), float(np.max(values_m)), median, nmad)
 
 
@@ -275,7 +271,7 @@ def _require_level(confidence: float) -> None:
 
 def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
     """Find the values that do not belong to the normal distribution of the others."""
-    if len(values_m) < SMALLEST_SAMPLE:
+    if len(values_m) < policy.SMALLEST_SAMPLE:
         return ()
     rows = np.arange(len(values_m))
     removed: list[int] = []

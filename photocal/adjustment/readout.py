@@ -18,6 +18,7 @@ from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import head_values
+from photocal.base import policy
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection, among
 
@@ -30,8 +31,6 @@ ROUNDS = 5
 # Gusts get room for so many sigmas of the readout beside itself. Where both come out short, its error e and
 # sigma s together, e / s has a variance of 1 + 9 (s / readout)^2, to second order.
 ROOM = 3.0
-# A global shutter is called rolling in one of a thousand flights.
-SIGNIFICANCE = 0.001
 # Standard deviations that its estimate must be away from zero, on the side that the test found.
 BORNE = 2.0
 # What c and principal point may be wrong by where a lens is held that nobody has calibrated, as a share of c.
@@ -85,14 +84,14 @@ def with_readouts(
         if doubtful and network.exposures.motion is not None:
             freed = {k: _freed(network.cameras[k]) for k in doubtful}
             tests = _tested(_with(network, freed), solution, doubtful)
-            rolling = [k for k, test in tests.items() if test.p_value < SIGNIFICANCE]
+            rolling = [k for k, test in tests.items() if test.p_value < policy.SIGNIFICANCE]
             beside = {k: with_loose_sides(freed[k]) for k in rolling}
             tests |= _tested(_with(network, beside), solution, rolling) if rolling else {}
             # The test tells the readout well enough for the sigmas of gusts to begin with.
             known = {
                 k: _forward(freed[k].changed(readout=test.value))
                 for k, test in tests.items()
-                if test.p_value < SIGNIFICANCE
+                if test.p_value < policy.SIGNIFICANCE
             }
         network, solution = _settled(_with(network, known), solution, report, changed=bool(known))
         # Free to move as much as such a readout lets them, the images must still bear it.
@@ -221,7 +220,7 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
         tests = _tested(_with(network, doubtful), solution, list(doubtful))
     except IllPosedError:
         return False
-    return any(test.p_value < SIGNIFICANCE for test in tests.values())
+    return any(test.p_value < policy.SIGNIFICANCE for test in tests.values())
 
 
 def left_by_movement(network: Network, solution: Solution) -> float:

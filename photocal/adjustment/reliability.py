@@ -18,10 +18,10 @@ from photocal.adjustment.normal import values_of
 from photocal.adjustment.score import followed_by
 from photocal.adjustment.sensitivity import point_effects
 from photocal.adjustment.solution import Solution
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.geometry.camera import PARAMETERS
 
-SIGNIFICANCE, POWER = 0.001, 0.80
 # Below this redundancy number no other observation checks an observation.
 UNCHECKED = 1e-9
 
@@ -51,7 +51,9 @@ class Reliability:
     control_on_c: Floats
 
 
-def noncentrality(significance: float = SIGNIFICANCE, power: float = POWER, dimensions: int = 1) -> float:
+def noncentrality(
+    significance: float = policy.SIGNIFICANCE, power: float = policy.POWER, dimensions: int = 1
+) -> float:
     """Shift of a standardised residual that its two-sided test finds with a stated power."""
     limit = special.chdtri(dimensions, significance)
     return float(np.sqrt(special.chndtrinc(limit, dimensions, 1.0 - power)))
@@ -77,7 +79,10 @@ def _checked(redundancy: Floats) -> Floats:
 
 
 def reliability(
-    network: Network, solution: Solution, significance: float = SIGNIFICANCE, power: float = POWER
+    network: Network,
+    solution: Solution,
+    significance: float = policy.SIGNIFICANCE,
+    power: float = policy.POWER,
 ) -> Reliability:
     """Internal and external reliability of all rays and control coordinates."""
     delta0 = noncentrality(significance, power)

@@ -14,14 +14,13 @@ from photocal.adjustment.normal import prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
+from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.compiled import compiled
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES
 from photocal.geometry.lens import Scratch, scratch
 
-# A camera at rest is said to shake in one of a thousand flights.
-SIGNIFICANCE = 0.001
 # Sigmas are estimated until they change by less than this share.
 SETTLED, ROUNDS = 0.1, 6
 # What lies beside a steady movement by less than this share of a ray's sigma changes no figure, sure as it
@@ -61,7 +60,7 @@ def with_shake(
     sigmas |= {
         k: _start(local)
         for k, local in _by_camera(network, solution).items()
-        if k not in sigmas and _shakes(local) < SIGNIFICANCE
+        if k not in sigmas and _shakes(local) < policy.SIGNIFICANCE
     }
     if not sigmas:
         return network, solution

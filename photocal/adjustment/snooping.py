@@ -23,14 +23,12 @@ from photocal.adjustment.normal import Problem, normal_equations, other_equation
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
+from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import NotConvergedError
 
 Test = Literal["w", "tau"]
 
-# Largest probability of rejecting one good observation (Baarda 1968). In a large network it is lowered so
-# that of all good observations one is expected to be rejected.
-SIGNIFICANCE = 0.001
 # Cauchy's function halves the weight of a ray at this multiple of the scale.
 HALF_WEIGHT = 3.0
 ROUNDS = 30
@@ -167,7 +165,7 @@ def worst_of_points(network: Network, solution: Solution, test: Test) -> Integer
 
 def significance_of(tests: int) -> float:
     """Probability of rejecting one good observation when so many are tested."""
-    return min(SIGNIFICANCE, 1.0 / max(tests, 1))
+    return min(policy.SIGNIFICANCE, 1.0 / max(tests, 1))
 
 
 def critical_value(degrees_of_freedom: int, test: Test, significance: float) -> float:

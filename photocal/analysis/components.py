@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from photocal.analysis.estimates import Estimates, positive_definite, quadratic_form, without
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Figure, Finding
 
 # The tank study neglects components with 0.74, 0.98 and 1.14 % of the variance together and keeps 3.15 %.
 NEGLIGIBLE_PERCENT = 2.0
-STRONG = 0.8
 # F from which parameters are needed although correlated: 2 standard deviations of a single one.
 NEEDED = 4.0
 ESSENTIAL = ("c", "x0", "y0")
@@ -109,7 +109,7 @@ def propose_removal(estimates: Estimates) -> Proposal:
 def _crowd(components: Components, negligible: int) -> tuple[str, ...]:
     """Name the parameters that cannot be told apart, or none."""
     for column in np.abs(components.loadings).T:
-        together = np.flatnonzero(column > STRONG)
+        together = np.flatnonzero(column > policy.STRONG_CORRELATION)
         if len(together) > 1:
             return tuple(components.names[i] for i in together)
     if negligible:

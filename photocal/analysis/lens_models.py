@@ -12,6 +12,7 @@ from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.state import State
 from photocal.analysis.robust import NEAR, state_without
 from photocal.analysis.systematic_errors.refit import Checks, Fit, fit, lowest, without_images
+from photocal.base import policy
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import IllPosedError, InputMalformedError, NotConvergedError
 from photocal.findings.finding import Figure, Finding, Size
@@ -25,8 +26,6 @@ FEWEST_RAYS = 12
 # A model is better from here on: by how much it lowers v'Pv for each unknown more, and the residuals of the
 # images that were left out. The same lens written otherwise differs by less.
 GAIN, SHARE = 20.0, 0.01
-# Models are alike when Akaike's criterion differs by no more (Burnham and Anderson 2002, section 2.6).
-ALIKE = 4.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def better_lens(fits: tuple[LensFit, ...]) -> LensFit | None:
     best = min((lens.left_out for lens in better), default=np.inf)
     alike = [lens for lens in better if lens.left_out < (1 + SHARE) * best]
     least = min((_akaike(lens) for lens in alike), default=np.inf)
-    nearly = [lens for lens in alike if _akaike(lens) <= least + ALIKE]
+    nearly = [lens for lens in alike if _akaike(lens) <= least + policy.ALIKE_MODELS]
     return min(nearly, key=lambda lens: list(MODELS).index(lens.model), default=None)
 
 

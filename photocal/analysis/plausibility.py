@@ -7,12 +7,12 @@ from typing import Literal
 import numpy as np
 
 from photocal.analysis.correlation import correlation_findings
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
 
 Triple = tuple[float, float, float]
 
-SIGNIFICANT = 1.96
 FOCAL_TOLERANCE = 0.10
 SENSOR_TOLERANCE = 0.05
 GSD_TOLERANCE = 0.05
@@ -107,7 +107,7 @@ def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
         *(
             Finding("not_significant", "note", name, {"t": value / sigma})
             for name, value in record.values.items()
-            if name != "c" and abs(value) < SIGNIFICANT * (sigma := record.sigmas.get(name, 0.0))
+            if name != "c" and abs(value) < policy.TIMES_95 * (sigma := record.sigmas.get(name, 0.0))
         ),
         *(
             Finding("only_its_prior", "doubtful", name, {"sigma": record.sigmas[name], "prior_sigma": prior})
@@ -255,5 +255,5 @@ def _offsets(name: str, offsets: Offsets | None) -> list[Finding]:
     return [
         Finding("not_significant", "note", f"{name}_{axis}", {"t": value / sigma})
         for axis, value, sigma in zip("XYZ", offsets.values, offsets.sigmas, strict=True)
-        if sigma > 0.0 and abs(value) < SIGNIFICANT * sigma
+        if sigma > 0.0 and abs(value) < policy.TIMES_95 * sigma
     ]

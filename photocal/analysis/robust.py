@@ -11,6 +11,7 @@ from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by
 from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit, left_without, lowest, without_images
+from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 
@@ -19,8 +20,6 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 MOST_REMOVALS, REMOVED_TOGETHER = 30, 15
 # Left of each adjustment, see `minimise`: some 1e-4 standard deviations.
 NEAR = 1e-8
-# Of a residual that almost nothing checks: its share of the error is not known.
-LEAST_CHECKED = 0.05
 # With fewer images beyond the parameters their scatter tells too little of itself.
 FEWEST = 10
 # From here on two standard deviations tell something different.
@@ -118,7 +117,7 @@ def sandwich(fit: Fit) -> Floats:
     """
     layout, problem = fit.factored.problem.layout, fit.factored.problem
     image, images = fit.network.rays.image, len(fit.network.image_names)
-    checked = np.maximum(fit.solution.redundancy, LEAST_CHECKED)
+    checked = np.maximum(fit.solution.redundancy, policy.LEAST_CHECKED)
     pull = fit.network.rays.sigma**-2.0 * fit.solution.residuals / np.sqrt(checked)
     others = list(other_equations(problem, fit.state).values())
     off = np.einsum("nab,nb->na", fit.network.points.weight, fit.state.points - fit.network.points.values)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photocal.adjustment.solution import Solution
+from photocal.base import policy
 from photocal.base.errors import PhotocalError
 from photocal.base.progress import Progress
 from photocal.block.model import digest
@@ -144,7 +145,7 @@ def _blurred(looks: Sequence[Look]) -> list[Look]:
     if known.sum() < 5:
         return []
     middle = float(np.median(softness[known]))
-    spread = 1.4826 * float(np.median(np.abs(softness[known] - middle)))
+    spread = policy.MAD_TO_SIGMA * float(np.median(np.abs(softness[known] - middle)))
     limit = middle + max(np.log(_SOFTER), _DEVIATIONS * spread)
     return [look for look, value in zip(looks, softness, strict=True) if value > limit]
 

@@ -8,6 +8,7 @@ import numpy as np
 from photocal.accuracy.assessment import Assessment, assess
 from photocal.accuracy.standard import Question, Standard
 from photocal.adjustment.solution import Solution
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, PhotocalError
 from photocal.block.model import Block, Role
@@ -35,9 +36,6 @@ from photocal.georeferencing.methods import (
     without_weak_images,
 )
 from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
-
-# From here on a position is one of code: its errors are metres and last for minutes.
-COARSE_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -189,7 +187,7 @@ def coarsely_placed(block: Block) -> bool:
     sigma = block.images.sigma[:, 3:]
     stated = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)]
     none_else = not len(block.positions.image) and not block.points.of_role("control").any()
-    return bool(none_else and len(stated) and np.median(stated[:, :2]) > COARSE_M)
+    return bool(none_else and len(stated) and np.median(stated[:, :2]) > policy.COARSE_M)
 
 
 def _calibration(block: Block, first: Solution | None) -> tuple[SystematicErrors | None, Separation | None]:

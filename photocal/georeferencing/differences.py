@@ -11,14 +11,14 @@ from scipy.linalg import block_diag
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.adjustment.ellipses import Ellipses, ellipses
 from photocal.adjustment.network import covariance_matrices
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.block.model import ROLES, Block, Role
 from photocal.georeferencing.methods import Georeferenced
 
-ELLIPSE_PROBABILITY = 0.95
 # Two-sided 0.1 %, Baarda's usual choice (1968) for single tests.
-CRITICAL_W = float(stats.norm.ppf(1.0 - 0.001 / 2.0))
-CRITICAL_POINT = float(stats.chi2(3).ppf(1.0 - 0.001))
+CRITICAL_W = float(stats.norm.ppf(1.0 - policy.SIGNIFICANCE / 2.0))
+CRITICAL_POINT = float(stats.chi2(3).ppf(1.0 - policy.SIGNIFICANCE))
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def differences(block: Block, result: Georeferenced, role: Role) -> Differences:
         covariance,
         w,
         distance,
-        ellipses(product, ELLIPSE_PROBABILITY),
+        ellipses(product, policy.CONFIDENCE),
         joint,
     )
 

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from photocal.accuracy.statistics import BiasTest, bias_test, moments, rmse_after_trend_removal
+from photocal.base import policy
 from photocal.base.arrays import Floats, Integers, spread
 from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import ConfigurationError, PhotocalError
@@ -41,9 +42,6 @@ Pattern = tuple[str, Integers]
 SCHEMA = "photocal.control-numbers/1"
 COUNTS = (0, 1, 3, 5)
 CHOICES = 6
-# Errors predicted with this probability: 1.96 standard deviations.
-COVERED = 0.95
-_TIMES = 1.959964
 # More control is said to be worth while where it lowers what is predicted by more than this.
 WORTH = 0.1
 
@@ -430,7 +428,7 @@ def _by_number(outcome: Outcome) -> list[dict[str, Any]]:
                 "errors": len(d),
                 "rmse_m": dict(zip("XYZ", rms(d).tolist(), strict=True)),
                 "predicted_m": dict(zip("XYZ", rms(sigma).tolist(), strict=True)),
-                "within_95_percent": float(np.mean(np.abs(d) <= _TIMES * sigma)),
+                "within_95_percent": float(np.mean(np.abs(d) <= policy.TIMES_95 * sigma)),
             }
         )
     return rows

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import stats
 
 from photocal.adjustment.groups import GroupTest
+from photocal.base import policy
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Figure, Finding
 from photocal.findings.hypotheses import fault
@@ -16,19 +17,13 @@ from photocal.georeferencing.freed_groups import Estimate, Separation
 from photocal.georeferencing.ground_mistakes import Mistyped
 from photocal.georeferencing.systematic import Hypothesis, SystematicError
 
-# Errors this many times as large as predicted, or as small, are worth a word.
-_RATIO = 1.5
 # Without ground points all points of a flight share the errors of its rig and of few images: at worst they
 # err as one point, and their root of the mean d' C^-1 d / 3 as that of one (0.1 %).
 _RATIO_DIRECT = math.sqrt(float(stats.chi2(3).ppf(0.999)) / 3.0)
-# An error whose share of the gravest one's gain is less may be what the linear model leaves of that one.
-_MINOR = 0.1
 # A fall of v'Pv is worth less for each unknown more: by the logarithm of the usual number of observations.
 _UNKNOWN = 10.0
 # An estimate is the permuted given one when it comes this near: standard deviations, and metres at least.
 _NEAR, _NEAR_M = 4.0, 0.02
-# Below this a shift is no mistake of a person.
-_NOTEWORTHY_M = 0.03
 _AXES = ("forward", "right", "down")
 
 
@@ -97,7 +92,7 @@ def named(errors: tuple[SystematicError, ...]) -> list[Finding]:
     if not errors:
         return []
     gravest = max(errors, key=lambda error: error.hypothesis.gain)
-    limit = _MINOR * gravest.hypothesis.gain
+    limit = policy.MINOR_GAIN * gravest.hypothesis.gain
     minor = tuple(error.hypothesis.name for error in errors if error.hypothesis.gain < limit)
     listed = []
     for error in errors:
@@ -149,7 +144,9 @@ def _shift(estimates: tuple[Estimate, ...], in_plane: bool, change: Hypothesis |
     """A shift common to all positions: of the height alone, or of the base."""
     axes = {estimate.name.removeprefix("shift_"): estimate for estimate in estimates}
     significant = {axis: estimate for axis, estimate in axes.items() if estimate.significant}
-    noteworthy = {axis for axis, estimate in significant.items() if abs(estimate.correction) > _NOTEWORTHY_M}
+    noteworthy = {
+        axis for axis, estimate in significant.items() if abs(estimate.correction) > policy.OTHER_PLACE_M
+    }
     if noteworthy == {"z"}:
         z = axes["z"]
         side = "above" if z.correction > 0 else "below"
@@ -206,7 +203,7 @@ def _judged(judged: Judged) -> list[Finding]:
             figures: dict[str, Figure] = {"method": method, "points": tuple(differences.suspected)}
             listed.append(Finding(code, "doubtful", method, figures))
     ratio = judged.check.ratio
-    if ratio > (_RATIO_DIRECT if method == "direct" else _RATIO):
+    if ratio > (_RATIO_DIRECT if method == "direct" else policy.WORTH_A_WORD):
         listed.append(Finding("prediction-too-good", "doubtful", method, {"method": method, "ratio": ratio}))
     test = judged.result.test
     if test is not None and not test.accepted and judged.result.chi_squared > test.upper:

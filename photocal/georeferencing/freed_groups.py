@@ -14,13 +14,14 @@ from photocal.adjustment.adjust import adjust
 from photocal.adjustment.condensed import Condensed, condensed, with_second_camera
 from photocal.adjustment.covariance import Shared
 from photocal.adjustment.factored import Factored, factored
-from photocal.adjustment.groups import FEWEST, GroupTest, tested
+from photocal.adjustment.groups import GroupTest, tested
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, STRIPS, TIME
 from photocal.adjustment.network import Network
 from photocal.adjustment.readout import READOUT
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
 from photocal.block.model import Block
@@ -34,15 +35,10 @@ _SCALE_CAMERA, _SCALE_READOUT = 0.01, 0.1
 # A direction is not determined when its standard deviation stays above this share of the scale.
 _UNDETERMINED = 0.05
 _TAKES_PART = 0.1
-SIGNIFICANCE = 0.001
 # So many places are tried where the camera may have changed.
 _MOST_PLACES = 6
-# On either side; fewer say nothing of a principal distance.
-_FEWEST_IMAGES = 4
 # The first image of a second camera, and its parameters: start values of those that are free.
 Change = tuple[int, Floats]
-# Standard deviations that are wrong by no more are no finding.
-_NO_FINDING = 0.1
 # They are settled when they change by a smaller share; it takes no more adjustments.
 _SETTLED, _SETTLING = 0.02, 12
 
@@ -245,7 +241,7 @@ def _first_strip(fault: Fault) -> list[int]:
 
 def estimates_of(block: Block, freed: Block, solution: Shared, fault: Fault) -> tuple[Estimate, ...]:
     """Give the values of one fault from the solution in which it is freed."""
-    critical = float(stats.norm.ppf(1.0 - SIGNIFICANCE / 2.0))
+    critical = float(stats.norm.ppf(1.0 - policy.SIGNIFICANCE / 2.0))
 
     def estimate(label: str, unit: str, value: float, given: float, sigma: float) -> Estimate:
         t = (value - given) / sigma if sigma > 0 else 0.0
@@ -300,21 +296,23 @@ def positions_moved(block: Block, solution: Shared, fault: Fault, stated: Floats
         n = len(strips)
         against = np.kron(np.eye(n) - (1.0 - np.eye(n)) / (n - 1), np.eye(3))
         moved, covariance = against @ moved, against @ covariance @ against.T
-    sure = np.abs(moved) > stats.norm.isf(SIGNIFICANCE / 2.0) * np.sqrt(np.diag(covariance))
+    sure = np.abs(moved) > stats.norm.isf(policy.SIGNIFICANCE / 2.0) * np.sqrt(np.diag(covariance))
     return float(np.max(np.abs(moved) / scale, where=sure, initial=0.0))
 
 
 def places_of_change(block: Block) -> tuple[int, ...]:
     """List the images before which the camera may have changed: first ones of strips, else quarters."""
     count = len(block.images.names)
-    if len(block.cameras) != 1 or count < 2 * _FEWEST_IMAGES:
+    if len(block.cameras) != 1 or count < 2 * policy.FEWEST_IMAGES_OF_CAMERA:
         return ()
     strip = np.full(count, -1)
     strip[block.positions.image] = block.positions.strip
     first = np.flatnonzero((np.diff(strip) != 0) & (strip[1:] >= 0) & (strip[:-1] >= 0)) + 1
     if not len(first):
         first = np.arange(1, 4) * count // 4
-    first = first[(first >= _FEWEST_IMAGES) & (first <= count - _FEWEST_IMAGES)]
+    first = first[
+        (first >= policy.FEWEST_IMAGES_OF_CAMERA) & (first <= count - policy.FEWEST_IMAGES_OF_CAMERA)
+    ]
     chosen = np.linspace(0, len(first) - 1, min(len(first), _MOST_PLACES)).round().astype(int)
     return tuple(int(first[k]) for k in np.unique(chosen))
 
@@ -387,9 +385,9 @@ def wrong_sigma(first: Solution, cause: float) -> GroupTest | None:
     wrong = [
         group
         for group in groups
-        if group.redundancy >= FEWEST
-        and group.p_value < SIGNIFICANCE
-        and abs(group.factor - 1.0) > _NO_FINDING
+        if group.redundancy >= policy.FEWEST_REDUNDANT
+        and group.p_value < policy.SIGNIFICANCE
+        and abs(group.factor - 1.0) > policy.WRONG_SIGMA
         and (group.factor < 1.0 or group.gain > cause)
     ]
     return max(wrong, key=lambda test: test.gain, default=None)

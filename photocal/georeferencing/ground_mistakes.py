@@ -16,6 +16,7 @@ from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import body_to_camera
 from photocal.adjustment.network import covariance_matrices
+from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block, Role
@@ -30,14 +31,8 @@ from photocal.georeferencing.methods import checkable, local_origin, with_roles,
 _FAR_M = 50_000.0
 Place = Callable[[Floats], Floats]
 
-# With fewer control points a contradiction cannot be laid at the door of one of them.
-_FEWEST = 4
+# Control points that are taken out one after the other, at most.
 _MOST_REMOVED = 3
-_SIGNIFICANCE = 0.001
-# Less than this many times the stated sigma is a poor point, not a wrong one.
-_WRONG = 10.0
-# A slip explains a coordinate when it comes this near, in standard deviations.
-_NEAR = 4.0
 # Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
 # offset (s); the shift is free.
 _LOOSE_C, _LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
@@ -170,13 +165,13 @@ def mistyped_control(
 ) -> tuple[Block, tuple[Mistyped, ...]]:
     """Find control points that contradict the other ones."""
     control = np.flatnonzero(block.points.of_role("control"))
-    if len(control) < _FEWEST:
+    if len(control) < policy.FEWEST_CONTROL_TO_BLAME:
         return block, ()
     try:
         rows, computed, covariance, common = _by_the_images(block, control)
     except PhotocalError:
         return block, ()
-    if len(rows) < _FEWEST:
+    if len(rows) < policy.FEWEST_CONTROL_TO_BLAME:
         return block, ()
     d = computed - block.points.values[rows]
     removed = contradicting(d, covariance, common)
@@ -186,7 +181,9 @@ def mistyped_control(
         stated = block.points.sigma[rows[k]]
         stated = np.where(np.isfinite(stated), stated, np.inf)
         sigma = np.sqrt(np.diag(spread))
-        if not np.any((np.abs(error) > _WRONG * stated) & (np.abs(error) > _NEAR * sigma)):
+        if not np.any(
+            (np.abs(error) > policy.MISTYPED_SIGMAS * stated) & (np.abs(error) > policy.SLIP_SIGMAS * sigma)
+        ):
             return block, ()
         wanted = to_given((block.points.values[rows[k]] + error)[None, :])[0]
         slips = _slips(given[rows[k]], wanted, sigma, system)
@@ -203,7 +200,7 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, .
     while True:
         freedom = 3 * (n - len(removed)) - common.shape[1]
         rest = freedom - 3
-        if freedom > 0 and chi_squared <= stats.chi2.isf(_SIGNIFICANCE, freedom):
+        if freedom > 0 and chi_squared <= stats.chi2.isf(policy.SIGNIFICANCE, freedom):
             return removed
         if rest < 1 or len(removed) == _MOST_REMOVED:
             return ()
@@ -212,12 +209,16 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, .
         )
         (best, k), (second, _) = tries[:2]
         # Errors that the sigmas do not know stretch everything: what stands out does so against the rest.
-        known = best <= stats.chi2.isf(_SIGNIFICANCE, rest)
+        known = best <= stats.chi2.isf(policy.SIGNIFICANCE, rest)
         scale = 1.0 if known else best / rest
-        limit = stats.chi2.isf(_SIGNIFICANCE, 3) / 3 if known else stats.f.isf(_SIGNIFICANCE / n, 3, rest)
+        limit = (
+            stats.chi2.isf(policy.SIGNIFICANCE, 3) / 3
+            if known
+            else stats.f.isf(policy.SIGNIFICANCE / n, 3, rest)
+        )
         if (chi_squared - best) / 3.0 / scale <= limit:
             return removed
-        if second - best < stats.chi2.isf(_SIGNIFICANCE, 3) * scale:
+        if second - best < stats.chi2.isf(policy.SIGNIFICANCE, 3) * scale:
             return ()
         removed, chi_squared = (*removed, k), best
 
@@ -287,7 +288,7 @@ def _by_the_images(block: Block, control: Integers) -> tuple[Integers, Floats, F
 
 def _slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[str, ...]:
     """Name the slips of the pen that made the given coordinates of the wanted ones, see `Mistyped`."""
-    tolerance = _NEAR * sigma
+    tolerance = policy.SLIP_SIGMAS * sigma
     wrong = np.abs(given - wanted) > tolerance
     for a, b in ((0, 1), (0, 2), (1, 2)):
         changed = given.copy()

@@ -13,6 +13,7 @@ from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS
 from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
+from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import ConfigurationError, IllPosedError, PhotocalError
 from photocal.block.model import ROLES, Block
@@ -29,8 +30,6 @@ from photocal.georeferencing.direct import (
 from photocal.georeferencing.space_intersection import intersect_points
 
 Method = Literal["direct", "integrated", "indirect"]
-# Three points orient an image in up to four ways and nothing checks them.
-_FEWEST_RAYS = 4
 # A column of the covariance for each coordinate.
 _MOST_JOINT = 200
 METHODS: tuple[Method, ...] = ("direct", "integrated", "indirect")
@@ -103,7 +102,7 @@ def without_weak_images(block: Block) -> tuple[Block, Flags]:
     weak = np.zeros(len(block.images.names), dtype=np.bool_)
     while True:
         rays = np.bincount(block.observations.image, minlength=len(weak))
-        more = (rays < _FEWEST_RAYS) & ~weak
+        more = (rays < policy.FEWEST_RAYS_OF_IMAGE) & ~weak
         if not more.any():
             break
         weak |= more

@@ -13,13 +13,14 @@ from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
 from photocal.accuracy.output import findings_text, finite
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
+from photocal.base import policy
 from photocal.base.arrays import Floats, as_plain
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.base.geopackage import ReferenceSystem
 from photocal.findings.finding import verdict
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 from photocal.georeferencing.comparison import BlockCheck, Judged
-from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, cells
+from photocal.georeferencing.differences import CRITICAL_W, Differences, cells
 from photocal.georeferencing.findings import block_findings, estimate_text
 from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
 
@@ -143,7 +144,7 @@ def _differences(differences: Differences) -> dict[str, Any]:
         "predicted_m": _by_axis(differences.predicted),
         "errors_over_prediction": differences.ratio,
         "critical_w": CRITICAL_W,
-        "ellipse_probability": ELLIPSE_PROBABILITY,
+        "ellipse_probability": policy.CONFIDENCE,
         "joint": None
         if joint is None
         else {**as_plain(joint), "mean": _by_axis(joint.mean), "mean_sigma": _by_axis(joint.mean_sigma)},

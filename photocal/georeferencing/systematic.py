@@ -20,13 +20,13 @@ from photocal.adjustment.factored import factorised
 from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.ledger import because
 from photocal.adjustment.solution import Solution
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.georeferencing.freed_groups import (
-    SIGNIFICANCE,
     Change,
     Estimate,
     Opened,
@@ -45,19 +45,6 @@ from photocal.georeferencing.freed_groups import (
 )
 
 _ROUNDS = 4
-# Akaike (1974): models this close are not told apart; in units of v'Pv.
-_AS_GOOD = 10.0
-# What the condensed equations tell to be below this share of its limit, or of the best one's gain, is not
-# adjusted: they neglect no more than second order.
-_DOUBT = 0.5
-# A share of the gain: what explains as much of it is another name for the same error.
-_SAME_GAIN = 0.95
-# A principal distance that differs by less is no other camera, zoom or focus: warmth and correlated tie
-# points do that too.
-_NOTEWORTHY = 1e-3
-# Errors of GNSS stay alike for minutes: a shift within the 95 % that are stated of each position is what was
-# stated, however sure it is, unless it moves c beyond the 95 % that are stated of it.
-_STATED = 2.0
 
 
 @dataclass(frozen=True)
@@ -122,7 +109,7 @@ def compare(
     factor = after.chi_squared / freedom
     # Rays that are better than stated make positions and what was measured of the mounting no better.
     f = gain / unknowns / max(factor, 1.0)
-    critical = float(stats.f(unknowns, freedom).ppf(1.0 - SIGNIFICANCE / tests))
+    critical = float(stats.f(unknowns, freedom).ppf(1.0 - policy.SIGNIFICANCE / tests))
     on_c = _moved_surely(before, after, stated or before)
     estimates, moved = after.estimates[name], after.moved[name]
     return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, estimates, moved, on_c)
@@ -139,7 +126,7 @@ def _moved_surely(before: Fit, after: Fit, stated: Fit) -> float:
     count = len(before.c)
     change = np.abs(after.c[:count] - before.c)
     spread = np.sqrt(np.maximum(after.sigma_c[:count] ** 2 - before.sigma_c**2, 0.0))
-    sure = (before.sigma_c > 0.0) & (change > stats.norm.isf(SIGNIFICANCE / 2.0) * spread)
+    sure = (before.sigma_c > 0.0) & (change > stats.norm.isf(policy.SIGNIFICANCE / 2.0) * spread)
     wider = stated.sigma_c > before.sigma_c
     moved = np.where(wider, np.abs(after.c[:count] - stated.c), change)
     sigma = np.maximum(stated.sigma_c, before.sigma_c)
@@ -172,9 +159,9 @@ def _noteworthy(hypothesis: Hypothesis) -> bool:
     """Whether an error is larger than what was stated of positions, or of one camera, allows."""
     known = fault(hypothesis.name)
     if known is None or known.each != "part":
-        return max(hypothesis.moved, hypothesis.on_c) > _STATED
+        return max(hypothesis.moved, hypothesis.on_c) > policy.STATED
     before, after = hypothesis.estimates[0].value, hypothesis.estimates[1].value
-    return abs(after - before) / before > _NOTEWORTHY
+    return abs(after - before) / before > policy.OTHER_C
 
 
 def _scale(tries: tuple[Hypothesis, ...]) -> float:
@@ -184,7 +171,7 @@ def _scale(tries: tuple[Hypothesis, ...]) -> float:
 
 def as_good(best: Hypothesis, tries: tuple[Hypothesis, ...]) -> tuple[Hypothesis, ...]:
     """Give the other hypotheses that explain nearly all of what the best explains."""
-    limit = min(best.gain - _AS_GOOD * _scale(tries), _SAME_GAIN * best.gain)
+    limit = min(best.gain - policy.AS_GOOD * _scale(tries), policy.SAME_GAIN * best.gain)
     silent = {entry.code for entry in FAULTS if entry.each == "strip" or best.name in entry.contains}
     heard = (trial for trial in tries if trial.name not in {best.name, *silent})
     return tuple(trial for trial in heard if trial.significant and trial.gain >= limit)
@@ -296,8 +283,10 @@ class _Search:
         screened = [
             self._tested(name, accepted, self._predicted) for name in self._faults if name not in taken
         ]
-        likely = [trial for trial in screened if trial is not None and trial.f > _DOUBT * trial.critical]
-        least = _DOUBT * max((trial.gain for trial in likely), default=0.0)
+        likely = [
+            trial for trial in screened if trial is not None and trial.f > policy.SCREENED * trial.critical
+        ]
+        least = policy.SCREENED * max((trial.gain for trial in likely), default=0.0)
         tries = (
             self._tested(trial.name, accepted) if trial in likely and trial.gain >= least else trial
             for trial in screened

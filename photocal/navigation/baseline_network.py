@@ -6,13 +6,13 @@ import numpy as np
 
 from photocal.adjustment.reliability import noncentrality
 from photocal.adjustment.solution import GlobalTest, global_test
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
 from photocal.navigation.trajectory import enu_axes_at
 
-# Two-sided 0.1 % for one component (Baarda 1968: alpha 0.001, beta 0.80 give lambda 17.075).
-CRITICAL = 3.2905
-_DELTA = noncentrality(0.001, 0.80)
+# Two-sided 0.1 % for one component (lambda 17.075).
+_DELTA = noncentrality()
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Blunder:
     component: ``height``, ``east`` or ``north``; an error of height alone is mostly that of an antenna
         height.
     size_m: estimated error with its sign, start to end.
-    test: normalised residual; rejected above `CRITICAL`.
+    test: normalised residual; rejected above `policy.TIMES_999`.
     """
 
     name: str
@@ -176,7 +176,7 @@ def _adjust(
         squared / dof if dof > 0 else float("nan"),
     )
     worst = int(np.argmax(np.abs(test))) if m else 0
-    if not m or abs(test[worst]) <= CRITICAL:
+    if not m or abs(test[worst]) <= policy.TIMES_999:
         return solution, None
     b = baselines[worst // 3]
     blunder = Blunder(

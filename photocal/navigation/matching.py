@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import poisson
 
+from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError
 
@@ -211,7 +212,7 @@ def _refine(
             root = np.sqrt(weight)
             (a, b), *_ = np.linalg.lstsq(design * root[:, None], d * root, rcond=None)
             residual = d - a - b * t
-            scatter = max(1.4826 * float(np.median(np.abs(residual))), 1e-6)
+            scatter = max(policy.MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1e-6)
             weight = np.minimum(1.0, 1.5 * scatter / np.maximum(np.abs(residual), 1e-12))
         covariance = scatter**2 * np.linalg.pinv(design.T @ (design * weight[:, None]))
         narrower = max(_SIGMAS * scatter, 1e-4)

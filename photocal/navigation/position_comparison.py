@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
 from photocal.base.geodesy import enu_offsets
@@ -17,10 +18,6 @@ from photocal.navigation.exposures import Exposures
 from photocal.navigation.rig import Rig
 
 _LEAST = 8
-_SIGNIFICANCE = 0.001
-# What falls short by no more than this is as good a name for the same error (Raftery 1995: over 10 is
-# very strong evidence).
-_AS_GOOD = 10.0
 _GROSS = 5.0
 # Of neighbours that are more alike than this it cannot be told how much.
 _MOST_ALIKE = 0.9
@@ -72,7 +69,7 @@ class Explanation:
     @property
     def significant(self) -> bool:
         """Whether the data want it."""
-        return self.p < _SIGNIFICANCE and self.gain > 0
+        return self.p < policy.SIGNIFICANCE and self.gain > 0
 
 
 @dataclass(frozen=True)
@@ -126,9 +123,9 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     tried = [_freed(name, model, sigma, place) for name, place in places.items()]
     if pairs.lever_m is not None and turned:
         tried += _exchanged(model, sigma, to_camera[rows], pairs.lever_m)
-    judged = [t for t in tried if t.significant and t.p * len(tried) < _SIGNIFICANCE]
+    judged = [t for t in tried if t.significant and t.p * len(tried) < policy.SIGNIFICANCE]
     best = max(judged, key=lambda t: t.gain, default=None)
-    as_good = [t.name for t in judged if best and t.name != best.name and best.gain - t.gain < _AS_GOOD]
+    as_good = [t.name for t in judged if best and t.name != best.name and best.gain - t.gain < policy.AS_GOOD]
     # A lever arm is known to a centimetre: exchanged axes need not explain the last of it.
     exchange = next((t for t in judged if t.name == AXES and best and t.gain > _MOST * best.gain), None)
     return PositionComparison(

@@ -9,6 +9,7 @@ from re import compile as pattern
 
 import numpy as np
 
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, reading
 from photocal.navigation.time import GpsTime, exact_ns
@@ -18,8 +19,6 @@ _GPS_EPOCH = dt.date(1980, 1, 6)
 _EPOCH_3 = pattern(r"> (\d{4}) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2}\d\.\d+)")
 _EPOCH_2 = pattern(r" (\d\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2,3}\.\d{7})  [01]")
 _EPHEMERIS = pattern(r"(?:[GRECJIS][ \d]\d|[ \d]\d) +\d{2,4} +\d{1,2} +\d{1,2} ")
-# CSRS-PPP states half widths of 95 % intervals.
-_OF_95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ def _of_csrs(lines: list[str]) -> PreciseResult:
     # Latitude and longitude stand in degrees, minutes and seconds.
     for row, (axis, first) in enumerate((("LAT", 11), ("LON", 11), ("HGT", 7))):
         cells = rows[axis]
-        sigma[row], whole[row] = (float(cells[first + k * total]) / _OF_95 for k in (0, 1))
+        sigma[row], whole[row] = (float(cells[first + k * total]) / policy.TIMES_95 for k in (0, 1))
         for column, text in enumerate(cells[first + 1 + total : first + 1 + total + row]):
             correlation[row, column] = correlation[column, row] = float(text)
     local = correlation * np.outer(sigma, sigma) + np.diag(whole**2 - sigma**2)

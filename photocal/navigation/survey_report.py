@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from photocal.adjustment.ellipses import ellipses
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
@@ -14,7 +15,6 @@ from photocal.navigation.exposure_files import in_frame
 from photocal.navigation.trajectory import enu_axes_at
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
-_PROBABILITY = 0.95
 
 
 def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
     lat, lon, height = geodetic(solution.xyz_m)
     local = _local_covariances(solution)
-    confidence, sigma = ellipses(local, _PROBABILITY), _sigma(local)
+    confidence, sigma = ellipses(local, policy.CONFIDENCE), _sigma(local)
     return [
         {
             "name": name,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.ground_points import GroundPoints
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.block.table import read_table
@@ -187,7 +188,7 @@ def _gravity(grey: NDArray[np.float32], radius: float) -> tuple[float, float]:
     around = float(np.median(outside))
     weight = np.abs(grey - around)
     # What the surroundings do by themselves would pull towards the middle of the window.
-    weight[weight < 3 * 1.4826 * np.median(np.abs(outside - around))] = 0
+    weight[weight < 3 * policy.MAD_TO_SIGMA * np.median(np.abs(outside - around))] = 0
     for _ in range(5):
         near = weight * (np.hypot(index[:, None] - y, index - x) <= radius + 1.5)
         total = near.sum()

@@ -11,8 +11,9 @@ import pyarrow.csv
 from photocal.adjustment.ellipses import ellipses, ellipsoids, hottier_factor, mean_precision, spheres
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
-from photocal.adjustment.reliability import POWER, SIGNIFICANCE, reliability
+from photocal.adjustment.reliability import reliability
 from photocal.adjustment.solution import Solution
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
@@ -64,7 +65,9 @@ def more_figures(
             name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in mean.items()
         },
         "control_residuals": _control_residuals(block, assembly, points),
-        "reliability": {"significance": SIGNIFICANCE, "power": POWER} if wanted.reliability else None,
+        "reliability": {"significance": policy.SIGNIFICANCE, "power": policy.POWER}
+        if wanted.reliability
+        else None,
         "ellipses": None if wanted.ellipses is None else {"probability": wanted.ellipses},
     }
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from photocal.base import policy
 from photocal.base.arrays import as_plain
 from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
@@ -19,14 +20,10 @@ from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import changed_inputs
 from photocal.run.stage import StageResult, is_stage
 
-# A parameter that goes so many of its prior sigmas away.
-CONTRADICTED = 4.0
 # With two thirds of the positions fixed, it is they that carry what is found.
 _JUDGED_FROM_PERCENT = 200.0 / 3.0
 # What else looks like what the search for systematic errors blames: told instead of it.
 _EXCUSES = ("rolling-shutter", "c-drift", "ppk-not-fixed")
-# Falls of v'Pv that are this close do not tell two causes apart (Akaike 1974).
-_AS_GOOD = 10.0
 _ORDER = ("refused", "grave", "doubtful", "consequence", "note")
 _NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
 
@@ -110,7 +107,7 @@ def causes_first(
     if excuse is not None:
         alike = [f for f in findings if f.stage == "georeferencing" and f.code in excuse.imitates]
         excuses = [finding for finding in findings if finding.code == excuse.code]
-        behind = [f for f in excuses if any(_beyond(other, f) > _AS_GOOD for other in alike)]
+        behind = [f for f in excuses if any(_beyond(other, f) > policy.AS_GOOD for other in alike)]
         if behind:
             findings = tuple(replace(f, severity="consequence") if f in behind else f for f in findings)
         else:
@@ -133,7 +130,9 @@ def _beyond(finding: Finding, excuse: Finding) -> float:
 
 def _with_rivals(excuse: Finding, others: Sequence[Finding]) -> Finding:
     """The same, with what explains the observations as well as it does."""
-    rivals = tuple(dict.fromkeys(other.code for other in others if abs(_beyond(other, excuse)) <= _AS_GOOD))
+    rivals = tuple(
+        dict.fromkeys(other.code for other in others if abs(_beyond(other, excuse)) <= policy.AS_GOOD)
+    )
     if not rivals:
         return excuse
     return replace(excuse, figures={**excuse.figures, "same": rivals}, clauses=(*excuse.clauses, "same"))
@@ -177,7 +176,7 @@ def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
         given = camera.values if camera.given is None else camera.given
         for k, key in enumerate(PARAMETERS):
             prior, away = float(camera.prior_sigma[k]), abs(float(camera.values[k] - given[k]))
-            if not 0 < prior < math.inf or away <= CONTRADICTED * prior:
+            if not 0 < prior < math.inf or away <= policy.CONTRADICTED * prior:
                 continue
             figures = {"camera": name, "parameter": key, "value": camera.value(key), "unit": camera.unit}
             figures |= {"given": float(given[k]), "sigmas": away / prior}

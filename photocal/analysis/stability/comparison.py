@@ -10,12 +10,12 @@ from pydantic import FiniteFloat, PositiveFloat
 
 from photocal.analysis.stability import methods
 from photocal.analysis.stability.methods import Method, Misfit, View
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError
 from photocal.geometry.camera import Camera
 
-PROBABILITY = 0.95
 Wobble = tuple[View, ...]
 
 
@@ -104,7 +104,7 @@ def _figure(
         noise += _drawn(method, np.zeros_like(field), change, z) / len(poses)
         around += _drawn(method, field, change, z) / len(poses)
     p_value = float((1 + np.sum(noise >= value)) / (1 + draws))
-    return Figure(*named, value, float(np.std(around)), float(np.quantile(noise, PROBABILITY)), p_value)
+    return Figure(*named, value, float(np.std(around)), float(np.quantile(noise, policy.CONFIDENCE)), p_value)
 
 
 def _drawn(method: Method, field: Floats, change: Floats, z: Floats) -> Floats:

@@ -10,15 +10,13 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.geometry.camera import Camera
 from photocal.results.result import AdjustedHead
 
 # What a user of the camera feels; distortion is compared over the format.
 PARAMETERS = ("c", "x0", "y0")
-PROBABILITY = 0.95
-# A head that stayed is said to have moved in one of so many comparisons.
-LEVEL = 0.05
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ def _of_parameter(name: str, occasions: Sequence[Occasion]) -> Repeatability:
         math.sqrt(between),
         float(stats.chi2.sf(scatter, n - 1)),
         math.hypot(math.sqrt(between), sigma),
-        float(stats.t.ppf(0.5 + PROBABILITY / 2.0, n - 1)),
+        float(stats.t.ppf(0.5 + policy.CONFIDENCE / 2.0, n - 1)),
         tuple(trend for trend in trends if trend is not None),
     )
 
@@ -191,7 +189,7 @@ class Moved:
     @property
     def different(self) -> bool:
         """Whether the head moved."""
-        return self.p_value < LEVEL
+        return self.p_value < policy.REPEAT_SIGNIFICANCE
 
 
 def compared_heads(calibrations: Mapping[str, Sequence[AdjustedHead]]) -> tuple[Moved, ...]:

@@ -5,29 +5,16 @@ import numpy as np
 from photocal.adjustment.factored import covariance_column
 from photocal.analysis.estimates import Estimates, f_test, scaled
 from photocal.analysis.systematic_errors.candidates import ExtraParameter
-from photocal.analysis.systematic_errors.refit import (
-    SMALL_PX,
-    SMALL_SHARE,
-    SMALL_SIGMAS,
-    Fit,
-    ground_effect,
-)
-from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Round, Search, camera_estimates
+from photocal.analysis.systematic_errors.refit import Fit, ground_effect
+from photocal.analysis.systematic_errors.search import Round, Search, camera_estimates
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS, Camera
 
-# A jackknife error of a parameter this many times its formal one is worth a line.
-UNSTABLE = 3.0
-# From here on a wrong sigma is not small, even if nothing else was found.
-BADLY_WRONG_SIGMA = 1.2
 ALPHA = 0.10
 # No model takes these up: what they do to c or to the points of a block withholds acceptance.
 GRAVE = ("c-drift", "rolling-shutter")
-# What is freed costs precision, and may move c by as much (Hausman 1978): c is biased beyond that at 0.1 %.
-SURELY = 3.29
-# An error that moves object points by less than this share of their standard deviations is small.
-SMALL_MOVE = 1.0
 
 
 def of_round(correction: Round) -> Finding:
@@ -39,7 +26,9 @@ def of_round(correction: Round) -> Finding:
     sigma_c = float(np.sqrt(before.solution.camera_covariance[at, 0, 0]))
     left, share = _left_px(correction), abs(change) / abs(c)
     moved = _in_sigmas(before, after.points - before.solution.points)
-    felt = (abs(change) >= SMALL_SIGMAS * sigma_c > 0.0 and share >= SMALL_SHARE) or moved >= SMALL_MOVE
+    felt = (
+        abs(change) >= policy.SMALL_SIGMAS * sigma_c > 0.0 and share >= policy.SMALL_SHARE
+    ) or moved >= policy.SMALL_MOVE
     ground = ground_effect(before, at, change)
     figure, unit = _figure(parameter, camera)
     figures: dict[str, Figure] = {
@@ -73,7 +62,7 @@ def of_round(correction: Round) -> Finding:
         clauses.append("alike")
     size = Size(figure, unit, parameter.sigma, change, ground, parameter.effect_px)
     kind = parameter.candidate.kind
-    if left < SMALL_PX and not felt:
+    if left < policy.SMALL_PX and not felt:
         return Finding(kind, "note", camera.id, figures, (*clauses, "small"), size)
     return Finding(
         kind, "grave" if felt and kind in GRAVE else "doubtful", camera.id, figures, tuple(clauses), size
@@ -137,7 +126,7 @@ def of_strips(search: Search) -> list[Finding]:
             {"images": float(strip.positions), "numbers": _by_axis(strip.shift, strip.sigma)},
         )
         for strip in search.strips
-        if strip.p_value < LEVEL and strip.beyond_stated
+        if strip.p_value < policy.FAMILY_SIGNIFICANCE and strip.beyond_stated
     ]
 
 
@@ -173,7 +162,7 @@ def of_datum(search: Search) -> list[Finding]:
     for k, camera in enumerate(search.first.network.cameras):
         sigma = float(np.sqrt(solution.camera_covariance[k, 0, 0]))
         by_m = float(shift.c_by_shift[k, 2])
-        if not sigma > 0.0 or abs(by_m) * shift.stated[2] < SMALL_SIGMAS * sigma:
+        if not sigma > 0.0 or abs(by_m) * shift.stated[2] < policy.SMALL_SIGMAS * sigma:
             continue
         by_cm: dict[str, Figure] = {
             "camera": camera.id,
@@ -192,7 +181,7 @@ def of_sigma(search: Search) -> list[Finding]:
     """Describe the assumed standard deviation of the image coordinates, when it is wrong."""
     sigma = search.sigma
     ratio = sigma.found / sigma.assumed
-    if sigma.p_value >= LEVEL or abs(ratio - 1.0) < WRONG_SIGMA:
+    if sigma.p_value >= policy.FAMILY_SIGNIFICANCE or abs(ratio - 1.0) < policy.WRONG_SIGMA:
         return []
     camera = search.last.network.cameras[0]
     scale, unit = (1000.0, "µm") if camera.unit == "mm" else (1.0, "px")
@@ -210,7 +199,7 @@ def of_sigma(search: Search) -> list[Finding]:
     clauses = ["by_rms", "too_poor"] if ratio < 1.0 else ["by_redundancy", "too_good"]
     if ratio < 1.0 and search.rounds:
         clauses.append("unseen")
-    small = ratio < BADLY_WRONG_SIGMA and not search.rounds
+    small = ratio < policy.BADLY_WRONG_SIGMA and not search.rounds
     spread = (sigma.upper - sigma.lower) / 4.0 * scale
     size = Size(figure * scale, unit, spread, 0.0, 0.0, figure / min(camera.pitch))
     severity: Severity = "note" if small else "doubtful"
@@ -229,12 +218,12 @@ def of_bias(search: Search) -> list[Finding]:
         cost = search.last.solution.camera_covariance[k, 0, 0] - sigma**2
         # A bias below the spread over the images is lost in it (mean square error).
         spread = float(np.nan_to_num(search.jackknife_last.standard_error[k, 0]))
-        unsure = max(SMALL_SIGMAS * sigma, spread, SURELY * np.sqrt(max(cost, 0.0)))
+        unsure = max(policy.SMALL_SIGMAS * sigma, spread, policy.TIMES_999 * np.sqrt(max(cost, 0.0)))
         if not sigma > 0.0 or abs(bias) < unsure:
             continue
         ground = ground_effect(search.first, k, bias)
         moved = _in_sigmas(search.first, search.last.state.points - search.first.state.points)
-        if moved < SMALL_MOVE and abs(bias) < SMALL_SHARE * abs(after):
+        if moved < policy.SMALL_MOVE and abs(bias) < policy.SMALL_SHARE * abs(after):
             continue
         figures: dict[str, Figure] = {
             "camera": camera.id,
@@ -248,7 +237,7 @@ def of_bias(search: Search) -> list[Finding]:
             "moved": moved,
         }
         size = Size(bias, camera.unit, sigma, bias, ground)
-        if moved < SMALL_MOVE:
+        if moved < policy.SMALL_MOVE:
             listed.append(Finding("c-bias", "doubtful", camera.id, figures, ("only_carried",), size))
         else:
             listed.append(Finding("c-bias", "grave", camera.id, figures, size=size))
@@ -293,9 +282,9 @@ def of_jackknife(search: Search) -> list[Finding]:
         formal = np.sqrt(np.diag(search.first.solution.camera_covariance[k])) * np.sqrt(_factor(search.first))
         before = search.jackknife_first.standard_error[k]
         ratio = np.divide(before, formal, out=np.zeros_like(before), where=formal > 0.0)
-        if not np.any(ratio > UNSTABLE):
+        if not np.any(ratio > policy.UNSTABLE):
             continue
-        worst = 0 if ratio[0] > UNSTABLE else int(np.nanargmax(ratio))
+        worst = 0 if ratio[0] > policy.UNSTABLE else int(np.nanargmax(ratio))
         figures: dict[str, Figure] = {
             "camera": camera.id,
             "parameter": PARAMETERS[worst],
@@ -311,7 +300,7 @@ def of_jackknife(search: Search) -> list[Finding]:
             ground = ground_effect(search.first, k, effect)
             moved = moved_with_c(search.first, k, effect)
             figures |= {"ground_m": ground, "moved": moved}
-            clauses.append("only_carried" if moved < SMALL_MOVE else "heights_hang")
+            clauses.append("only_carried" if moved < policy.SMALL_MOVE else "heights_hang")
         size = Size(float(before[worst]), camera.unit, None, effect, ground)
         listed.append(Finding("jackknife", "doubtful", camera.id, figures, tuple(clauses), size))
     return listed

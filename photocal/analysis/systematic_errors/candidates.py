@@ -12,8 +12,9 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.normal import values_of
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.state import State
-from photocal.analysis.robust import FEWEST, LEAST_CHECKED, groups_of, standard_error, state_without
+from photocal.analysis.robust import FEWEST, groups_of, standard_error, state_without
 from photocal.analysis.systematic_errors.refit import Fit, left_without, without_images
+from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -318,7 +319,7 @@ def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
     freedom = images - int(camera.estimated.sum()) - 1
     if freedom >= FEWEST:
         scored = score(fit.factored, fit.solution.residuals, -candidate.displacement[None])
-        checked = np.maximum(fit.solution.redundancy, LEAST_CHECKED)
+        checked = np.maximum(fit.solution.redundancy, policy.LEAST_CHECKED)
         weighed = fit.solution.residuals / np.sqrt(checked)
         shown = -candidate.displacement - followed_by(fit.factored, scored.steps, scored.moved)[0]
         sigma = _spread(fit, float(scored.information[0, 0]), shown, weighed) * (images / freedom) ** 0.5

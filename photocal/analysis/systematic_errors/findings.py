@@ -6,18 +6,13 @@ from scipy import special
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.observations import mounting_equations
 from photocal.analysis.systematic_errors import camera_findings
-from photocal.analysis.systematic_errors.refit import SMALL_PX, Fit
+from photocal.analysis.systematic_errors.refit import Fit
 from photocal.analysis.systematic_errors.scatter import VarianceComponent
-from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Search
+from photocal.analysis.systematic_errors.search import Search
+from photocal.base import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
 
-# An image's own scale or principal point is listed when it moves a ray beyond the noise of single ones.
-VISIBLE_SIGMAS = 2.5
-# Scatter against that of all together: from here on an axis or camera is listed, and no longer called small.
-WORTH_A_LINE = 1.05
-SMALL_RATIO = 1.25
-# The whole family alarms on a clean block in no more than 5 of 1000 cases; places in the flight at which a
-# head is tried to have moved, and exposures that must lie before and after.
+# Places in the flight at which a head is tried to have moved, exposures that must lie before and after.
 PLACES, FEWEST = 16, 3
 
 
@@ -25,7 +20,10 @@ def of_stated(search: Search) -> list[Finding]:
     """Name groups whose stated standard deviations are wrong by a factor."""
     listed = []
     for group in search.groups:
-        if group.p_value >= LEVEL / len(search.groups) or abs(group.factor - 1.0) < WRONG_SIGMA:
+        if (
+            group.p_value >= policy.FAMILY_SIGNIFICANCE / len(search.groups)
+            or abs(group.factor - 1.0) < policy.WRONG_SIGMA
+        ):
             continue
         # What is known beforehand is stated with caution: no error of measurement says otherwise.
         if group.factor < 1.0 and group.name in ("camera", "mounting", "head", "rig"):
@@ -39,7 +37,7 @@ def of_stated(search: Search) -> list[Finding]:
         }
         size = Size(group.factor, "1")
         if group.factor > 1.0:
-            severity: Severity = "doubtful" if group.factor > SMALL_RATIO else "note"
+            severity: Severity = "doubtful" if group.factor > policy.SMALL_RATIO else "note"
             listed.append(Finding("sigmas-too-small", severity, group.name, figures, size=size))
         else:
             listed.append(Finding("sigmas-too-large", "note", group.name, figures, size=size))
@@ -53,7 +51,7 @@ def of_groups(search: Search) -> list[Finding]:
         _scatter(code, component, search)
         for code, components in (("axis-scatter", search.axes), ("camera-scatter", search.cameras))
         for component in components
-        if component.p_value < LEVEL and component.ratio > WORTH_A_LINE * overall
+        if component.p_value < policy.FAMILY_SIGNIFICANCE and component.ratio > policy.WORTH_A_LINE * overall
     ]
 
 
@@ -66,16 +64,20 @@ def of_images(search: Search) -> list[Finding]:
     shifts = {image_shift.image: image_shift for image_shift in search.shifts}
     for name, component in components.items():
         shift = shifts.get(name)
-        shifted = shift is not None and shift.p_value < LEVEL and shift.effect_px > VISIBLE_SIGMAS * sigma_px
+        shifted = (
+            shift is not None
+            and shift.p_value < policy.FAMILY_SIGNIFICANCE
+            and shift.effect_px > policy.VISIBLE_SIGMAS * sigma_px
+        )
         # One bad image makes the good ones look better than all together: only the bad one is named.
-        scattered = component.p_value < LEVEL and component.ratio > overall
+        scattered = component.p_value < policy.FAMILY_SIGNIFICANCE and component.ratio > overall
         if not (scattered or shifted):
             continue
         finding = _scatter("image", component, search)
         if shift is None or not shifted:
             listed.append(finding)
             continue
-        small = shift.effect_px < SMALL_PX
+        small = shift.effect_px < policy.SMALL_PX
         figures = {**finding.figures, "moved_px": shift.effect_px}
         clauses = ("own_geometry", "small") if small else ("own_geometry",)
         size = Size(_relative(component, search), "1", px=shift.effect_px)
@@ -91,7 +93,7 @@ def _relative(component: VarianceComponent, search: Search) -> float:
 def _scatter(code: str, component: VarianceComponent, search: Search) -> Finding:
     relative = _relative(component, search)
     effect = component.ratio * search.sigma.assumed / min(search.last.network.cameras[0].pitch)
-    small = effect < SMALL_PX or relative < SMALL_RATIO
+    small = effect < policy.SMALL_PX or relative < policy.SMALL_RATIO
     figures: dict[str, Figure] = {"name": component.name, "relative": relative, "px": effect}
     clauses = ("amount", "small") if small else ("amount",)
     size = Size(relative, "1", px=effect)
@@ -102,7 +104,9 @@ def of_maps(search: Search) -> list[Finding]:
     """Describe patterns of the residuals on the sensor."""
     listed = []
     for camera, cells in zip(search.last.network.cameras, search.maps, strict=True):
-        if cells is None or (cells.global_p_value >= LEVEL and not cells.significant.any()):
+        if cells is None or (
+            cells.global_p_value >= policy.FAMILY_SIGNIFICANCE and not cells.significant.any()
+        ):
             continue
         length = np.linalg.norm(cells.mean_px, axis=-1)
         length[cells.count == 0] = 0.0
@@ -110,7 +114,7 @@ def of_maps(search: Search) -> list[Finding]:
             length[~cells.significant] = 0.0
         row, column = np.unravel_index(int(np.argmax(length)), length.shape)
         effect = float(length[row, column])
-        small = effect < SMALL_PX
+        small = effect < policy.SMALL_PX
         figures: dict[str, Figure] = {
             "camera": camera.id,
             "significant": float(cells.significant.sum()),
@@ -173,7 +177,7 @@ def of_heads(fitted: Fit) -> list[Finding]:
     # One that moves pulls at the others: the one that moved most is named.
     chi_squared, freedom, k, pair, move, inverse = max(tried, key=lambda jump: jump[0] / jump[1])
     p_value = min(1.0, len(tried) * float(special.chdtrc(freedom, chi_squared)))
-    if p_value >= LEVEL:
+    if p_value >= policy.FAMILY_SIGNIFICANCE:
         return []
     # Turns about its axes, then shifts in those of the first head.
     camera, turn = network.cameras[rig.camera[k]].id, float(np.degrees(np.linalg.norm(move[:3])))

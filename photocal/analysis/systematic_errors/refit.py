@@ -23,11 +23,6 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 
 Observed = TypeVar("Observed", Positions, Attitudes)
-# Below half a pixel and two standard deviations of c an effect is called small.
-SMALL_PX = 0.5
-SMALL_SIGMAS = 2.0
-# However surely it is found: heights that are wrong by less than 1 cm in 100 m are no use's concern.
-SMALL_SHARE = 1e-4
 # Left of each adjustment, see `minimise`: some 3e-4 standard deviations.
 NEAR = 1e-7
 

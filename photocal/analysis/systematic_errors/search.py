@@ -13,26 +13,20 @@ from photocal.analysis.robust import Jackknife, jackknife
 from photocal.analysis.systematic_errors import candidates, scatter, shifts
 from photocal.analysis.systematic_errors.candidates import Candidate, ExtraParameter
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas, without_member
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 
-# Each family of tests alarms on a clean block in no more than 5 of 1000 cases.
-LEVEL = 0.005
 ROUNDS = 6
-# Less than this is no wrong sigma.
-WRONG_SIGMA = 0.10
-# From here on causes are judged with the sigmas that residuals agree with, too; when those are settled.
-_JUDGED_ANEW, _SETTLED = 1.25, 0.02
+# Share of itself by which a variance may still change.
+_SETTLED = 0.02
 # What positions, attitudes and control points were stated to be: of these people write down what they hope.
 _STATED = ("position", "attitude", "control")
 # Steps in which an error is corrected, until this share of its standard deviation is left of it.
 _STEPS, _NEAR = 5, 0.005
-# Candidates count as alike when their displacements are this parallel and their F this close.
-ALIKE = 0.9
 # A step has its place beside its size, the best of several: it must explain so much more than a drift, in F.
-# Where neither explains so much more than the other (Akaike 1974), the flight does not tell them apart.
-STEP_ADVANTAGE, _AS_GOOD = 6.0, 10.0
+STEP_ADVANTAGE = 6.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +79,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     rounds = list[Round]()
     members, last = _without_gross_errors(first)
     positions = shifts.position_shift(last)
-    shift = positions if positions is not None and positions.p_value < LEVEL else None
+    shift = positions if positions is not None and positions.p_value < policy.FAMILY_SIGNIFICANCE else None
     with because("positions shifted in common"):
         last = last if shift is None else fit(shifts.with_free_shift(last.network), last.state)
     while len(rounds) < ROUNDS:
@@ -129,7 +123,7 @@ def _without_gross_errors(first: Fit) -> tuple[tuple[Member, ...], Fit]:
     """Take out positions and control points that contradict all others, one after the other."""
     members, last = list[Member](), first
     while len(members) < ROUNDS:
-        worst = shifts.gross_error(last, LEVEL)
+        worst = shifts.gross_error(last, policy.FAMILY_SIGNIFICANCE)
         if worst is None:
             break
         try:
@@ -167,7 +161,7 @@ def _suspected(last: Fit, named: tuple[Candidate, ...], done: Callable[[], None]
     ]
     for _ in fresh:
         done()
-    level = LEVEL / max(len(tested), 1)
+    level = policy.FAMILY_SIGNIFICANCE / max(len(tested), 1)
     significant = [parameter for parameter in tested if max(parameter.p_value, parameter.by_images) < level]
     for suspect in sorted(significant, key=lambda other: -other.statistic):
         worst = _step_or_drift(last, suspect)
@@ -175,7 +169,7 @@ def _suspected(last: Fit, named: tuple[Candidate, ...], done: Callable[[], None]
             other.candidate.name
             for other in significant
             if other is not worst
-            and other.statistic > ALIKE * worst.statistic
+            and other.statistic > policy.ALIKE_FIELDS * worst.statistic
             and _parallel(last, other, worst)
         )
         yield replace(worst, alike=alike, tested=len(tested))
@@ -189,13 +183,13 @@ def _step_or_drift(last: Fit, drift: ExtraParameter) -> ExtraParameter:
     best = max(candidates.estimated_amounts(last, steps), key=lambda step: step.statistic, default=drift)
     if best.statistic > drift.statistic + STEP_ADVANTAGE:
         return best
-    as_good = best is not drift and best.statistic > drift.statistic - _AS_GOOD
+    as_good = best is not drift and best.statistic > drift.statistic - policy.AS_GOOD
     return replace(drift, alike=(best.candidate.name,)) if as_good else drift
 
 
 def _parallel(last: Fit, first: ExtraParameter, second: ExtraParameter) -> bool:
     a, b = ((each.candidate.displacement / last.network.rays.sigma).ravel() for each in (first, second))
-    return bool(abs(a @ b) > ALIKE * np.linalg.norm(a) * np.linalg.norm(b))
+    return bool(abs(a @ b) > policy.ALIKE_FIELDS * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
@@ -226,7 +220,7 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
         step = rest.amount
     fall = before.solution.chi_squared - after.solution.chi_squared
     outcome = candidates.judged(before, worst.candidate, amount, worst.sigma, fall)
-    level = LEVEL / worst.tested
+    level = policy.FAMILY_SIGNIFICANCE / worst.tested
     if outcome.p_value >= level or candidates.agreed(after, worst.candidate, amount) >= level:
         return None
     weighed = None if _as_residuals_agree(after) is None else _as_residuals_agree(before)
@@ -240,7 +234,7 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
 def _groups(last: Fit, sigma: scatter.AssumedSigma) -> tuple[GroupTest, ...]:
     """Test groups of observations, with the sigma of the rays that was found where it differs."""
     ratio = sigma.found / sigma.assumed
-    if sigma.p_value < LEVEL and abs(ratio - 1.0) > WRONG_SIGMA:
+    if sigma.p_value < policy.FAMILY_SIGNIFICANCE and abs(ratio - 1.0) > policy.WRONG_SIGMA:
         with because("sigma of the image coordinates that agrees"):
             last = fit(with_sigmas(last.network, ratio), last.state)
     tests = group_tests(last.network, last.solution)
@@ -265,7 +259,8 @@ def _components(last: Fit, tests: tuple[GroupTest, ...]) -> VarianceComponents |
     far = {
         "control" if group.name in CONTROL else group.name
         for group in tests
-        if group.p_value < LEVEL / len(tests) and not 1.0 / _JUDGED_ANEW < group.factor < _JUDGED_ANEW
+        if group.p_value < policy.FAMILY_SIGNIFICANCE / len(tests)
+        and not 1.0 / policy.JUDGED_ANEW < group.factor < policy.JUDGED_ANEW
     }
     wrong = far & set(_STATED)
     hold = {group.name for group in last.solution.groups} - wrong - {"image"}
@@ -282,7 +277,9 @@ def _as_residuals_agree(last: Fit) -> Fit | None:
     """The network with larger sigmas of positions, attitudes or control, where residuals ask for them."""
     components = _components(last, group_tests(last.network, last.solution))
     if components is None or all(
-        component.factor < _JUDGED_ANEW for component in components.components if component.name in _STATED
+        component.factor < policy.JUDGED_ANEW
+        for component in components.components
+        if component.name in _STATED
     ):
         return None
     return fit(components.network, components.solution.state)
@@ -297,4 +294,4 @@ def _map(last: Fit, camera: int, factor: float) -> scatter.ResidualMap | None:
     pixel: Floats = plane_to_pixel(interior.size_px, interior.pitch, last.network.rays.plane[of_camera])
     residual = last.solution.residuals[of_camera] / np.array(interior.pitch) * down
     w = last.solution.standardised(last.network.rays.sigma)[of_camera] * down
-    return scatter.residual_map(interior.size_px, pixel, residual, w, factor, LEVEL)
+    return scatter.residual_map(interior.size_px, pixel, residual, w, factor, policy.FAMILY_SIGNIFICANCE)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photocal.adjustment.envelope import solve
-from photocal.adjustment.groups import FEWEST, Member, member_tests, tested
+from photocal.adjustment.groups import Member, member_tests, tested
 from photocal.adjustment.mounting import SHIFT, STRIPS
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
@@ -14,6 +14,7 @@ from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit
+from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.geometry.rotation import skew
 
@@ -21,14 +22,8 @@ from photocal.geometry.rotation import skew
 LEFT = 1e-4
 # Strips with fewer positions, or more strips than this, are not looked at one by one.
 LEAST_OF_STRIP, MOST_STRIPS = 3, 60
-# From here on standard deviations are wrong.
-SIGNIFICANCE = 0.001
-# Standard deviations, of 95 %.
-_STATED = 2.0
 # Less of a column than this, beside the exterior orientation, is not determined.
 INDEPENDENT = 1e-2
-# Coordinates of an image that is tested.
-FEWEST_OBSERVED = 12
 # So many images are adjusted with a scale and a principal point of their own.
 MOST_JOINT = 12
 
@@ -66,12 +61,12 @@ def position_shift(fit: Fit) -> PositionShift | None:
         [steps[:, columns[parameters == 0]].sum(axis=1) for parameters, columns in layout.camera_columns]
     )
     group = next(part for part in fit.solution.groups if part.name == "position")
-    if group.redundancy - 3.0 < FEWEST or not _determined(fields, information):
+    if group.redundancy - 3.0 < policy.FEWEST_REDUNDANT or not _determined(fields, information):
         return PositionShift(np.zeros(3), np.full(3, np.inf), 0.0, 1.0, c_by_shift, positions.stated())
     shift, sigma, fall, p_value = _estimated(information, slope, group)
     # Standard deviations that are too small by a factor compete with it: they explain all residuals alike.
     factor = tested(group)
-    wrong = factor.factor > 1.0 and factor.p_value < SIGNIFICANCE
+    wrong = factor.factor > 1.0 and factor.p_value < policy.SIGNIFICANCE
     if wrong and factor.gain > fall - 2.0 * np.log(fit.solution.observations):
         p_value = 1.0
     return PositionShift(shift, sigma, fall, p_value, c_by_shift, positions.stated())
@@ -98,7 +93,7 @@ class StripShift:
     @property
     def beyond_stated(self) -> bool:
         """Whether it is more than is stated of each position (95 %), or of c: errors of GNSS stay alike."""
-        return bool(np.max(np.abs(self.shift) / self.stated) > _STATED or self.on_c > _STATED)
+        return bool(np.max(np.abs(self.shift) / self.stated) > policy.STATED or self.on_c > policy.STATED)
 
 
 def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
@@ -110,7 +105,7 @@ def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
         return ()
     fields, moved = _whitened(fit), list[StripShift]()
     group = next(part for part in fit.solution.groups if part.name == "position")
-    if group.redundancy - 3.0 < FEWEST:
+    if group.redundancy - 3.0 < policy.FEWEST_REDUNDANT:
         return ()
     owns = [positions.strip == strip for strip in chosen.tolist()]
     masked = np.hstack([fields * np.repeat(in_strip, 3)[:, None] for in_strip in owns])
@@ -203,9 +198,11 @@ def _p_of_members(members: list[Member], redundancy: float) -> list[float]:
     dimensions = known.sum(axis=1)
     square = np.einsum("na,na->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     rest = redundancy - np.array([member.dimensions for member in members])
-    asked = (dimensions > 0) & (rest >= FEWEST)
+    asked = (dimensions > 0) & (rest >= policy.FEWEST_REDUNDANT)
     count = np.maximum(dimensions, 1)
-    p_value = np.where(asked, stats.f.sf(square / count, count, np.maximum(rest, FEWEST)), 1.0)
+    p_value = np.where(
+        asked, stats.f.sf(square / count, count, np.maximum(rest, policy.FEWEST_REDUNDANT)), 1.0
+    )
     return [float(p) for p in p_value]
 
 
@@ -327,7 +324,7 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     columns = np.concatenate([pose_derivatives(fit, state), _own_geometry(fit.computed)], axis=2)[order]
     weighted = (columns / rays.sigma[order][:, :, None]).reshape(-1, 9)
     residual = (fit.solution.residuals / rays.sigma)[order].ravel()
-    tested = np.flatnonzero(2 * shown >= FEWEST_OBSERVED)
+    tested = np.flatnonzero(2 * shown >= policy.FEWEST_COORDINATES_OF_IMAGE)
     if not len(tested):
         return ()
     # Residuals are computed minus measured: what must be added to the measurements.
