@@ -3,11 +3,12 @@
 import datetime as dt
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError, PhotocalError
+from drivers.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
@@ -87,16 +88,18 @@ def run_project(
             for stage in wanted[: None if until is None else names.index(until) + 1]:
                 try:
                     if missing.isdisjoint(stage.after):
-                        made.append(
-                            update_stage(stage, project.output, digests, shown, again=stage.name == again)
-                        )
+                        with system_refusals():
+                            made.append(
+                                update_stage(stage, project.output, digests, shown, again=stage.name == again)
+                            )
                         report(made[-1])
                         continue
                 except PhotocalError as refusal:
                     failure = failure or refusal
                 missing.add(made_in(project.output) / stage.name)
         finally:
-            (project.output / PROGRESS).unlink(missing_ok=True)
+            with suppress(OSError):
+                (project.output / PROGRESS).unlink(missing_ok=True)
             digests.keep()
     if failure is not None:
         raise explained(project, failure) from failure
@@ -155,7 +158,9 @@ def run_projects(
 
 
 def _say(line: str) -> None:
-    sys.stderr.write(line + "\n")
+    # A terminal that is gone, or a file on a full disk, ends no run.
+    with suppress(OSError):
+        sys.stderr.write(line + "\n")
 
 
 def _elsewhere(task: Task) -> Outcome:
@@ -167,7 +172,8 @@ def _elsewhere(task: Task) -> Outcome:
 
 def _outcome(task: Task, progress: Progress, say: Callable[[str], None]) -> Outcome:
     try:
-        return Outcome(run_one(*task, progress, say), None)
+        with system_refusals():
+            return Outcome(run_one(*task, progress, say), None)
     except PhotocalError as failure:
         return Outcome({}, failure)
 

@@ -19,7 +19,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from acquire.operating_system import lock as take
-from acquire.outputs import output_file, refusals, write_json
+from acquire.outputs import filled, output_file, refusals, write_json
 from drivers.errors import InputNotFoundError, OutputError
 from photocal.block.model import digest
 from photocal.tasks.progress import Progress
@@ -76,8 +76,8 @@ class Digests:
         return self.of_folder(path) if path.is_dir() else self.of_file(path)
 
     def keep(self) -> None:
-        """Write the memory."""
-        with output_file(self._memory) as aside:
+        """Write the memory, where there is room: without it files are read again."""
+        with suppress(OutputError), output_file(self._memory) as aside:
             write_json(aside, self._known, None)
 
 
@@ -97,7 +97,8 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
         folder.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=_ASIDE, dir=folder.parent))
     try:
-        yield aside
+        with filled(aside, folder):
+            yield aside
         with refusals(folder, _REMEDY):
             aside.chmod(0o755)
             old = aside.with_name(aside.name.removesuffix(_ASIDE) + _OLD)
@@ -153,10 +154,13 @@ def _place(source: Path, public: Path, name: str, ours: tuple[str, ...], aside: 
     place.parent.mkdir(parents=True, exist_ok=True)
     aside.unlink(missing_ok=True)
     try:
-        os.link(source, aside)
-    except OSError:
-        shutil.copyfile(source, aside)
-    aside.replace(place)
+        try:
+            os.link(source, aside)
+        except OSError:
+            shutil.copyfile(source, aside)
+        aside.replace(place)
+    finally:
+        aside.unlink(missing_ok=True)
     return remarks
 
 
@@ -312,7 +316,8 @@ def written(progress: Progress, file: Path) -> Progress:
             last, share = now, done / total if total else None
             left = (now - began) * (1 / share - 1) if share else None
             content = {"title": title, "share": share, "left_s": left, "elapsed_s": now - began}
-            with output_file(file) as aside:
+            # No work ends because it cannot be told how far it is.
+            with suppress(OutputError), output_file(file) as aside:
                 write_json(aside, content, None)
 
         with progress(title, total) as tell:
