@@ -6,7 +6,7 @@ from importlib import resources
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, PositiveInt
+from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat
 
 from acquire.checked_toml import Table
 from drivers.arrays import Floats
@@ -27,6 +27,9 @@ from photocal.geometry.camera import (
 )
 from photocal.geometry.distortion import focused
 
+# Film of 23 cm that was scanned to 2.3 micrometres; the size of a picture itself is limited further.
+LARGEST_SIDE_PX = 100_000
+Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
 # A sigma, one for each axis, or "free" for an unknown without prior knowledge.
 Sigma = NonNegative | tuple[NonNegative, NonNegative, NonNegative] | Literal["free"]
@@ -68,7 +71,7 @@ class CameraKeys(Table):
     id: str
     model: Model
     unit: Literal["mm", "px"]
-    size_px: tuple[PositiveInt, PositiveInt]
+    size_px: tuple[Side, Side]
     pitch_mm: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
     parameters: dict[str, FiniteFloat]
     estimate: tuple[str, ...] = ()

@@ -17,6 +17,7 @@ from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
+from photocal.run.output_place import check_output
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
 from photocal.run.stage import Digests, Stage, StageResult, alone, made_in, update_stage, written
@@ -77,6 +78,7 @@ def run_project(
             raise ConfigurationError(
                 f"{name!r} is no stage of this project", f"take {', '.join(names)}", where=option
             )
+    check_output(project)
     check_project(project)
     with alone(project.output):
         digests = Digests(project.output / _MEMORY, again=rehash)
@@ -133,12 +135,17 @@ def run_projects(
     raises PhotocalError: of the first project that failed, when the others have ended.
     """
     # All are read first: a mistake in the last file should not wait for hours.
-    outputs = [read_project(path).output.resolve() for path in paths]
+    projects = [read_project(path) for path in paths]
+    outside = [check_output(project) for project in projects]
+    outputs = [project.output.resolve() for project in projects]
     for k, output in enumerate(outputs):
         if output in outputs[:k]:
             raise ConfigurationError(
                 "two projects have the same output", "give each its own folder", where=paths[k]
             )
+    for project, told in zip(projects, outside, strict=True):
+        if told:
+            _say(f"{project.name}: {told}")
     tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
     if cluster is None and (workers == 1 or len(tasks) == 1):
         outcomes = [_outcome(task, progress, _say) for task in tasks]
