@@ -16,9 +16,9 @@ _MOST_PARTS = 100
 
 
 class Table(BaseModel):
-    """A table of a file: unknown keys are errors."""
+    """A table of a file: unknown keys are errors, and numbers are finite where nothing else is said."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def parse_toml(text: str) -> dict[str, Any]:

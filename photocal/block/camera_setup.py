@@ -44,7 +44,7 @@ def sigmas(given: Sigma) -> Floats:
 class FocusCalibrationKeys(Table):
     """Radial distortion at one distance of focus; `inf` is a distance too."""
 
-    distance_m: Annotated[float, Field(gt=0)]
+    distance_m: Annotated[float, Field(gt=0, allow_inf_nan=True)]
     K1: FiniteFloat = 0.0
     K2: FiniteFloat = 0.0
     K3: FiniteFloat = 0.0

@@ -1,6 +1,5 @@
 """The result of an adjustment, made of the block, its network and the solution."""
 
-import importlib.metadata
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -12,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from acquire.outputs import output_folder
 from drivers.arrays import Flags, Floats, Integers
+from drivers.version import __version__
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
@@ -86,7 +86,7 @@ def result_of(
     observed = np.bincount(seen.point, minlength=len(block.points.names)) > 0
     rejected = np.setdiff1d(np.arange(len(seen.image)), assembly.rays)
     return Result(
-        software=Software("photocal", importlib.metadata.version("photocal")),
+        software=Software("photocal", __version__),
         block=BlockFacts(
             block.name,
             block.frame,

@@ -3,7 +3,6 @@
 import ast
 import functools
 import hashlib
-import importlib.metadata
 import importlib.util
 import itertools
 import json
@@ -21,6 +20,7 @@ from typing import Any
 from acquire.operating_system import lock as take
 from acquire.outputs import filled, output_file, refusals, write_json
 from drivers.errors import InputNotFoundError, OutputError
+from drivers.version import __version__
 from photocal.block.model import digest
 from photocal.tasks.progress import Progress
 
@@ -222,7 +222,7 @@ def _program(start: str) -> dict[str, str]:
     for path in sorted({known[name] for name in needed} | {path for path in data if path.is_file()}):
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
-    return {"version": importlib.metadata.version("photocal"), "source": digest.hexdigest()}
+    return {"version": __version__, "source": digest.hexdigest()}
 
 
 def needed_modules(start: str, known: Mapping[str, Path]) -> set[str]:
