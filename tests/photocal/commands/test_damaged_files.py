@@ -33,7 +33,7 @@ standards = ["pec-pcd"]
 client = "x"
 language = "en"
 """
-MOST = 45
+MOST = 25
 
 
 def answered(*words: str) -> tuple[int, str]:
