@@ -222,20 +222,21 @@ def noted(image: Image) -> Image:
     """
     from PIL import Image as Library
 
-    if image.format != "PNG" or image.fp is None:
+    file: IO[bytes] | None = getattr(image, "fp", None)
+    if image.format != "PNG" or file is None:
         return image
-    tiny, place = io.BytesIO(), image.fp.tell()
+    tiny, place = io.BytesIO(), file.tell()
     Library.new("L", (1, 1)).save(tiny, "PNG")
     whole = tiny.getvalue()
     try:
-        notes = b"".join(_png_notes(image.fp))
+        notes = b"".join(_png_notes(file))
         found = Library.open(io.BytesIO(whole[:_PNG_HEAD] + notes + whole[_PNG_HEAD:]))
         found.load()
     except (OSError, SyntaxError, ValueError, EOFError):
         # What is damaged tells nothing.
         return Library.open(io.BytesIO(whole))
     finally:
-        image.fp.seek(place)
+        file.seek(place)
     return found
 
 
@@ -258,7 +259,7 @@ def _require_memory(image: Image) -> None:
             f"its {image.width} x {image.height} pixels take about {needed / 1e9:.1f} GB of memory, "
             f"{free / 1e9:.1f} GB are free",
             "close other programs, take fewer workers, or a computer with more memory",
-            where=getattr(image.fp, "name", None),
+            where=getattr(getattr(image, "fp", None), "name", None),
         )
 
 
