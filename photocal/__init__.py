@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from drivers.version import __version__
+        from photocal.base.version import __version__
 
         return __version__
     if not name.startswith("_"):

@@ -17,7 +17,7 @@ import typer.main
 import typer.testing
 from hypothesis import HealthCheck, settings
 
-from acquire.operating_system import lock
+from photocal.base.operating_system import lock
 from tests import installed as installed_package
 
 if TYPE_CHECKING:

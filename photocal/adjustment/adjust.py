@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
@@ -16,6 +15,7 @@ from photocal.adjustment.normal import Problem, normal_equations, prepare, value
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, chords, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.distortion import slopes_of
 from photocal.geometry.resection import intersect
 

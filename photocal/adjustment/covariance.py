@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.envelope import border_inverse
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.factored import Factored
@@ -17,7 +16,8 @@ from photocal.adjustment.rank import require_cameras, require_determined
 from photocal.adjustment.solution import Group, PhotoVariant, Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State, lenses, turn_basis
-from photocal.compiled import compiled
+from photocal.base.arrays import Floats, Integers
+from photocal.base.compiled import compiled
 from photocal.geometry.camera import OWN, PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 

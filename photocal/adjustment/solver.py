@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import NotConvergedError
 from photocal.adjustment.datum import at_rest, full_solution, inner_state
 from photocal.adjustment.envelope import factorise, solve
 from photocal.adjustment.equations import Equations
@@ -32,6 +30,8 @@ from photocal.adjustment.rank import (
 from photocal.adjustment.sensitivity import across, along, pulls
 from photocal.adjustment.state import State, moved_exposures, round_the_middle
 from photocal.adjustment.unknowns import unknowns
+from photocal.base.arrays import Floats
+from photocal.base.errors import NotConvergedError
 
 # Squared distance to the minimum, in units of the standard deviations, that is left of a solution.
 CONVERGED = 1e-12

@@ -4,9 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from acquire.console import answer, argument, option, progress
-from drivers.arrays import as_plain
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.arrays import as_plain
+from photocal.base.console import answer, argument, option, progress
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 
 if TYPE_CHECKING:
     from photocal.report.verification import Difference
@@ -26,7 +26,7 @@ def keys(
 
     Example: `photocal keys --new "Laboratory for photogrammetry"`
     """
-    from acquire.operating_system import settings_folder
+    from photocal.base.operating_system import settings_folder
     from photocal.report import signing
 
     if journal:

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, PhotocalError
 from photocal.accuracy.assessment import Assessment, assess
 from photocal.accuracy.standard import Question, Standard
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, PhotocalError
 from photocal.block.model import Block, Role
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding

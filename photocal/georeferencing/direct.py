@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
-from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
 from photocal.adjustment.factored import factored
@@ -21,6 +19,8 @@ from photocal.adjustment.mounting import (
     body_to_camera,
 )
 from photocal.adjustment.readout import READOUT
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.block.network import assemble, observed_pixels
 from photocal.geometry.camera import PARAMETERS

@@ -10,8 +10,6 @@ from scipy import stats
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust, minimum_of
 from photocal.adjustment.covariance import Shared, blocks
 from photocal.adjustment.factored import factored
@@ -21,6 +19,8 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.readout import READOUT
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault

@@ -9,14 +9,14 @@ import numpy as np
 from scipy import stats
 from scipy.linalg import block_diag
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import PhotocalError
 from photocal.accuracy import ground_points
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.mounting import body_to_camera
 from photocal.adjustment.network import covariance_matrices
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import PhotocalError
 from photocal.block.model import Block, Role
 from photocal.block.network import assemble, observed_plane
 from photocal.findings.finding import Finding

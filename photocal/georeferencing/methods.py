@@ -5,8 +5,6 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import ConfigurationError, IllPosedError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance as covariance_of
@@ -14,6 +12,8 @@ from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS
 from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import ConfigurationError, IllPosedError, PhotocalError
 from photocal.block.model import ROLES, Block
 from photocal.block.motion import observed_motion
 from photocal.block.network import NetworkOfBlock, assemble

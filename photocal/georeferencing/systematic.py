@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust, minimum_of
 from photocal.adjustment.covariance import Shared, shared
 from photocal.adjustment.factored import factorised
 from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.solution import Solution
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault, fault

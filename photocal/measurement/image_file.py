@@ -19,9 +19,9 @@ from typing import IO, TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.operating_system import available_memory
-from drivers.arrays import Bytes
-from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.arrays import Bytes
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.operating_system import available_memory
 
 if TYPE_CHECKING:
     from PIL.Image import Image

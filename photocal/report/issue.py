@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_folder
-from drivers.arrays import as_plain
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.arrays import as_plain
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.files import output_folder
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
 from photocal.report.certificate import certificate, certificate_number, overall

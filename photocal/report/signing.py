@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from acquire.operating_system import lock, private_folder, settings_folder
-from acquire.outputs import output_file
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.files import output_file
+from photocal.base.operating_system import lock, private_folder, settings_folder
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey

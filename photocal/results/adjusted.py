@@ -9,9 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from acquire.outputs import output_folder
-from drivers.arrays import Flags, Floats, Integers
-from drivers.version import __version__
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
@@ -30,6 +27,9 @@ from photocal.adjustment.variance_components import (
     rays_by_camera,
     with_factors,
 )
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.files import output_folder
+from photocal.base.version import __version__
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.motion import require_motion

@@ -14,9 +14,9 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 
-from acquire.outputs import write_json
-from drivers.arrays import Floats, Integers, as_plain
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.arrays import Floats, Integers, as_plain
+from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.files import write_json
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import fingerprint
 from photocal.block.table import known_rows, read_table

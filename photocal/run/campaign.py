@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError, PhotocalError, system_refusals
+from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
+from photocal.base.progress import Progress, quiet
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
@@ -22,7 +23,6 @@ from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
 from photocal.run.stage import Digests, Stage, StageResult, alone, made_in, update_stage, written
 from photocal.run.summary import gather, kind, summary
-from photocal.tasks.progress import Progress, quiet
 
 _MEMORY = ".digests.json"
 # In the work folder while a run works: how far it is.
@@ -150,7 +150,7 @@ def run_projects(
     if cluster is None and (workers == 1 or len(tasks) == 1):
         outcomes = [_outcome(task, progress, _say) for task in tasks]
     else:
-        from photocal.tasks.workers import Cluster, run_tasks
+        from photocal.base.workers import Cluster, run_tasks
 
         crew = min(workers, len(tasks)) if cluster is None else Cluster(cluster)
         outcomes = []

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquire.outputs import write_json
+from photocal.base.files import write_json
+from photocal.base.progress import Progress
 from photocal.project import Project
 from photocal.run.stage import Stage
-from photocal.tasks.progress import Progress
 
 if TYPE_CHECKING:
     from photocal.accuracy.standard import Question
@@ -34,9 +34,9 @@ def georeferencing_stage(project: Project, block: Path) -> Stage:
 def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.maps import reference_system
     from photocal.accuracy.standard import SHIPPED, load_standard
+    from photocal.base.geopackage import changed_utc
     from photocal.block.folder import read_block
     from photocal.findings.texts import as_record
-    from photocal.geopackage import changed_utc
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import SCHEMA, to_json, write_check
@@ -78,7 +78,7 @@ def own_calibration(block: Block) -> Calibration | None:
     returns: none when the block has no antenna positions with attitudes, or cannot be adjusted: the
         integrated method says why.
     """
-    from drivers.errors import PhotocalError
+    from photocal.base.errors import PhotocalError
 
     if not len(block.positions.image) or not len(block.attitudes.image):
         return None

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.project import Project
 from photocal.run.stage import made_in
 

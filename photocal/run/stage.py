@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from acquire.operating_system import lock as take
-from acquire.outputs import filled, output_file, refusals, write_json
-from drivers.errors import InputNotFoundError, OutputError
-from drivers.version import __version__
+from photocal.base.errors import InputNotFoundError, OutputError
+from photocal.base.files import filled, output_file, refusals, write_json
+from photocal.base.operating_system import lock as take
+from photocal.base.progress import Progress
+from photocal.base.version import __version__
 from photocal.block.model import digest
-from photocal.tasks.progress import Progress
 
 # Smaller files are read each time: nothing deceives that, and it takes no time.
 _SMALL_BYTES = 1 << 22

@@ -13,11 +13,11 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from acquire.checked_toml import read_tables
 from acquire.cli import app as acquire
 from acquire.recording.configuration import read_configuration
-from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.accuracy.standard import load_standard
+from photocal.base.checked_toml import read_tables
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.folder import read_block
 from photocal.block.table import read_columns
 from photocal.measurement.image_file import list_images

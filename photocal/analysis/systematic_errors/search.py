@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
 from photocal.adjustment.variance_components import VarianceComponents, estimate_components
 from photocal.analysis.estimates import Estimates
@@ -14,6 +12,8 @@ from photocal.analysis.robust import Jackknife, jackknife
 from photocal.analysis.systematic_errors import candidates, scatter, shifts
 from photocal.analysis.systematic_errors.candidates import Candidate, ExtraParameter
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas, without_member
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 
 # Each family of tests alarms on a clean block in no more than 5 of 1000 cases.

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from acquire.web import Address, serving
+from photocal.base.web import Address, serving
 from tests.acquire.monitor.conftest import Monitor
 from tests.acquire.monitor.field import NO_FIX, RTK_FIXED, Field, at_work
 

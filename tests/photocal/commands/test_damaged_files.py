@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.cli import app
 from tests.photocal.commands.mutations import versions
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from acquire.operating_system import available_memory
+from photocal.base.operating_system import available_memory
 from photocal.measurement import image_file
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import PictureTooLargeError, each_picture, read_grey

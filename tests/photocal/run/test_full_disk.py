@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from acquire.outputs import output_file, output_folder, write_json, write_rows
-from drivers.errors import DeviceError, InputNotFoundError, OutputError, PhotocalError, of_system
-from photocal.geopackage import LOCAL, geopackage
+from photocal.base.errors import DeviceError, InputNotFoundError, OutputError, PhotocalError, of_system
+from photocal.base.files import output_file, output_folder, write_json, write_rows
+from photocal.base.geopackage import LOCAL, geopackage
+from photocal.base.progress import quiet
 from photocal.run.stage import Digests, Stage, made_in, update_stage
-from photocal.tasks.progress import quiet
 
 ROOT = Path(__file__).parents[3]
 DCS460 = ROOT / "photocal/demo/dcs460"

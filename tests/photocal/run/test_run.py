@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers.errors import ConfigurationError, InputNotFoundError, NotConvergedError
+from photocal.base.errors import ConfigurationError, InputNotFoundError, NotConvergedError
 from photocal.cli import app
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import OutputError
+from photocal.base.arrays import Floats
+from photocal.base.errors import OutputError
 
 Kind = Literal["POINT", "LINESTRING", "POLYGON"]
 # Coordinates of the corners, shape (n, 2) or (n, 3), and what stands in the other columns.

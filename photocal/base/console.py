@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
-from drivers.errors import (
+from photocal.base.errors import (
     ConfigurationError,
     InputMalformedError,
     PhotocalError,
