@@ -93,20 +93,25 @@ def shared(at: Factored) -> Shared:
     raises IllPosedError: when a principal distance is not determined.
     """
     problem, state = at.problem, at.state
-    network, inverse = problem.network, border_inverse(problem.layout.envelope, at.normal.matrix)
-    others = other_equations(problem, state).values()
-    control = int(np.sum(np.diagonal(network.points.weight, axis1=1, axis2=2) > 0))
-    observations = network.rays.plane.size + control + sum(len(rows.weight) for rows in others)
+    inverse = border_inverse(problem.layout.envelope, at.normal.matrix)
     cameras = _camera_covariance(problem, inverse)
     require_cameras(problem, state, cameras)
     return Shared(
         at.normal.chi_squared,
-        observations + len(problem.stiffened) - _unknowns(problem),
+        degrees_of_freedom(problem, state),
         state.cameras,
         cameras,
         state.common,
         _common_covariance(problem, inverse),
     )
+
+
+def degrees_of_freedom(problem: Problem, state: State) -> int:
+    """Count observations and conditions of the datum, less unknowns."""
+    network = problem.network
+    control = int(np.sum(np.diagonal(network.points.weight, axis1=1, axis2=2) > 0))
+    others = sum(len(rows.weight) for rows in other_equations(problem, state).values())
+    return network.rays.plane.size + control + others + len(problem.stiffened) - _unknowns(problem)
 
 
 def _unknowns(problem: Problem) -> int:

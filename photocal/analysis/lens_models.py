@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import NO_RELATIONS
@@ -63,7 +64,8 @@ def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]
         try:
             cameras = list(fitted.network.cameras)
             cameras[camera] = _alternative(interior, model)
-            other = fit(replace(fitted.network, cameras=tuple(cameras)), fitted.state)
+            with because(f"lens model {model}"):
+                other = fit(replace(fitted.network, cameras=tuple(cameras)), fitted.state)
             fits.append(_judged(other, camera, interior, groups, checks, _nearby))
         except (IllPosedError, NotConvergedError, InputMalformedError):
             continue

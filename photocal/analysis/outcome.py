@@ -8,6 +8,7 @@ from itertools import takewhile
 import numpy as np
 
 from photocal.adjustment.groups import GroupTest
+from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.analysis import correlation
@@ -273,7 +274,8 @@ def analyse_network(
         left -= now
         done(now)
 
-    fitted = fit(network, start)
+    with because("the calibrated block, whose residuals are analysed"):
+        fitted = fit(network, start)
     searched = search(fitted, step)
     geometry = shape(network, fitted.state)
     drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), step) if draws else None

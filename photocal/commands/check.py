@@ -74,7 +74,6 @@ def judge_block(
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import to_json, to_text
-    from photocal.run.georeferencing import own_calibration
     from photocal.run.stage import is_stage
     from photocal.run.summary import outdated, project_verdict
 
@@ -84,8 +83,7 @@ def judge_block(
     with progress("checking", len(METHODS) + 2) as advance:
         # A flight is its own calibration; a block folder states what it wants to be judged with.
         read = with_shutters(read)
-        calibration = own_calibration(read) if on_the_job else None
-        result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
+        result = check_block(read, standards, question, noise, lambda _: advance(1), on_the_job=on_the_job)
     content, text = to_json(result), to_text(result)
     # A project has one verdict, however its block is named: that over all its stages.
     say, of_project = catalogue("en"), on_the_job or is_stage(source)

@@ -50,9 +50,7 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
         write_json(folder / FIGURES, with_nothing | as_record([NOT_PLACED]))
         return
     with show("three georeferencings", len(METHODS) + 2) as done:
-        result = check_block(
-            block, standards, question_of(project), done=lambda _: done(1), calibration=own_calibration(block)
-        )
+        result = check_block(block, standards, question_of(project), done=lambda _: done(1), on_the_job=True)
     system = reference_system(None if block.frame == "local" else block.frame)
     write_check(result, to_json(result), folder, system, changed_utc(source))
 
@@ -70,22 +68,6 @@ def question_of(project: Project) -> Question:
         target_horizontal_m=asked.target_horizontal_m,
         target_vertical_m=asked.target_vertical_m,
     )
-
-
-def own_calibration(block: Block) -> Calibration | None:
-    """Calibrate camera and mounting on the job, for direct georeferencing of the very flight.
-
-    returns: none when the block has no antenna positions with attitudes, or cannot be adjusted: the
-        integrated method says why.
-    """
-    from photocal.base.errors import PhotocalError
-
-    if not len(block.positions.image) or not len(block.attitudes.image):
-        return None
-    try:
-        return calibrated_on_the_job(block)[1]
-    except PhotocalError:
-        return None
 
 
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:

@@ -227,6 +227,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
                 "stage": result.name,
                 "kept": result.kept,
                 "seconds": round(result.seconds, 2),
+                "adjustments": list(result.adjustments),
                 "folder": str(result.folder),
             }
             for result in made

@@ -65,6 +65,18 @@ def test_every_stage_is_made_and_told(shifted: tuple[Path, Result]) -> None:
     assert {one["standard"] for one in figures["classes"]} == {"pec-pcd"}
 
 
+def test_a_ready_block_is_adjusted_five_times_at_most(tmp_path: Path) -> None:
+    """Each adjustment says why; what is kept repeats what it said."""
+    path = project(tmp_path, Errors())
+    for kept in (False, True):
+        figures = json.loads(run(str(path), "--json").stdout)
+        assert all(one["kept"] is kept for one in figures["stages"])
+        reasons = [reason for one in figures["stages"] for reason in one["adjustments"]]
+        assert 4 <= len(reasons) <= 5
+        assert all(reasons)
+        assert {"calibration of the block", "integrated georeferencing"} <= set(reasons)
+
+
 def test_a_fault_is_named_and_reaches_the_certificate(shifted: tuple[Path, Result]) -> None:
     path, said = shifted
     assert "base-position" in {one["code"] for one in json.loads(said.stdout)["warnings"]}
