@@ -16,7 +16,7 @@ if command -v apt-get >/dev/null && { [ "$$(id -u)" = 0 ] || { command -v sudo >
 else echo "$$lacking is not installed; on Debian run: sudo apt-get install $$lacking"; exit 1; fi; }
 endef
 
-.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual lock clean
+.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual lock lowest clean
 
 help:
 	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
@@ -29,6 +29,7 @@ help:
 	@echo "make evidence  the long statistical studies, into docs/evidence"
 	@echo "make manual  renew the command pages and the figure of the architecture"
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
+	@echo "make lowest  test with the lowest versions that pyproject.toml allows"
 	@echo "make lock    renew requirements.lock from pyproject.toml"
 
 setup: $(READY)
@@ -89,5 +90,18 @@ lock:
 	    --no-emit-index-url --no-emit-find-links --no-header --no-annotate --all-build-deps -o requirements.lock pyproject.toml
 	rm -rf .lock-venv
 
+# Rooms that are fast and together use every dependency. Packages of then warn about those of today.
+LOWEST ?= tests/drivers tests/acquire/importing tests/photocal/block tests/photocal/geometry tests/photocal/accuracy \
+	tests/photocal/exchange tests/photocal/commands/test_adjust_errors.py tests/photocal/report/test_forgery.py
+lowest:
+	$(PYTHON) -m venv --clear .lowest-venv
+	.lowest-venv/bin/python -m pip install $(PIP) uv
+	.lowest-venv/bin/uv pip compile --quiet --resolution lowest-direct --all-extras --python-version 3.11 \
+	    -o .lowest-venv/lowest.txt pyproject.toml
+	.lowest-venv/bin/uv pip install --quiet --python .lowest-venv/bin/python --only-binary :all: \
+	    -r .lowest-venv/lowest.txt setuptools
+	.lowest-venv/bin/python -m pip install $(PIP) --no-deps --no-build-isolation -e .
+	OPENBLAS_NUM_THREADS=1 .lowest-venv/bin/python -m pytest -q --assert plain -o filterwarnings= $(LOWEST)
+
 clean:
-	rm -rf $(VENV) .lock-venv .mavproxy build dist *.egg-info demo-output
+	rm -rf $(VENV) .lock-venv .lowest-venv .mavproxy build dist *.egg-info demo-output

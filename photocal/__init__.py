@@ -11,6 +11,10 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from photocal.base.version import __version__
+
+        return __version__
     if not name.startswith("_"):
         api = import_module("photocal.api")
         if name in api.__all__:

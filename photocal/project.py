@@ -29,10 +29,13 @@ Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 Part = TypeVar("Part")
 # File that `photocal new` writes into the folder of a flight.
 NAME = "project.toml"
+_LONGEST_NAME = 255
 
 
 def _beside(path: Path, info: ValidationInfo) -> Path:
     """Take a path from the folder of the project file."""
+    if "\0" in str(path) or any(len(part) > _LONGEST_NAME for part in path.parts):
+        raise ValueError("is no path that a file system can have")
     return path if info.context is None else Path(info.context["folder"]) / path
 
 

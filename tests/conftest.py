@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import fcntl
 import functools
 import gc
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, TYPE_CHECKING, Any
 
 import pytest
 import typer.main
 import typer.testing
 from hypothesis import HealthCheck, settings
-from playwright.sync_api import Browser, sync_playwright
 
+from photocal.base.operating_system import lock
 from tests import installed as installed_package
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -59,10 +63,20 @@ def browser() -> Iterator[Browser]:
         if os.environ.get("CI") == "true":
             pytest.fail(reason)
         pytest.skip(reason)
-    with sync_playwright() as playwright:
+    reason = "playwright is not installed (the extra dev has it)"
+    playwright_api = pytest.importorskip("playwright.sync_api", reason=reason)
+    with playwright_api.sync_playwright() as playwright:
         running = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield running
         running.close()
+
+
+@contextmanager
+def locked(file: IO[Any]) -> Iterator[None]:
+    """Wait for a lock, as each system has it."""
+    while not lock(file):
+        time.sleep(0.05)
+    yield
 
 
 Once = Callable[[str, Callable[[Path], object]], Path]
@@ -77,8 +91,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
 
     def folder(name: str, fill: Callable[[Path], object]) -> Path:
         made, filled = common / name, common / f"{name}.filled"
-        with (common / f"{name}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with (common / f"{name}.lock").open("w") as file, locked(file):
             if not filled.exists():
                 shutil.rmtree(made, ignore_errors=True)
                 made.mkdir()

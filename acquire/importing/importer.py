@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from acquire import __version__
 from acquire.channels.link import LinkLog, Tally
 from acquire.importing.recording import Format, Source, identify, open_recording
 from acquire.importing.timing import way_of
@@ -14,6 +13,7 @@ from acquire.log.writer import LogWriter
 from drivers.mavlink.dialect import Dialect, ardupilotmega
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_file
+from photocal.base.version import __version__
 
 CHUNK_BYTES = 1 << 20
 _COUNTED = ("frames", "frame_bytes", "stamp_bytes", "damage_bytes", "damage_runs")

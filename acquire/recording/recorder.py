@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquire import __version__
 from acquire.channels.link import Tally
 from acquire.log.writer import LogWriter
 from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, FloodWatch, SilenceWatch, write_alarms
@@ -25,6 +24,7 @@ from drivers.mavlink.dialect import ardupilotmega
 from drivers.scan import compile_search
 from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.base.time_scales import expiry_warning
+from photocal.base.version import __version__
 
 CHUNK_BYTES = 1 << 20
 # How much of a link is framed before it is the turn of the next.

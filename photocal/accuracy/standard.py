@@ -200,9 +200,9 @@ def load_standard(name: str) -> Standard:
             f"unknown standard {name!r}", f"take {', '.join(SHIPPED)}, or the path of a TOML file"
         )
     try:
-        return parse_standard(path.read_text(encoding="utf-8"), name)
+        return parse_standard(path.read_text(encoding="utf-8-sig"), name)
     except UnicodeDecodeError as refusal:
-        raise ConfigurationError("is not UTF-8 text", where=name) from refusal
+        raise ConfigurationError("is not UTF-8 text", "save it as UTF-8", where=name) from refusal
 
 
 def parse_standard(text: str, where: str) -> Standard:

@@ -16,9 +16,9 @@ _MOST_PARTS = 100
 
 
 class Table(BaseModel):
-    """A table of a file: unknown keys are errors."""
+    """A table of a file: unknown keys are errors, and numbers are finite where nothing else is said."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -37,7 +37,10 @@ def parse_toml(text: str) -> dict[str, Any]:
 def read_tables(path: Path) -> dict[str, Any]:
     """Read a TOML file; errors as of `read_toml`."""
     try:
-        text = path.read_text(encoding="utf-8")
+        octets = path.read_bytes()
+        _refuse_other_encodings(octets, path)
+        # Some editors begin UTF-8 with a mark.
+        text = octets.decode("utf-8-sig")
         content = parse_toml(text)
     except OSError as refusal:
         raise InputNotFoundError(_unreadable(refusal), "check the path", where=path) from refusal
@@ -46,6 +49,14 @@ def read_tables(path: Path) -> dict[str, Any]:
     if not text.strip():
         raise InputNotFoundError("is empty", "was it written completely?", where=path)
     return content
+
+
+def _refuse_other_encodings(octets: bytes, path: Path) -> None:
+    """Name what Windows calls Unicode, with its mark or without: half of its octets are zeros."""
+    start = octets[:4000]
+    marked = start.startswith((b"\xff\xfe", b"\xfe\xff"))
+    if marked or len(start) < 3 * start.count(0) < 2 * len(start):
+        raise ConfigurationError("is UTF-16, not UTF-8", "save it as UTF-8", where=path)
 
 
 def read_toml(path: Path, model: type[Content], context: dict[str, Any] | None = None) -> Content:

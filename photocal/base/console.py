@@ -9,11 +9,17 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
-from photocal.base.errors import ConfigurationError, PhotocalError, ProgramMissingError
+from photocal.base.errors import (
+    ConfigurationError,
+    InputMalformedError,
+    PhotocalError,
+    ProgramMissingError,
+    of_system,
+)
 
 # Into a file, or to a program that reads along, a line of progress is written so often.
 LINE_EVERY_S = 10.0
@@ -58,9 +64,7 @@ def run(app: typer.Typer) -> None:
     try:
         app()
     except PhotocalError as failure:
-        lines = (f"error: {failure}", *map("  ".__add__, failure.details))
-        sys.stderr.write("".join(f"{printable(line)}\n" for line in lines))
-        sys.exit(failure.exit_code)
+        _end(failure)
     except ModuleNotFoundError as missing:
         name = (missing.name or "").partition(".")[0]
         if name in ("acquire", "drivers", "photocal", ""):
@@ -72,6 +76,19 @@ def run(app: typer.Typer) -> None:
         # The reader of our output went away (`| head`): nothing is left to say.
         sys.stderr.close()
         sys.exit(0)
+    except OSError as refusal:
+        _end(of_system(refusal))
+    except UnicodeEncodeError as failure:
+        name = failure.object[:80].encode("utf-8", "backslashreplace").decode()
+        what = f"a name is not in UTF-8, the encoding of names ({name})"
+        _end(InputMalformedError(what, "rename the file or folder"))
+
+
+def _end(failure: PhotocalError) -> NoReturn:
+    """Say in one line, and by the exit code, what went wrong."""
+    lines = (f"error: {failure}", *map("  ".__add__, failure.details))
+    sys.stderr.write("".join(f"{printable(line)}\n" for line in lines))
+    sys.exit(failure.exit_code)
 
 
 def numbers_of(text: str, option: str, form: str) -> list[float]:

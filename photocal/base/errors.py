@@ -1,10 +1,17 @@
 """The one exception tree: each class of failure has its exit code and teaches in one line."""
 
+import errno
+import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Self
 
 LONGEST = 1200
+# What only writing meets: a full disk, a quota, the largest size of a file, a disk that takes nothing.
+_NO_ROOM = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_WRITING = {*_NO_ROOM, errno.EROFS}
 
 
 class PhotocalError(Exception):
@@ -105,3 +112,41 @@ class DeviceError(PhotocalError):
     """A port, a receiver or an autopilot does not answer as it should."""
 
     exit_code = 10
+
+
+def of_system(refusal: OSError, written: Path | None = None) -> PhotocalError:
+    """Say in one line what the system refuses, with the file that it names.
+
+    written: what was being written, for a refusal that names no file.
+    """
+    number, file, reason = _told(refusal)
+    if number in _WRITING or (written is not None and not file):
+        remedy = "make room on the disk, then do it again" if number in _NO_ROOM else "check place and rights"
+        return OutputError(f"cannot be written ({reason})", remedy, where=file or written)
+    if file:
+        return InputNotFoundError(f"cannot be opened ({reason})", "check name and rights", where=file)
+    return DeviceError(f"the system refuses what is needed ({reason})", "is a device or a port in use?")
+
+
+def _told(refusal: OSError) -> tuple[int | None, str, str]:
+    """Number, file and reason; of copies of whole folders those of the first file that failed."""
+    number, file, reason = refusal.errno, refusal.filename2 or refusal.filename, refusal.strerror
+    match refusal.args:
+        case ([(_, target, why), *_],):
+            found = re.match(r"\[Errno (\d+)\]", str(why))
+            number, file, reason = int(found[1]) if found else None, target, str(why)
+    if number is not None:
+        reason = os.strerror(number)
+    name = os.fsdecode(file) if isinstance(file, str | bytes | os.PathLike) else ""
+    return number, name, (reason or str(refusal)).lower()
+
+
+@contextmanager
+def system_refusals(written: Path | None = None) -> Iterator[None]:
+    """Turn what the system refuses into one line of ours; a reader or peer that went away goes through."""
+    try:
+        yield
+    except ConnectionError:
+        raise
+    except OSError as refusal:
+        raise of_system(refusal, written) from refusal

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from photocal.base.arrays import as_plain
-from photocal.base.errors import ConfigurationError, OutputError
+from photocal.base.errors import ConfigurationError, OutputError, PhotocalError, system_refusals
 from photocal.base.operating_system import replace
 
 if TYPE_CHECKING:
@@ -40,7 +40,8 @@ def output_file(path: Path) -> Iterator[Path]:
         os.close(handle)
     aside = Path(name)
     try:
-        yield aside
+        with filled(aside, path):
+            yield aside
         with refusals(path):
             # mkstemp makes private files; a result is as readable as any file that the user makes.
             mask = os.umask(0)
@@ -89,7 +90,8 @@ def output_folder(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
     try:
-        yield aside
+        with filled(aside, path):
+            yield aside
         with refusals(path):
             for made in sorted(p for p in aside.rglob("*") if p.is_file()):
                 final = path / made.relative_to(aside)
@@ -101,7 +103,7 @@ def output_folder(path: Path) -> Iterator[Path]:
 
 def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a CSV table with its head."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
+    with _of(path), path.open("w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerows([columns, *rows])
 
 
@@ -115,7 +117,33 @@ def rows_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def write_json(path: Path, content: Any, indent: int | None = 1) -> None:
     """Write figures for programs; what is no finite number becomes null."""
     text = json.dumps(as_plain(content), indent=indent, allow_nan=False)
-    path.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+    with _of(path):
+        path.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+
+
+@contextmanager
+def _of(path: Path) -> Iterator[None]:
+    """Give a refusal the name of the file: those of a full disk have none."""
+    try:
+        yield
+    except OSError as refusal:
+        refusal.filename = refusal.filename or str(path)
+        raise
+
+
+@contextmanager
+def filled(aside: Path, path: Path) -> Iterator[None]:
+    """Say in one line why what is written aside cannot be, by the name that it would get.
+
+    raises InputNotFoundError: when it is another file that cannot be read.
+    """
+    try:
+        with system_refusals(path):
+            yield
+    except PhotocalError as refusal:
+        # Not only its own: what was written there by others, too.
+        refusal.where = refusal.where.replace(str(aside), str(path))
+        raise
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from photocal.base.arrays import Floats
+from photocal.base.errors import OutputError
 
 Kind = Literal["POINT", "LINESTRING", "POLYGON"]
 # Coordinates of the corners, shape (n, 2) or (n, 3), and what stands in the other columns.
@@ -95,15 +96,20 @@ def geopackage(path: Path, system: ReferenceSystem) -> Iterator[sqlite3.Connecti
     """
     # An empty file that waits to be renamed is not yet a database.
     path.unlink(missing_ok=True)
-    with closing(sqlite3.connect(path)) as database:
-        database.executescript(_TABLES)
-        database.executemany(
-            "INSERT OR IGNORE INTO gpkg_spatial_ref_sys "
-            "VALUES (:name, :number, :organization, :number, :definition, NULL)",
-            map(vars, (LOCAL, _UNDEFINED_GEOGRAPHIC, wgs84(), system)),
-        )
-        yield database
-        database.commit()
+    try:
+        with closing(sqlite3.connect(path)) as database:
+            database.executescript(_TABLES)
+            database.executemany(
+                "INSERT OR IGNORE INTO gpkg_spatial_ref_sys "
+                "VALUES (:name, :number, :organization, :number, :definition, NULL)",
+                map(vars, (LOCAL, _UNDEFINED_GEOGRAPHIC, wgs84(), system)),
+            )
+            yield database
+            database.commit()
+    except sqlite3.OperationalError as failure:
+        # A full disk, first of all; what is written aside has its name from here.
+        remedy = "make room on the disk, then do it again"
+        raise OutputError(f"cannot be written ({failure})", remedy, where=path) from failure
 
 
 def add_layer(

@@ -6,7 +6,7 @@ from importlib import resources
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, PositiveInt
+from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat
 
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
@@ -27,6 +27,9 @@ from photocal.geometry.camera import (
 )
 from photocal.geometry.distortion import focused
 
+# Film of 23 cm that was scanned to 2.3 micrometres; the size of a picture itself is limited further.
+LARGEST_SIDE_PX = 100_000
+Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
 # A sigma, one for each axis, or "free" for an unknown without prior knowledge.
 Sigma = NonNegative | tuple[NonNegative, NonNegative, NonNegative] | Literal["free"]
@@ -41,7 +44,7 @@ def sigmas(given: Sigma) -> Floats:
 class FocusCalibrationKeys(Table):
     """Radial distortion at one distance of focus; `inf` is a distance too."""
 
-    distance_m: Annotated[float, Field(gt=0)]
+    distance_m: Annotated[float, Field(gt=0, allow_inf_nan=True)]
     K1: FiniteFloat = 0.0
     K2: FiniteFloat = 0.0
     K3: FiniteFloat = 0.0
@@ -68,7 +71,7 @@ class CameraKeys(Table):
     id: str
     model: Model
     unit: Literal["mm", "px"]
-    size_px: tuple[PositiveInt, PositiveInt]
+    size_px: tuple[Side, Side]
     pitch_mm: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
     parameters: dict[str, FiniteFloat]
     estimate: tuple[str, ...] = ()

@@ -20,6 +20,8 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError
 # As spreadsheets of half the world write them: 1234,5 and 1.234,5.
 _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
 _HEAD_BYTES = 1 << 20
+# No coordinate and no sigma is larger; products of some of these are still numbers.
+LARGEST = 1e30
 MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 
 
@@ -97,6 +99,8 @@ class Table:
             blank = np.asarray(pc.is_null(cells))
             values = np.asarray(cells.cast(pa.float64()).fill_null(0.0))
         refuse(self, ~np.isfinite(values) & ~blank, f"{column} is not finite", "give a number")
+        what = f"{column} is larger than {LARGEST:g}"
+        refuse(self, (np.abs(values) > LARGEST) & ~blank, what, "correct the number, or leave it empty")
         if empty is None:
             refuse(self, blank, f"{column} is empty", "give a number")
             return np.array(values)

@@ -83,6 +83,8 @@ def _packages() -> Check:
     import importlib.metadata
     import re
 
+    from photocal.base.version import __version__
+
     wanted = importlib.metadata.requires("photocal") or []
     names = [re.split(r"[^\w.-]", line)[0] for line in wanted if "extra ==" not in line or "process" in line]
     missing = []
@@ -93,7 +95,7 @@ def _packages() -> Check:
             missing.append(name)
     if missing:
         return Check("packages", "bad", f"{', '.join(missing)} missing", _INSTALL)
-    return Check("packages", "good", f"{len(names)} there, photocal {importlib.metadata.version('photocal')}")
+    return Check("packages", "good", f"{len(names)} there, photocal {__version__}")
 
 
 def _kernels() -> Check:

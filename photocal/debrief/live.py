@@ -23,6 +23,7 @@ from photocal.navigation.exposure_run import ExposureRun, exposures_of_pictures
 from photocal.navigation.image_metadata import image_of
 from photocal.navigation.rig import Rig
 from photocal.project import Project
+from photocal.run.output_place import check_output
 from photocal.run.stage import alone
 
 # How often the folder is looked into. A file that has the same size and time twice is at rest.
@@ -91,6 +92,7 @@ def follow(
     report: takes each verdict.
     last: of the last certificate, to hold the first calibration against.
     """
+    check_output(project)
     with alone(project.output), _gently(workers) as (lookers, judge):
         plan, folder = MatchingPlan(cache_folder(), 1, QUICK), _Folder(project.picture_folder)
         looks, lag_s, oriented, not_before = dict[Path, Look](), 0.0, 0, 0.0

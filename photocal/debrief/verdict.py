@@ -30,6 +30,7 @@ from photocal.planning.area import LocalPlane
 from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
 from photocal.project import Project
 from photocal.run.exposures import exposures_of
+from photocal.run.output_place import check_output
 from photocal.run.stage import alone
 
 # Neighbours along a strip must share so much of what they show: less is no stereoscopic cover.
@@ -153,6 +154,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
 
     last: of the last certificate, to hold the first calibration against.
     """
+    check_output(project)
     with alone(project.output):
         paths = list_images(project.picture_folder)
         plan = MatchingPlan(cache_folder(), processes, pictures.QUICK)

@@ -190,6 +190,9 @@ def read_json(path: Path) -> Any:
     text = read_text(path)
     try:
         content = json.loads(text, parse_constant=_finite, parse_float=_finite)
+        if "\\u" in text:
+            # Half of a character may be escaped, though no table or document can hold it.
+            json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as failure:
         raise InputMalformedError(
             f"is no valid JSON ({failure})", "was it written completely?", where=path

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.measurement.image_file import opened, stored_size
+from photocal.measurement.image_file import noted, opened, stored_size
 from photocal.measurement.recorded_turns import recorded_turns
 
 if TYPE_CHECKING:
@@ -117,8 +117,9 @@ def read_facts(path: Path) -> ImageFacts:
     raises InputNotFoundError, InputMalformedError: when the file is no readable image.
     """
     with opened(path) as image:
-        main, exif, gps = _tags(image)
-        packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+        notes = noted(image)
+        main, exif, gps = _tags(notes)
+        packet = notes.info.get("xmp") or notes.info.get("XML:com.adobe.xmp") or b""
         text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else str(packet)
         xmp = {
             name: (a or b or ",".join(_ITEM.findall(listed))).strip()

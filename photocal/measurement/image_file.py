@@ -7,17 +7,21 @@ upper-left stored pixel is (0, 0), whatever a viewer shows.
 
 from __future__ import annotations
 
+import io
+import struct
+import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import IO, TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photocal.base.arrays import Bytes
 from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.operating_system import available_memory
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -31,8 +35,18 @@ UNREAD = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".o
 # The largest aerial cameras have 500 million pixels; more is not an image but an attack on the memory.
 LARGEST_PX = 700_000_000
 SMALLEST_SIDE_PX = 16
+# Beside the picture itself: grey values, what is sought in them, and the space of its search. Measured on
+# 700 million pixels of 8 bits: 4.4 bytes in all.
+_WORKING_BYTES = 4
+_STORED_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2, "I;16N": 2}
+# What a PNG says beside its pixels: EXIF, and texts, of which one may be XMP.
+_PNG_NOTES, _PNG_HEAD, _LONGEST_NOTE = (b"eXIf", b"iTXt", b"tEXt", b"zTXt"), 33, 1 << 24
 # EXIF orientations that exchange width and height.
 _ON_END = (5, 6, 7, 8)
+
+
+class PictureTooLargeError(InputMalformedError):
+    """A picture that the memory of this computer does not hold: no reason to go on without it."""
 
 
 def list_images(folder: Path) -> tuple[Path, ...]:
@@ -47,6 +61,7 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     pictures = sorted(path for path in files if path.suffix.lower() in SUFFIXES)
     if not pictures:
         pictures = _of_heads(folder)
+    require_names(pictures)
     unread = sorted({path.suffix for path in files if path.suffix.lower() in UNREAD})
     if not pictures and unread:
         raise InputNotFoundError(
@@ -57,6 +72,18 @@ def list_images(folder: Path) -> tuple[Path, ...]:
     if not pictures:
         raise InputNotFoundError("has no image", f"it takes {', '.join(SUFFIXES)}", where=folder)
     return tuple(pictures)
+
+
+def require_names(paths: Iterable[Path]) -> None:
+    """Complain of a name that no table can hold; raises InputMalformedError."""
+    for path in paths:
+        # What is no UTF-8 comes as single surrogates.
+        if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in path.name):
+            raise InputMalformedError(
+                "the name of this picture is not in UTF-8, or has control characters",
+                "rename the picture",
+                where=path,
+            )
 
 
 def _of_heads(folder: Path) -> list[Path]:
@@ -83,6 +110,8 @@ def each_picture(
     for path in paths:
         try:
             measured.append(measure(path))
+        except PictureTooLargeError:
+            raise
         except PhotocalError as refusal:
             left_out.append({"image": path.name, "reason": refusal.what, "code": "unreadable"})
         done(1)
@@ -134,6 +163,7 @@ def as_stored(image: Image) -> Image:
     from PIL.Image import Transpose
 
     orientation = _turned_by_library(image)
+    _require_memory(image)
     image.load()
     if orientation == 1:
         return image
@@ -183,6 +213,54 @@ def as_eight_bit(grey: Grey) -> Bytes:
     span = max(float(high - low), 1e-12)
     scaled = (np.nan_to_num(grey.astype(np.float32), nan=float(low)) - low) * (255.0 / span)
     return np.asarray(np.clip(scaled, 0, 255), dtype=np.uint8)
+
+
+def noted(image: Image) -> Image:
+    """Give an image that tells what another says beside its pixels.
+
+    The library decodes a whole PNG to see whether notes follow its pixels: they are found by their lengths.
+    """
+    from PIL import Image as Library
+
+    file: IO[bytes] | None = getattr(image, "fp", None)
+    if image.format != "PNG" or file is None:
+        return image
+    tiny, place = io.BytesIO(), file.tell()
+    Library.new("L", (1, 1)).save(tiny, "PNG")
+    whole = tiny.getvalue()
+    try:
+        notes = b"".join(_png_notes(file))
+        found = Library.open(io.BytesIO(whole[:_PNG_HEAD] + notes + whole[_PNG_HEAD:]))
+        found.load()
+    except (OSError, SyntaxError, ValueError, EOFError):
+        # What is damaged tells nothing.
+        return Library.open(io.BytesIO(whole))
+    finally:
+        file.seek(place)
+    return found
+
+
+def _png_notes(file: IO[bytes]) -> Iterator[bytes]:
+    file.seek(8)
+    while len(head := file.read(8)) == 8:
+        length, kind = struct.unpack(">I4s", head)
+        if kind in _PNG_NOTES and length <= _LONGEST_NOTE:
+            yield head + file.read(length + 4)
+        else:
+            file.seek(length + 4, io.SEEK_CUR)
+
+
+def _require_memory(image: Image) -> None:
+    """Look at the memory before pixels fill it: else the system may end the program, or others."""
+    free = available_memory()
+    needed = image.width * image.height * (_WORKING_BYTES + _STORED_BYTES.get(image.mode, 4))
+    if free is not None and needed > free:
+        raise PictureTooLargeError(
+            f"its {image.width} x {image.height} pixels take about {needed / 1e9:.1f} GB of memory, "
+            f"{free / 1e9:.1f} GB are free",
+            "close other programs, take fewer workers, or a computer with more memory",
+            where=getattr(getattr(image, "fp", None), "name", None),
+        )
 
 
 def _unknown(path: Path) -> InputMalformedError:

@@ -1,6 +1,5 @@
 """Marks of points, by hand or found as targets, and control with its marks, as we and others write them."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from photocal.block.table import read_table, refuse
 from photocal.exchange.ground_points import read_gcp_list
 from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
-from photocal.exchange.source import Line, number, read_lines, read_xml, require_readable
+from photocal.exchange.source import Line, number, read_json, read_lines, read_xml, require_readable
 from photocal.measurement.position_files import IMAGE_HEADS
 
 # A point that somebody clicked, when the table does not say how well.
@@ -192,7 +191,7 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
     require_readable(path)
     malformed = InputMalformedError.at(path)
     try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        content: Any = read_json(path)
         entries, bare, marks = [], [], []
         for point in content["points"]:
             name = str(point["id"])

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import datetime as dt
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.exchange.source import read_text
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
 
@@ -100,11 +102,10 @@ def _parsed(taken: str) -> tuple[float, float] | None:
 
 def _table(path: Path) -> list[ImageMetadata]:
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            reader = csv.DictReader(stream)
-            columns = reader.fieldnames or []
-            rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as refusal:
+        reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
+        columns = reader.fieldnames or []
+        rows = list(reader)
+    except (OSError, csv.Error) as refusal:
         raise InputNotFoundError("cannot be read as a table", "check it", where=path) from refusal
     if not {"image", "taken"} <= set(columns):
         raise InputMalformedError("lacks the column image or taken", "give image,taken[,camera]", where=path)

@@ -27,7 +27,7 @@ Cells = tuple[str, ...]
 def planned_places(path: Path) -> tuple[Place, ...]:
     """Read control and check points of plan.geojson; raises InputMalformedError for another file."""
     try:
-        features = json.loads(path.read_text(encoding="utf-8"))["features"]
+        features = json.loads(path.read_bytes())["features"]
         return tuple(
             (properties["name"], properties["kind"], *feature["geometry"]["coordinates"][1::-1])
             for feature in features

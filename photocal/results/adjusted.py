@@ -1,6 +1,5 @@
 """The result of an adjustment, made of the block, its network and the solution."""
 
-import importlib.metadata
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -31,6 +30,7 @@ from photocal.adjustment.variance_components import (
 )
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.files import output_folder
+from photocal.base.version import __version__
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.motion import require_motion
@@ -87,7 +87,7 @@ def result_of(
     observed = np.bincount(seen.point, minlength=len(block.points.names)) > 0
     rejected = np.setdiff1d(np.arange(len(seen.image)), assembly.rays)
     return Result(
-        software=Software("photocal", importlib.metadata.version("photocal")),
+        software=Software("photocal", __version__),
         block=BlockFacts(
             block.name,
             block.frame,

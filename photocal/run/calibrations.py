@@ -64,7 +64,7 @@ def is_camera_file(path: Path) -> bool:
     if path.is_dir() or path.name == NAME:
         return False
     try:
-        return "project" not in parse_toml(path.read_text(encoding="utf-8"))
+        return "project" not in parse_toml(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
         # What is wrong with it is said by its reader.
         return True

@@ -3,11 +3,12 @@
 import datetime as dt
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from photocal.base.errors import ConfigurationError, PhotocalError
+from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.progress import Progress, quiet
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
@@ -17,6 +18,7 @@ from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.measurements import measurements_stage
+from photocal.run.output_place import check_output
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
 from photocal.run.stage import Digests, Stage, StageResult, alone, made_in, update_stage, written
@@ -76,6 +78,7 @@ def run_project(
             raise ConfigurationError(
                 f"{name!r} is no stage of this project", f"take {', '.join(names)}", where=option
             )
+    check_output(project)
     check_project(project)
     with alone(project.output):
         digests = Digests(project.output / _MEMORY, again=rehash)
@@ -87,16 +90,18 @@ def run_project(
             for stage in wanted[: None if until is None else names.index(until) + 1]:
                 try:
                     if missing.isdisjoint(stage.after):
-                        made.append(
-                            update_stage(stage, project.output, digests, shown, again=stage.name == again)
-                        )
+                        with system_refusals():
+                            made.append(
+                                update_stage(stage, project.output, digests, shown, again=stage.name == again)
+                            )
                         report(made[-1])
                         continue
                 except PhotocalError as refusal:
                     failure = failure or refusal
                 missing.add(made_in(project.output) / stage.name)
         finally:
-            (project.output / PROGRESS).unlink(missing_ok=True)
+            with suppress(OSError):
+                (project.output / PROGRESS).unlink(missing_ok=True)
             digests.keep()
     if failure is not None:
         raise explained(project, failure) from failure
@@ -130,12 +135,17 @@ def run_projects(
     raises PhotocalError: of the first project that failed, when the others have ended.
     """
     # All are read first: a mistake in the last file should not wait for hours.
-    outputs = [read_project(path).output.resolve() for path in paths]
+    projects = [read_project(path) for path in paths]
+    outside = [check_output(project) for project in projects]
+    outputs = [project.output.resolve() for project in projects]
     for k, output in enumerate(outputs):
         if output in outputs[:k]:
             raise ConfigurationError(
                 "two projects have the same output", "give each its own folder", where=paths[k]
             )
+    for project, told in zip(projects, outside, strict=True):
+        if told:
+            _say(f"{project.name}: {told}")
     tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
     if cluster is None and (workers == 1 or len(tasks) == 1):
         outcomes = [_outcome(task, progress, _say) for task in tasks]
@@ -155,7 +165,9 @@ def run_projects(
 
 
 def _say(line: str) -> None:
-    sys.stderr.write(line + "\n")
+    # A terminal that is gone, or a file on a full disk, ends no run.
+    with suppress(OSError):
+        sys.stderr.write(line + "\n")
 
 
 def _elsewhere(task: Task) -> Outcome:
@@ -167,7 +179,8 @@ def _elsewhere(task: Task) -> Outcome:
 
 def _outcome(task: Task, progress: Progress, say: Callable[[str], None]) -> Outcome:
     try:
-        return Outcome(run_one(*task, progress, say), None)
+        with system_refusals():
+            return Outcome(run_one(*task, progress, say), None)
     except PhotocalError as failure:
         return Outcome({}, failure)
 

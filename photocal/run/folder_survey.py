@@ -13,7 +13,7 @@ from photocal.block.table import read_under
 from photocal.exchange.parts import Mark, object_points
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
-from photocal.measurement.image_file import SUFFIXES
+from photocal.measurement.image_file import SUFFIXES, require_names
 from photocal.measurement.marks import ControlMarks, read_any_marks, read_control_marks
 from photocal.measurement.position_files import PLACE_HEADS, in_degrees, read_positions
 
@@ -106,6 +106,7 @@ def _pictures(files: Sequence[Path], unread: list[str]) -> dict[Path, tuple[Imag
     for path in files:
         if path.suffix.lower() in SUFFIXES:
             try:
+                require_names([path])
                 pictures.setdefault(path.parent, []).append(read_facts(path))
             except PhotocalError as refusal:
                 unread.append(str(refusal))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
-from photocal.base.files import rows_text
+from photocal.base.files import output_file, rows_text
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -92,7 +92,8 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
         if (folder / name).exists():
             raise OutputError("is there already", "move it away, or use it", where=folder / name)
     for name, content in files.items():
-        (folder / name).write_text(content, encoding="utf-8", newline="\n")
+        with output_file(folder / name) as aside:
+            aside.write_text(content, encoding="utf-8", newline="\n")
     return NewProject(folder / NAME, tuple(text.known), tuple(text.missing), tuple(text.asked))
 
 

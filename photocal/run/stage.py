@@ -3,7 +3,6 @@
 import ast
 import functools
 import hashlib
-import importlib.metadata
 import importlib.util
 import itertools
 import json
@@ -20,9 +19,10 @@ from typing import Any
 
 from photocal.adjustment.ledger import ledger
 from photocal.base.errors import InputNotFoundError, OutputError
-from photocal.base.files import output_file, refusals, write_json
+from photocal.base.files import filled, output_file, refusals, write_json
 from photocal.base.operating_system import lock as take
 from photocal.base.progress import Progress
+from photocal.base.version import __version__
 from photocal.block.model import digest
 
 # Smaller files are read each time: nothing deceives that, and it takes no time.
@@ -77,8 +77,8 @@ class Digests:
         return self.of_folder(path) if path.is_dir() else self.of_file(path)
 
     def keep(self) -> None:
-        """Write the memory."""
-        with output_file(self._memory) as aside:
+        """Write the memory, where there is room: without it files are read again."""
+        with suppress(OutputError), output_file(self._memory) as aside:
             write_json(aside, self._known, None)
 
 
@@ -98,7 +98,8 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
         folder.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=_ASIDE, dir=folder.parent))
     try:
-        yield aside
+        with filled(aside, folder):
+            yield aside
         with refusals(folder, _REMEDY):
             aside.chmod(0o755)
             old = aside.with_name(aside.name.removesuffix(_ASIDE) + _OLD)
@@ -154,10 +155,13 @@ def _place(source: Path, public: Path, name: str, ours: tuple[str, ...], aside: 
     place.parent.mkdir(parents=True, exist_ok=True)
     aside.unlink(missing_ok=True)
     try:
-        os.link(source, aside)
-    except OSError:
-        shutil.copyfile(source, aside)
-    aside.replace(place)
+        try:
+            os.link(source, aside)
+        except OSError:
+            shutil.copyfile(source, aside)
+        aside.replace(place)
+    finally:
+        aside.unlink(missing_ok=True)
     return remarks
 
 
@@ -219,7 +223,7 @@ def _program(start: str) -> dict[str, str]:
     for path in sorted({known[name] for name in needed} | {path for path in data if path.is_file()}):
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
-    return {"version": importlib.metadata.version("photocal"), "source": digest.hexdigest()}
+    return {"version": __version__, "source": digest.hexdigest()}
 
 
 def needed_modules(start: str, known: Mapping[str, Path]) -> set[str]:
@@ -315,7 +319,8 @@ def written(progress: Progress, file: Path) -> Progress:
             last, share = now, done / total if total else None
             left = (now - began) * (1 / share - 1) if share else None
             content = {"title": title, "share": share, "left_s": left, "elapsed_s": now - began}
-            with output_file(file) as aside:
+            # No work ends because it cannot be told how far it is.
+            with suppress(OutputError), output_file(file) as aside:
                 write_json(aside, content, None)
 
         with progress(title, total) as tell:

@@ -7,7 +7,6 @@ our last adjustment.
 
 from __future__ import annotations
 
-import resource
 import time
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -76,6 +75,7 @@ def test_tie_points_beside_colmap(shared: Path, tmp_path: Path, benchmark: Any) 
 
 def _now() -> tuple[float, float]:
     """Time of the processors and of the clock, s."""
+    resource = pytest.importorskip("resource", reason="only POSIX systems tell the memory of a process")
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used), time.perf_counter()
 

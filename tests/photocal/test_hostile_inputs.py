@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import resource
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -88,6 +87,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 @contextmanager
 def little_memory() -> Iterator[None]:
     """A gigabyte above what the process has mapped: more is refused by the system."""
+    resource = pytest.importorskip("resource", reason="only POSIX systems limit the memory of a process")
     before = resource.getrlimit(resource.RLIMIT_AS)
     mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (mapped + (1 << 30), before[1]))

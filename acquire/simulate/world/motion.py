@@ -1,5 +1,7 @@
 """Where the vehicle is and how it is turned at any moment: smooth, with wind, gusts and vibration."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import random
-import resource
 import struct
 from pathlib import Path
 
@@ -97,6 +96,7 @@ def plain() -> bytes:
 def test_hostile_logs_are_refused_or_read_by_every_reader(plain: bytes, tmp_path: Path) -> None:
     chance = random.Random(11)  # noqa: S311 - no secrets
     dialect, log = ardupilotmega(), tmp_path / "log.mcap"
+    resource = pytest.importorskip("resource", reason="only POSIX systems tell the memory of a process")
     before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused = 0
 

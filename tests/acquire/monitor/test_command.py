@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import select
 import signal
 import subprocess
@@ -68,7 +67,7 @@ def test_what_cannot_be_meant_is_one_line(
 
 
 def test_in_a_terminal_it_is_live_and_leaves_a_clean_screen(log: Path) -> None:
-    ours, theirs = pty.openpty()
+    ours, theirs = pytest.importorskip("pty", reason="Windows has no such terminals").openpty()
     environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}
     process = subprocess.Popen(
         [sys.executable, "-m", "acquire.cli", "monitor", str(log)],

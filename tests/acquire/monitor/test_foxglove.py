@@ -7,10 +7,10 @@ import json
 import socket
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Browser
 
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
@@ -18,6 +18,9 @@ from acquire.monitor.foxglove_server import has_token, serving_foxglove
 from photocal.base.errors import ConfigurationError, ProgramMissingError
 from photocal.base.web import Address, read_address
 from tests.acquire.live import PATIENCE_S
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 ANY = Address("127.0.0.1", 0)
 

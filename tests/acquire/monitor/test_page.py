@@ -12,14 +12,20 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
 
 from photocal.base.web import Address, serving
 from tests.acquire.monitor.conftest import Monitor
 from tests.acquire.monitor.field import NO_FIX, RTK_FIXED, Field, at_work
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+expect = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed (the extra dev has it)"
+).expect
 
 PATIENCE_MS = 120_000
 expect.set_options(timeout=PATIENCE_MS)

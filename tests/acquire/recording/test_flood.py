@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-import tty
 from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
@@ -204,7 +203,7 @@ def test_a_host_name_that_cannot_be_is_tried_again(tmp_path: Path) -> None:
 
 def test_a_serial_port_belongs_to_one_recorder() -> None:
     ours, theirs = os.openpty()
-    tty.setraw(theirs)
+    pytest.importorskip("tty", reason="Windows has no such terminals").setraw(theirs)
     first, second = (SerialSource(os.ttyname(theirs), 115_200) for _ in range(2))
     first.open(threading.Event())
     with pytest.raises(LinkLostError, match="lock"):

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -71,7 +70,7 @@ def numbered(number: int, size: int = 100) -> bytes:
 
 def test_links_of_several_kinds_are_recorded_and_closed_properly(start: Start, demo_flight: bytes) -> None:
     ours, theirs = os.openpty()
-    tty.setraw(theirs)
+    pytest.importorskip("tty", reason="Windows has no such terminals").setraw(theirs)
     port = free_port()
     sent, greeting = frames_of(demo_flight)[:200], ubx.encode(0x0107, bytes(92))
     rover = [numbered(n) for n in range(50)]

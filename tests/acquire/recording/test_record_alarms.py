@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import tty
 from pathlib import Path
+
+import pytest
 
 from acquire.recording.alarms import ClockWatch, SilenceWatch
 from acquire.recording.recorder import Host
@@ -96,7 +97,7 @@ def test_a_serial_line_that_is_unplugged_and_plugged_in_again(tmp_path: Path) ->
 
     def plug_in() -> None:
         ours, theirs = os.openpty()
-        tty.setraw(theirs)
+        pytest.importorskip("tty", reason="Windows has no such terminals").setraw(theirs)
         port.symlink_to(os.ttyname(theirs))
         ends[:] = [ours, theirs]
 

@@ -6,7 +6,6 @@ import contextlib
 import os
 import socket
 import threading
-import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -108,7 +107,7 @@ def test_datagrams_of_a_sender_that_moves() -> None:
 
 def test_a_serial_line() -> None:
     ours, theirs = os.openpty()
-    tty.setraw(theirs)
+    pytest.importorskip("tty", reason="Windows has no such terminals").setraw(theirs)
     with opened(f"serial:{os.ttyname(theirs)}") as source:
         os.write(ours, FIRST)
         assert heard(source, len(FIRST)) == FIRST

@@ -12,13 +12,20 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect
 
 from photocal.measurement.marks import read_marks
 from tests.photocal.measurement.marking.conftest import IMAGES, POINTS, Survey
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+expect = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed (the extra dev has it)"
+).expect
 
 PATIENCE_MS = 60_000
 expect.set_options(timeout=PATIENCE_MS)
