@@ -105,3 +105,15 @@ class DeviceError(PhotocalError):
     """A port, a receiver or an autopilot does not answer as it should."""
 
     exit_code = 10
+
+
+class NotSignedError(PhotocalError):
+    """A document that is whole in itself, for which nobody answers by a signature."""
+
+    exit_code = 11
+
+
+class UnknownSignerError(PhotocalError):
+    """A document whose signature is right, by a key that is not known here."""
+
+    exit_code = 12

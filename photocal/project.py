@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from acquire.checked_toml import Table, read_toml
+from acquire.names import one_line
 from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma, make_camera
 from photocal.block.rig import HeadKeys
@@ -46,7 +47,7 @@ ASKED = "?"
 class ProjectKeys(Table):
     """`[project]`: name, the coordinates of results and of the control table, the work folder."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1), AfterValidator(one_line)]
     crs: str
     height: Literal["ellipsoidal", "orthometric", "local"]
     output: Beside

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 from photocal.project import Project
-from photocal.report.signing import own_key
+from photocal.report.keys import own_key
 from photocal.run.stage import RECORD, Stage
 from photocal.run.summary import gather, read_json
 from photocal.tasks.progress import Progress

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from acquire.console import printable
 from drivers.errors import ConfigurationError, PhotocalError
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
@@ -155,7 +156,7 @@ def run_projects(
 
 
 def _say(line: str) -> None:
-    sys.stderr.write(line + "\n")
+    sys.stderr.write(printable(line) + "\n")
 
 
 def _elsewhere(task: Task) -> Outcome:
