@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections import Counter
 from typing import Any
 
 
@@ -17,9 +18,8 @@ def read_checked_json(text: str | bytes) -> Any:
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"has the key {twice!r} twice")
+        names = Counter(name for name, _ in pairs)
+        raise ValueError(f"has the key {names.most_common(1)[0][0]!r} twice")
     return content
 
 

@@ -36,7 +36,7 @@ def keys(
 
     if journal:
         entries = read_journal(file)
-        lines = [f"{e['entry']:>5}  {e['signed']}  {e['number']}  {e['sha256']}" for e in entries]
+        lines = [printable(f"{e['entry']:>5}  {e['signed']}  {e['number']}  {e['sha256']}") for e in entries]
         answer(as_json, lambda: entries, lambda: "\n".join(lines))
         return
     if new is not None:
@@ -87,7 +87,7 @@ def sign(
         as_json,
         lambda: {"number": certified["number"], "fingerprint": key.fingerprint, "file": file},
         lambda: (
-            f"certificate {certified['number']} signed with the key {key.fingerprint} by "
+            f"certificate {printable(certified['number'])} signed with the key {key.fingerprint} by "
             f"{quoted(key.name)}: {file}"
         ),
     )

@@ -167,7 +167,7 @@ def _wrong_in(content: dict[str, Any], key: Key, named: str, folder: Path) -> li
     try:
         octets = base64.b64decode(content["signature"])
         Ed25519PublicKey.from_public_bytes(key.public).verify(octets, _canonical(signed))
-    except (InvalidSignature, ValueError):
+    except (InvalidSignature, TypeError, ValueError):
         problems.append(f"{SIGNATURE} was changed after signing")
     try:
         if key_name(key.name) != key.name:

@@ -224,9 +224,19 @@ def stated_by_issuer(certified: dict[str, Any]) -> list[str]:
         for key, value in entries.items():
             if value not in (None, "", [], {}):
                 stated.append(f"{section}{'.' * bool(key)}{key} {_shown(value)}")
-    if certified.get("analysis") is None:
-        stated.append("no analysis: nobody has looked for hidden errors")
-    return stated
+    return [*stated, *_choices(certified)]
+
+
+def _choices(certified: dict[str, Any]) -> list[str]:
+    """How the issuer has adjusted and tested: repeated so, though another choice may find more."""
+    result, analysis = certified["result"], certified.get("analysis")
+    chosen = [f"data snooping {result['snooping']}"] if result.get("snooping") else []
+    if result.get("variance_components"):
+        chosen.append("sigmas estimated: variance components")
+    if analysis is None:
+        return [*chosen, "no analysis: nobody has looked for hidden errors"]
+    keys = ("alpha", "correlation_threshold", "bootstrap_draws")
+    return [*chosen, *(f"analysis.{key} {_shown(analysis[key])}" for key in keys if analysis.get(key))]
 
 
 def _shown(value: Any) -> str:

@@ -21,6 +21,8 @@ SHARED = (
     "acquire.outputs",
     "acquire.web",
     "acquire.checked_toml",
+    "acquire.checked_json",
+    "acquire.names",
     "photocal.compiled",
     "photocal.findings",
     "photocal.geopackage",

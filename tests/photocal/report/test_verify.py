@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
-from drivers.errors import NotSignedError
+from drivers.errors import InputMalformedError, NotSignedError
 from photocal.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import as_certified, differences, record_of, repeated
@@ -222,3 +222,31 @@ def test_tolerances() -> None:
     assert [d.place for d in differences(base, {"c": base["c"], "n": 5})] == ["rms"]
     assert [d.place for d in differences([1, 2], [1, 2, 3], "list")] == ["list"]
     assert [d.place for d in differences({"a": None}, {"a": 0.0})] == ["a"]
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"number": 5},
+        {"number": None},
+        {"language": ["en"]},
+        {"language": {}},
+        {"particulars": []},
+        {"documents": []},
+        {"analysis": 5},
+        {"analysis": {}},
+        {"analysis": {"alpha": 0.1, "correlation_threshold": 0.8, "bootstrap_draws": 10**9}},
+        {"date": "yesterday"},
+        {"warnings": [5]},
+        {"run_files": [{}]},
+        {"result": []},
+        {"result": {"inputs": [], "block": None}},
+    ],
+)
+def test_fields_of_another_kind_are_refused_in_a_line(elsewhere: Path, changed: dict[str, Any]) -> None:
+    for name, to in changed.items():
+        change(elsewhere, name, to=to)
+    answer = call("verify", elsewhere)
+    assert isinstance(answer.exception, InputMalformedError)
+    assert next(iter(changed)) in str(answer.exception)
+    assert "\n" not in str(answer.exception)
