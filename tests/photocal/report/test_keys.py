@@ -328,3 +328,29 @@ def test_what_is_no_number_is_refused(
     answer = photocal("verify", folder)
     assert answer.code == 4
     assert number in answer.err
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"signature": None},
+        {"signature": "AAAA"},
+        {"signature": 5},
+        {"name": None},
+        {"public_key": "AAAA"},
+        {"files": []},
+        {"files": 5},
+        {"journal": 5},
+        {"schema": "photocal.signature/9"},
+    ],
+)
+def test_a_signature_of_another_kind_is_forged(
+    changed: dict[str, Any], signed: Callable[[str, str], Path], photocal: Photocal
+) -> None:
+    folder = signed("office", BIG)
+    path = folder / "signature.json"
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | changed), encoding="utf-8")
+    answer = photocal("verify", folder)
+    assert answer.code == 4
+    assert answer.out.splitlines()[-1].startswith("not authentic: signed with the key")
+    assert len(answer.err.splitlines()) == 1
