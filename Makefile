@@ -40,7 +40,7 @@ $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/python -m pip install $(PIP) --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install $(PIP) --no-deps --no-build-isolation -e .
-	$(BIN)/python -m photocal.compiled
+	$(BIN)/python -m photocal.base.compiled
 	@touch $(READY)
 
 # The PPK engine; tests that need it are left out with that reason where it is missing.

@@ -3,7 +3,7 @@
 import os
 
 from acquire.commands import flight_log, recording, simulate
-from acquire.console import application, run
+from photocal.base.console import application, run
 
 app = application("Record, import, replay and inspect flights; the flight log is an MCAP file.")
 app.command()(recording.check)

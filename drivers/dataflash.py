@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Integers
 from drivers.frames import Batch, Wire, gather
-from drivers.gnsstime import gps_to_utc_ns, week_to_ns
 from drivers.logged import NOTHING, WAIT, RecordFramer, Records, placed, since_boot_ns
+from photocal.base.arrays import Integers
+from photocal.base.time_scales import gps_to_utc_ns, week_to_ns
 
 HEAD = b"\xa3\x95"
 HEAD_BYTES = 3

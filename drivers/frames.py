@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import scan
-from drivers.arrays import Bytes, Flags, Integers
 from drivers.mavlink.dialect import V1, V2, Dialect, ardupilotmega
+from photocal.base.arrays import Bytes, Flags, Integers
 
 
 class Wire(IntEnum):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch, Framer, Wire, batch_of
+from photocal.base.arrays import Flags, Floats, Integers
 
 # What an examination answers besides a length.
 NOTHING, WAIT = 0, -1

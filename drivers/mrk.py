@@ -8,10 +8,10 @@ import re
 
 import numpy as np
 
-from drivers.arrays import Integers
 from drivers.frames import Batch, Framer, Wire
-from drivers.gnsstime import week_to_ns
 from drivers.logged import Records, batch_of_rows
+from photocal.base.arrays import Integers
+from photocal.base.time_scales import week_to_ns
 
 _NUMBER = r"\s*([+-]?\d{1,15}(?:\.\d{1,15})?)\s*"
 _ROW = re.compile(

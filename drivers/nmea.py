@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
 from drivers.frames import Batch, Wire
-from drivers.gnsstime import SECOND_NS, utc_date_ns
+from photocal.base.arrays import Floats, Integers
+from photocal.base.time_scales import SECOND_NS, utc_date_ns
 
 
 def kind_of(address: bytes) -> int:

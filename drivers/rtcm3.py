@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
 from drivers.checksums import crc24q
 from drivers.frames import Batch, Wire, numbers_at
-from drivers.gnsstime import DAY_NS, SECOND_NS
+from photocal.base.arrays import Floats, Integers
+from photocal.base.time_scales import DAY_NS, SECOND_NS
 
 
 def encode(payload: bytes) -> bytes:

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Flags, Integers
 from drivers.checksums import crc24q_contributions
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V1, V2, Dialect, ardupilotmega
+from photocal.base.arrays import Flags, Integers
 
 MAVLINK, UBX, RTCM3, NMEA, NO_WIRE = 0, 1, 2, 3, 255
 # The longest message of the interface descriptions is RXM-RAWX with 255 signals, 8176 bytes. Without a bound

@@ -5,11 +5,11 @@ from binascii import crc_hqx
 import numpy as np
 
 from drivers import scan
-from drivers.arrays import Integers
 from drivers.checksums import REVERSED, x25
 from drivers.frames import Batch, Framer, Wire, batch_of, numbers_at
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V1, V2, Dialect, ardupilotmega
 from drivers.scan import EARLIEST_US, LATEST_US, STAMP_BYTES
+from photocal.base.arrays import Integers
 
 _REVERSED = np.frombuffer(REVERSED, np.uint8)
 _STEP = np.array([crc_hqx(bytes((value,)), 0) for value in range(256)], np.int64)

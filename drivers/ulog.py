@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats, Integers
 from drivers.frames import Batch, Wire, gather
 from drivers.logged import NOTHING, WAIT, RecordFramer, Records, placed, since_boot_ns
+from photocal.base.arrays import Floats, Integers
 
 MAGIC = b"ULog\x01\x12\x35"
 FILE_HEAD_BYTES, HEAD_BYTES = 16, 3

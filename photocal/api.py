@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.errors import ConfigurationError
 from photocal.adjustment.network import RELATIONS, Related, Relations
+from photocal.base.errors import ConfigurationError
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.oriented_images import OrientedImages

@@ -1,7 +1,7 @@
 """The command `photocal`: a list of its commands, each in a module of its own."""
 
-from acquire.console import application
-from acquire.console import run as run_application
+from photocal.base.console import application
+from photocal.base.console import run as run_application
 from photocal.commands import (
     calibration,
     check,

@@ -16,9 +16,9 @@ from pydantic import (
     model_validator,
 )
 
-from acquire.checked_toml import Table, read_toml
-from acquire.names import one_line
-from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.base.checked_toml import Table, read_toml
+from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.names import one_line
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma, make_camera
 from photocal.block.rig import HeadKeys
 from photocal.block.setup import BodyAxis, MountingKeys

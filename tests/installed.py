@@ -49,7 +49,7 @@ def lend_kernels(installed: Path) -> None:
     from numba.core.caching import _CacheLocator
 
     from drivers import scan
-    from photocal.compiled import FOLDER, PACKAGE
+    from photocal.base.compiled import FOLDER, PACKAGE
 
     search = Path(scan.__file__)
     lent = installed.parent / "drivers"

@@ -32,7 +32,7 @@ sys.modules["msvcrt"] = types.SimpleNamespace(LK_NBLCK=2, locking=lambda *a: loc
 subprocess.CREATE_NEW_PROCESS_GROUP = 0
 signal.CTRL_BREAK_EVENT, signal.SIGBREAK = signal.SIGINT, signal.SIGTERM
 sys.platform = "win32"
-import acquire.operating_system
+import photocal.base.operating_system
 sys.platform = "linux"
 import importlib
 from tests.docs.rooms import modules

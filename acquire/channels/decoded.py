@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.log.records import Channel, Schema
-from drivers.arrays import Integers
 from drivers.frames import Batch
+from photocal.base.arrays import Integers
 
 SECOND_NS = 1_000_000_000
 

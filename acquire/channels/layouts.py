@@ -9,7 +9,7 @@ import numpy as np
 from acquire.channels.decoded import TIME, Decoded, JsonLayout, Times, integer, number, words
 from acquire.log import foxglove
 from acquire.log.records import Channel
-from drivers.arrays import Columns, Floats, Integers
+from photocal.base.arrays import Columns, Floats, Integers
 
 _SOURCE = {
     "link": words("link that it came over"),

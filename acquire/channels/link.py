@@ -8,8 +8,8 @@ import numpy as np
 
 from acquire.channels.decoded import Decoder
 from acquire.log.records import ARRIVED_ENCODING, DAMAGE_ENCODING, Channel, Payloads, Pieces
-from drivers.arrays import Integers
 from drivers.frames import Batch, Wire
+from photocal.base.arrays import Integers
 
 LISTED_RUNS = 200
 

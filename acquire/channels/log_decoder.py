@@ -12,12 +12,12 @@ from acquire.channels.layouts import ELLIPSOIDAL, PARAMETER, SourceMessages
 from acquire.channels.vehicle_messages import fix_names
 from acquire.log import foxglove
 from drivers import mrk
-from drivers.arrays import Floats, Integers
 from drivers.dataflash import DataflashFormats, receiver_utc_ns
 from drivers.frames import Batch
-from drivers.gnsstime import gps_to_utc_ns
 from drivers.logged import Records
 from drivers.ulog import UlogFormats, told_utc_ns
+from photocal.base.arrays import Floats, Integers
+from photocal.base.time_scales import gps_to_utc_ns
 
 # A receiver's time further than this from the middle of all is a lag or a leap, not what ties the clocks.
 _LIKELY_NS = 500_000_000

@@ -10,10 +10,10 @@ from acquire.channels.decoded import Decoded, Times, in_order
 from acquire.channels.layouts import ELLIPSOIDAL, STATION, SourceMessages
 from acquire.channels.receiver_time import ReceiverClock
 from drivers import nmea, rtcm3
-from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch
-from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns
 from drivers.ubx import decode as ubx
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns
 
 _PVT_FIXES = ("none", "dead_reckoning", "2d", "3d", "3d", "time_only")
 _GGA_FIXES = {1: "3d", 2: "differential", 3: "3d", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning"}

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import nmea, rtcm3
-from drivers.arrays import Integers
 from drivers.frames import Batch
-from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S, gps_to_utc_ns, week_to_ns
 from drivers.ubx import decode as ubx
+from photocal.base.arrays import Integers
+from photocal.base.time_scales import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S, gps_to_utc_ns, week_to_ns
 
 # Messages whose only time is the time of week: they need the week of one that has it.
 _WEEKLESS = (ubx.NAV_HPPOSLLH, ubx.NAV_POSLLH, ubx.NAV_SVIN)

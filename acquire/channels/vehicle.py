@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, in_order
 from acquire.channels.vehicle_messages import COMMON_TOPICS, MAKERS, Sent
-from drivers.arrays import Integers
 from drivers.frames import Batch, Wire
 from drivers.mavlink.decode import Messages, decode
 from drivers.mavlink.dialect import Dialect
+from photocal.base.arrays import Integers
 
 # From 2000 on a time of an autopilot is taken for UTC, below for time since boot.
 EARLIEST_UTC_NS = 946_684_800 * 1_000_000_000

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquire.channels.decoded import Decoded, Times
 from acquire.channels.layouts import PARAMETER, SourceMessages
 from acquire.log import foxglove
-from drivers.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers
 
 # Receivers of the vehicle, as their topics tell them apart.
 _RECEIVERS = {"GPS_RAW_INT": "", "GPS2_RAW": "-2"}

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from acquire.channels.mounting import mounting_of
-from acquire.console import AsJson, answer, argument, option, progress
-from drivers.errors import ConfigurationError
+from photocal.base.console import AsJson, answer, argument, option, progress
+from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from acquire.channels.summary import LogSummary
     from acquire.importing.importer import Imported
-    from acquire.log.recovery import Recovered
-    from acquire.log.summary import LogSummary
+    from acquire.importing.recovery import Recovered
 
 Log = Annotated[Path, argument("Flight log (.mcap).")]
 Link = Annotated[str | None, option("Link, when the log has several.")]
@@ -106,7 +106,7 @@ def info(log: Log, as_json: AsJson = False) -> None:
 
     Example: `acquire info flight.mcap`
     """
-    from acquire.log.summary import summarise
+    from acquire.channels.summary import summarise
     from drivers.mavlink.dialect import ardupilotmega
 
     summary = summarise(log, ardupilotmega())
@@ -212,7 +212,7 @@ def recover(
 
     Example: `acquire recover flight.mcap -o repaired.mcap`
     """
-    from acquire.log.recovery import recover as repair
+    from acquire.importing.recovery import recover as repair
 
     target = output or log.with_suffix(".recovered.mcap")
     if target.resolve() == log.resolve():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import Address, answer, argument, option
+from photocal.base.console import Address, answer, argument, option
 
 if TYPE_CHECKING:
     import threading
@@ -34,8 +34,8 @@ def check(
     from acquire.recording.caster_position import caster_positions
     from acquire.recording.configuration import read_configuration
     from acquire.recording.recorder import Host, sources_of
-    from drivers.errors import DeviceError
     from drivers.mavlink.dialect import ardupilotmega
+    from photocal.base.errors import DeviceError
 
     chosen = read_configuration(configuration)
     host, dialect = Host(), ardupilotmega()
@@ -62,9 +62,9 @@ def record(
 
     Example: `acquire record flight.toml`
     """
-    from acquire.operating_system import stopped_by_signals
     from acquire.recording.configuration import read_configuration
     from acquire.recording.recorder import record as recording
+    from photocal.base.operating_system import stopped_by_signals
 
     chosen = read_configuration(configuration)
     stop = stopped_by_signals()
@@ -127,7 +127,7 @@ def monitor(
         answer(True, lambda: view_of(read_all(tail)).as_json(), str)
     elif foxglove:
         from acquire.monitor.foxglove_server import serving_foxglove
-        from acquire.web import read_address
+        from photocal.base.web import read_address
 
         with serving_foxglove(read_address(foxglove_address)) as (listen, url):
             typer.echo(f"Foxglove: open a connection to {url}", err=True)
@@ -145,14 +145,14 @@ def _show(
 ) -> None:
     """Show a recording until Ctrl-C, on a page or here."""
     from acquire.monitor.tail import follow
-    from acquire.operating_system import stopped_by_signals
+    from photocal.base.operating_system import stopped_by_signals
 
     stop = stopped_by_signals()
     if address is None:
         _in_terminal(tail, stop, mute, listen)
         return
     from acquire.monitor.page import Latest, application
-    from acquire.web import read_address, serving
+    from photocal.base.web import read_address, serving
 
     latest = Latest(lambda: tail.path.parent if tail.path else None, debrief)
     with serving(application(latest), read_address(address)) as url:

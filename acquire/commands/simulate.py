@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from acquire.console import AsJson, answer, application, argument, option, progress
-from drivers.errors import ConfigurationError, OutputError
+from photocal.base.console import AsJson, answer, application, argument, option, progress
+from photocal.base.errors import ConfigurationError, OutputError
 
 FAULTS = (
     "Switch on a fault; may be repeated: wrong_antenna_height, base_off, event_time_base, late_shutter, "
@@ -37,11 +37,11 @@ def simulate(
         return
     if output is None:
         raise ConfigurationError("nothing to write", "give -o FILE.tlog, or a command, see --help")
-    from acquire.outputs import output_file
     from acquire.simulate.world.configuration import FLIGHTS, read_configuration
     from acquire.simulate.world.streams import telemetry_log, vehicle_wire
     from acquire.simulate.world.telemetry import LABEL
     from acquire.simulate.world.world import make_world
+    from photocal.base.files import output_file
 
     world = make_world(read_configuration(FLIGHTS / "small.toml"))
     log = telemetry_log(world, vehicle_wire(world, world.random("wires")))
@@ -72,9 +72,9 @@ def flight(
 
     Example: `acquire simulate flight survey -o flight`
     """
-    from acquire.outputs import output_folder
     from acquire.simulate.world.configuration import read_configuration
     from acquire.simulate.world.site import simulate_flight
+    from photocal.base.files import output_folder
 
     if output.is_dir() and any(output.iterdir()):
         # Files of another flight between the new ones would be taken for its own.
@@ -133,9 +133,9 @@ def serve(
     import datetime as dt
     import time
 
-    from acquire.outputs import output_file
     from acquire.simulate.hardware import awaited, on_ports, record_settings
     from acquire.simulate.playback import FlightClock, read_flight
+    from photocal.base.files import output_file
 
     start_s = time.time() + _LEAD_S
     if now and speed != 1:

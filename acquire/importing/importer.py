@@ -11,9 +11,9 @@ from acquire.channels.link import LinkLog, Tally
 from acquire.importing.recording import Format, Source, identify, open_recording
 from acquire.importing.timing import way_of
 from acquire.log.writer import LogWriter
-from acquire.outputs import output_file
-from drivers.errors import ConfigurationError
 from drivers.mavlink.dialect import Dialect, ardupilotmega
+from photocal.base.errors import ConfigurationError
+from photocal.base.files import output_file
 
 CHUNK_BYTES = 1 << 20
 _COUNTED = ("frames", "frame_bytes", "stamp_bytes", "damage_bytes", "damage_runs")

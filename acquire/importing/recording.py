@@ -10,12 +10,12 @@ from io import BufferedReader
 from pathlib import Path
 
 from drivers.dataflash import DataflashFramer
-from drivers.errors import InputMalformedError, InputNotFoundError, reading
 from drivers.frames import GNSS, Batch, Framer, StreamFramer
 from drivers.mavlink.dialect import Dialect
 from drivers.mrk import MrkFramer
 from drivers.tlog import TlogFramer
 from drivers.ulog import UlogFramer
+from photocal.base.errors import InputMalformedError, InputNotFoundError, reading
 
 PIECE_BYTES = 1 << 20
 _HEAD_BYTES = 1 << 17

@@ -20,13 +20,13 @@ from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.receiver_time import ReceiverClock
 from acquire.channels.vehicle import VehicleDecoder
 from acquire.importing.recording import DATAFLASH_LOG, EVENT_LIST, PX4_LOG, TELEMETRY_LOG, Format, Source
-from drivers.arrays import Integers
 from drivers.dataflash import DataflashFormats
-from drivers.errors import InputMalformedError
 from drivers.frames import Batch
-from drivers.gnsstime import expiry_warning
 from drivers.mavlink.dialect import Dialect
 from drivers.ulog import UlogFormats
+from photocal.base.arrays import Integers
+from photocal.base.errors import InputMalformedError
+from photocal.base.time_scales import expiry_warning
 
 Clock = ReceiverClock | EventListClock
 Definitions = UlogFormats | DataflashFormats

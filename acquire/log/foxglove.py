@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from acquire.log.records import Schema
-from drivers.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers
 
 SECOND_NS = 1_000_000_000
 

@@ -15,11 +15,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 
-from acquire.console import printable
 from acquire.log import records
 from acquire.log.records import Channel, Schema
-from drivers.arrays import Integers
-from drivers.errors import InputMalformedError, InputNotFoundError, reading
+from photocal.base.arrays import Integers
+from photocal.base.console import printable
+from photocal.base.errors import InputMalformedError, InputNotFoundError, reading
 
 # What is unpacked or read at once; chunks of our own and of other programs have one to some megabytes.
 LONGEST_CHUNK, LONGEST_RECORD = 64 << 20, 256 << 20

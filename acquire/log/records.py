@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import McapRecord
 from numpy.typing import NDArray
 
-from drivers.arrays import Bytes, Integers
+from photocal.base.arrays import Bytes, Integers
 
 MAGIC = b"\x89MCAP0\r\n"
 

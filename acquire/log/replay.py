@@ -8,10 +8,10 @@ import numpy as np
 
 from acquire.log.reader import LogReader, Messages, link_of
 from acquire.log.records import DAMAGE_ENCODING
-from acquire.outputs import output_file
 from acquire.transports.sinks import Sink
-from drivers.errors import ConfigurationError, InputMalformedError
 from drivers.mavlink.dialect import V1, V2
+from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.files import output_file
 
 _STARTS = (V1, V2)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from acquire.log import records
 from acquire.log.records import Channel, Payloads, Pieces, Schema, encoded
-from drivers.arrays import Integers
+from photocal.base.arrays import Integers
 
 LIBRARY = "photocal"
 COMPRESSION = "lz4"

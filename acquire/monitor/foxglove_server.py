@@ -12,8 +12,8 @@ from urllib.parse import parse_qs, urlsplit
 
 from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
-from acquire.web import TOKEN_BYTES, Address
-from drivers.errors import ConfigurationError, ProgramMissingError
+from photocal.base.errors import ConfigurationError, ProgramMissingError
+from photocal.base.web import TOKEN_BYTES, Address
 
 _LONGEST_HEAD = 1 << 14
 _PATIENCE_S = 10.0

@@ -14,7 +14,7 @@ from starlette.routing import Route
 
 from acquire.monitor.state import State
 from acquire.monitor.view_model import layers, view_of
-from acquire.web import packaged
+from photocal.base.web import packaged
 
 _SCRIPTS = ("figures", "alarms", "map", "monitor")
 _FILES = {

@@ -23,8 +23,8 @@ from acquire.monitor.state import (
 )
 from acquire.monitor.traffic import OCTETS, correction_age_s, fed, link_after, number, receiver_after
 from acquire.recording.alarms import ALARM
-from drivers.earth import geodetic
 from drivers.frames import Wire
+from photocal.base.geodesy import geodetic
 
 # Critical, as a failsafe is, and error, as MAVLink counts severity from the worst.
 _CRITICAL, _SEVERE = 2, 3

@@ -8,8 +8,8 @@ import numpy as np
 
 from acquire.log.reader import Messages
 from acquire.monitor.exposures import Exposures
-from drivers.arrays import Floats, Integers
 from drivers.mavlink.decode import GROUND_STATION, NO_AUTOPILOT
+from photocal.base.arrays import Floats, Integers
 
 LONGEST = 4000
 # Points that lie closer to the last one show nothing new.

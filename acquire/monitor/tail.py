@@ -15,7 +15,7 @@ from acquire.log.records import MAGIC
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import Look, State
 from acquire.monitor.traffic import looked
-from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 
 # Files of one flight follow each other within this time, also when the recorder was started again.
 SAME_FLIGHT_S = 60.0

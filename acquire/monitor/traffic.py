@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
+from acquire.channels.summary import GAP_S
 from acquire.log.reader import Messages
 from acquire.log.records import DAMAGE_ENCODING
-from acquire.log.summary import GAP_S
 from acquire.monitor.state import Link, Look, Receiver, State, raised
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads

@@ -18,7 +18,7 @@ from acquire.monitor.traffic import (
     bytes_per_s,
     correction_age_s,
 )
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 
 @dataclass(frozen=True)

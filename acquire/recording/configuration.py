@@ -5,8 +5,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from acquire.checked_toml import Table, read_toml
-from drivers.errors import ConfigurationError
+from photocal.base.checked_toml import Table, read_toml
+from photocal.base.errors import ConfigurationError
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 Positive = Annotated[float, Field(gt=0)]

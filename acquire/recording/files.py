@@ -14,8 +14,8 @@ from pathlib import Path
 from acquire.log import records
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
-from drivers.arrays import Integers
-from drivers.errors import OutputError
+from photocal.base.arrays import Integers
+from photocal.base.errors import OutputError
 
 # What is held in memory while no disk takes anything, and how often it is tried again.
 HELD_BYTES = 256 << 20

@@ -9,7 +9,6 @@ from acquire.channels.link import LinkLog, MessageWriter, arrived_channel
 from acquire.channels.mounting import NAMES
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.vehicle import VehicleDecoder
-from acquire.console import printable
 from acquire.log.records import ARRIVED_HEAD, Channel
 from acquire.recording.alarms import Alarm
 from acquire.recording.caster_position import CasterPosition
@@ -18,10 +17,11 @@ from acquire.recording.reader import Arrival
 from acquire.recording.receiver_dialogue import ReceiverDialogue
 from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.transports.sources import LinkLostError, Source
-from drivers.arrays import Integers
-from drivers.errors import ConfigurationError
 from drivers.frames import Batch, StreamFramer, Wire, wires_of
 from drivers.mavlink.dialect import Dialect
+from photocal.base.arrays import Integers
+from photocal.base.console import printable
+from photocal.base.errors import ConfigurationError
 
 
 def link_sessions(

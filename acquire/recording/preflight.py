@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from acquire.channels.decoded import SECOND_NS, Decoder
-from acquire.console import Check
 from acquire.recording.caster_position import CasterPosition
 from acquire.recording.configuration import Configuration, Link
 from acquire.recording.link_session import decoder_of
@@ -23,6 +22,7 @@ from drivers.frames import Batch, StreamFramer, Wire, wires_of
 from drivers.mavlink.decode import autopilots
 from drivers.mavlink.dialect import Dialect
 from drivers.ubx.decode import NAV_PVT, RXM_RAWX
+from photocal.base.console import Check
 
 _MB = 1_000_000
 # A receiver's message comes some tenths of a second after its time; more is a wrong clock.

@@ -7,8 +7,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from acquire.console import printable
 from acquire.transports.sources import LinkLostError, Source
+from photocal.base.console import printable
 
 # What a link is kept to, bytes a second and at once: some forty times what a receiver or an autopilot sends.
 MOST_BYTES_S, MOST_AT_ONCE = 4_000_000, 4 << 20

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from drivers.errors import DeviceError
 from drivers.frames import Batch, Wire
 from drivers.ubx import configure, encode
+from photocal.base.errors import DeviceError
 
 _PATIENCE_S, _ATTEMPTS, _LOSSES = 1.0, 4, 2
 

@@ -21,10 +21,10 @@ from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.reader import Inbox, left_behind, start_readers
 from acquire.transports.ntrip import NtripSource, ntrip_address
 from acquire.transports.sources import Source, source_of
-from drivers.errors import ConfigurationError, InputNotFoundError
-from drivers.gnsstime import expiry_warning
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.scan import compile_search
+from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.time_scales import expiry_warning
 
 CHUNK_BYTES = 1 << 20
 # How much of a link is framed before it is the turn of the next.

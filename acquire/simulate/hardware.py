@@ -11,9 +11,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from acquire.operating_system import pseudo_terminal
 from acquire.simulate.playback import FlightClock, FlownAutopilot, FlownReceiver, PlayedFlight
 from acquire.simulate.world.block_folder import toml_text
+from photocal.base.operating_system import pseudo_terminal
 
 _TICK_S = 0.005
 # A reader that was quick enough before is waited for; one that has taken nothing for so long is gone.

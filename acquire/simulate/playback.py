@@ -17,8 +17,8 @@ from acquire.simulate.world.exposures import CAMERA_FROM_IMU_M
 from acquire.simulate.world.streams import Wire, make_streams
 from acquire.simulate.world.world import make_world
 from drivers.checksums import x25
-from drivers.errors import InputMalformedError, InputNotFoundError
 from drivers.mavlink.dialect import V2, ardupilotmega
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 
 _STAMP_BYTES = 8
 _AUTOPILOT = bytes((1, 1))

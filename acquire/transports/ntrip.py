@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
 from acquire.transports.sources import PIECE_BYTES, LinkLostError, Patience, TcpSource, connect
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
     # Loaded where a caster asks for it: five megabytes that other recordings do without.

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from acquire.operating_system import has_reader, pseudo_terminal, waiting_bytes
 from acquire.transports.sources import host_and_port
-from drivers.errors import ConfigurationError, DeviceError
+from photocal.base.errors import ConfigurationError, DeviceError
+from photocal.base.operating_system import has_reader, pseudo_terminal, waiting_bytes
 
 # A reader that takes nothing for so long is given up.
 PATIENCE_S = 60.0

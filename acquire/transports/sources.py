@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 
 PIECE_BYTES = 65536
 _WRITE_LIMIT_S = 0.5

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Bytes, Integers
 from drivers.checksums import x25
 from drivers.frames import Batch, Wire, gather
 from drivers.mavlink.dialect import V2, Dialect
+from photocal.base.arrays import Bytes, Integers
 
 FRAGMENT_BYTES, FRAGMENTS = 180, 4
 # Of MAV_TYPE and MAV_AUTOPILOT.

@@ -8,8 +8,8 @@ import re
 import struct
 from dataclasses import dataclass
 
-from drivers.errors import DeviceError
 from drivers.ubx.decode import ACK_ACK, ACK_NAK, NAV_PVT, RXM_RAWX, RXM_SFRBX, TIM_TM2
+from photocal.base.errors import DeviceError
 
 MON_VER, CFG_MSG, CFG_RATE, CFG_VALSET, CFG_VALGET = 0x0A04, 0x0601, 0x0608, 0x068A, 0x068B
 MESSAGES = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX, "RXM-SFRBX": RXM_SFRBX, "TIM-TM2": TIM_TM2}

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Batch, Wire, gather
-from drivers.gnsstime import SECOND_NS, utc_date_ns, week_to_ns
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.time_scales import SECOND_NS, utc_date_ns, week_to_ns
 
 NAV_POSLLH, NAV_PVT, NAV_HPPOSLLH, NAV_TIMEGPS, NAV_TIMEUTC, NAV_SVIN = (
     0x0102, 0x0107, 0x0114, 0x0120, 0x0121, 0x013B,

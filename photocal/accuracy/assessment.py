@@ -6,11 +6,11 @@ from itertools import chain
 
 import numpy as np
 
-from drivers.errors import ConfigurationError
 from photocal.accuracy import classes, statistics
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
 from photocal.accuracy.standard import LimitTable, Question, ScaleStandard, Standard, ValueStandard, size_text
 from photocal.accuracy.statistics import PROBABLE_ERROR, LengthStatistics
+from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Figure, Finding
 
 # Below this number the standard deviation is known to worse than about a quarter of itself (95 %).

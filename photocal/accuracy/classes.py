@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.accuracy import statistics
 from photocal.accuracy.standard import ClassLimit, LimitTable, Question, ValueStandard
+from photocal.base.arrays import Floats
 
 
 @dataclass(frozen=True)

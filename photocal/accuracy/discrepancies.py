@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
-from drivers.errors import InputMalformedError
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import InputMalformedError
 from photocal.block.table import Table, read_columns
 
 SIGN = "product minus reference"

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.findings.finding import Figure, Finding
 
 # One foot in metres: international; the U.S. survey foot differs in the sixth digit.

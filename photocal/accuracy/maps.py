@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from acquire.outputs import output_file
-from drivers.arrays import Flags, Floats
-from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import COMPONENTS, SIGN, Discrepancies
 from photocal.accuracy.statistics import moments, within_gsd
-from photocal.geopackage import LOCAL, Layer, ReferenceSystem, add_layer, geopackage
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import ConfigurationError
+from photocal.base.files import output_file
+from photocal.base.geopackage import LOCAL, Layer, ReferenceSystem, add_layer, geopackage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,8 +12,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from acquire.checked_toml import Table, checked_tables, parse_toml
-from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.base.checked_toml import Table, checked_tables, parse_toml
+from photocal.base.errors import ConfigurationError, InputNotFoundError
 
 Component = Literal["planimetry", "height"]
 Basis = Literal["scale", "interval"]

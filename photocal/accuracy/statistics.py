@@ -8,8 +8,8 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 
 # 1 / the 0.75 quantile of the standard normal distribution: the median of absolute deviations
 # times this estimates the standard deviation of normal data (Hoehle and Hoehle 2009).

@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
 from photocal.adjustment.kernels.residuals import evaluate
+from photocal.adjustment.ledger import enter
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Problem, normal_equations, prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Iteration, Minimum, chords, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.distortion import slopes_of
 from photocal.geometry.resection import intersect
 
@@ -64,6 +65,7 @@ def minimum_of(
     if state is not None and moving and not len(problem.stiffened):
         minimum = _by_chords(problem, state, report)
         if minimum is not None:
+            enter(len(network.image_names), len(network.rays.image), len(minimum.iterations))
             return problem, minimum
     return problem, minimise(problem, state or better or start, report)
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.envelope import border_inverse
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.factored import Factored
@@ -17,7 +16,8 @@ from photocal.adjustment.rank import require_cameras, require_determined
 from photocal.adjustment.solution import Group, PhotoVariant, Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State, lenses, turn_basis
-from photocal.compiled import compiled
+from photocal.base.arrays import Floats, Integers
+from photocal.base.compiled import compiled
 from photocal.geometry.camera import OWN, PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
@@ -93,20 +93,25 @@ def shared(at: Factored) -> Shared:
     raises IllPosedError: when a principal distance is not determined.
     """
     problem, state = at.problem, at.state
-    network, inverse = problem.network, border_inverse(problem.layout.envelope, at.normal.matrix)
-    others = other_equations(problem, state).values()
-    control = int(np.sum(np.diagonal(network.points.weight, axis1=1, axis2=2) > 0))
-    observations = network.rays.plane.size + control + sum(len(rows.weight) for rows in others)
+    inverse = border_inverse(problem.layout.envelope, at.normal.matrix)
     cameras = _camera_covariance(problem, inverse)
     require_cameras(problem, state, cameras)
     return Shared(
         at.normal.chi_squared,
-        observations + len(problem.stiffened) - _unknowns(problem),
+        degrees_of_freedom(problem, state),
         state.cameras,
         cameras,
         state.common,
         _common_covariance(problem, inverse),
     )
+
+
+def degrees_of_freedom(problem: Problem, state: State) -> int:
+    """Count observations and conditions of the datum, less unknowns."""
+    network = problem.network
+    control = int(np.sum(np.diagonal(network.points.weight, axis1=1, axis2=2) > 0))
+    others = sum(len(rows.weight) for rows in other_equations(problem, state).values())
+    return network.rays.plane.size + control + others + len(problem.stiffened) - _unknowns(problem)
 
 
 def _unknowns(problem: Problem) -> int:

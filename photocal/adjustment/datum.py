@@ -13,12 +13,12 @@ from scipy.linalg import qr
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.envelope import multiply, solve
 from photocal.adjustment.kernels.substitution import back_substitute, reduce_right
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import Normal, Problem, diagonal_addresses, normal_equations, other_equations
 from photocal.adjustment.state import State
+from photocal.base.arrays import Floats, Integers
 
 # Steps of the whole block: so many at most, by differences over so many sigmas, as if each were resisted by
 # this much at least, and until no more than this is gained.

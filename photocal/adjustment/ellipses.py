@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 
 @dataclass(frozen=True)

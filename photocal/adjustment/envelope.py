@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import blas, lapack
 from threadpoolctl import ThreadpoolController
 
-from drivers.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 
 PANEL = 144
 

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.kernels.data import Structure
 from photocal.adjustment.kernels.ray import element_address
-from photocal.compiled import compiled
+from photocal.base.arrays import Floats, Integers
+from photocal.base.compiled import compiled
 
 
 class Equations(NamedTuple):

@@ -5,7 +5,6 @@ from functools import cached_property
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.datum import Correction, correction, full_solution, with_datum
 from photocal.adjustment.envelope import factorise, selected_inverse
 from photocal.adjustment.network import Network
@@ -13,6 +12,7 @@ from photocal.adjustment.normal import Normal, Problem, normal_equations, prepar
 from photocal.adjustment.rank import explain_singular
 from photocal.adjustment.solver import Minimum
 from photocal.adjustment.state import State
+from photocal.base.arrays import Floats, Integers
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.covariance import equation_covariance
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.solution import Group, Solution
+from photocal.base.arrays import Flags, Floats, Integers
 
 # With less redundancy a group says nothing about its own standard deviations.
 FEWEST = 2.0

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
 from photocal.adjustment.factored import Factored, covariance_column
 from photocal.adjustment.state import turn_basis
 from photocal.adjustment.unknowns import XYZ, Unknown, unknowns
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.envelope import Envelope, envelope
 from photocal.adjustment.kernels.data import POSE, WIDTHS
 from photocal.adjustment.network import Network, own_parameters
-from photocal.compiled import compiled
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.compiled import compiled
 
 # Directions in which the images of a block may stand one after the other.
 DIRECTIONS = 12

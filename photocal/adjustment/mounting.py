@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Columns, Floats, Integers
 from photocal.adjustment.equations import Equations
+from photocal.base.arrays import Columns, Floats, Integers
 from photocal.geometry.rotation import left_jacobian, skew
 
 # Camera axes (x right, y up in the image, z backwards) of a camera that looks down, the upper edge of its

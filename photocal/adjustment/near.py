@@ -10,8 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Flags
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.envelope import clear, factorise, product, solve
 from photocal.adjustment.equations import Equations, add_equations
@@ -22,6 +20,8 @@ from photocal.adjustment.normal import Normal, diagonal_addresses, eliminated, o
 from photocal.adjustment.rank import weakest_pivot
 from photocal.adjustment.solver import SINGULAR_PIVOT, Near, chords, moved_along, moved_by
 from photocal.adjustment.state import State
+from photocal.base.arrays import Flags
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.lens import scratch
 
 

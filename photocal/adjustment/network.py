@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from drivers.arrays import Columns, Flags, Floats, Integers
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
     NO_MOUNTING,
@@ -15,6 +14,7 @@ from photocal.adjustment.mounting import (
     Positions,
 )
 from photocal.adjustment.rig import NO_RIG, Rig
+from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES, Camera
 
 # Kinds of observations between points, and which points a row of each names, in the order of its columns.

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment import observations
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Structure, Values
@@ -13,6 +12,7 @@ from photocal.adjustment.kernels.elimination import accumulate, join
 from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network, own_parameters
 from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.geometry.camera import MOTION, PARAMETERS
 from photocal.geometry.lens import OTHERS, optics
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.mounting import attitude_equations, common_equations, position_equations
 from photocal.adjustment.network import ANGLES, RELATIONS, Network, own_parameters, own_sigma
 from photocal.adjustment.rig import rig_equations
 from photocal.adjustment.state import State, head_values, turn_basis
+from photocal.base.arrays import Floats
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import qr
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import IllPosedError
 from photocal.adjustment.datum import similarity_moves
 from photocal.adjustment.envelope import dense
 from photocal.adjustment.normal import Normal, Problem, normal_equations
 from photocal.adjustment.state import State
 from photocal.adjustment.unknowns import XYZ, Unknown, unknowns
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError
 
 
 class Limits(NamedTuple):

@@ -7,7 +7,6 @@ from typing import cast
 import numpy as np
 from scipy import special
 
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust, minimum_of, with_statistics
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import factored
@@ -19,6 +18,7 @@ from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import head_values
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection, among
 
 Report = Callable[[Iteration], None]

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Floats
 from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.factored import Factored, covariance_column, factored
 from photocal.adjustment.kernels.statistics import statistics
@@ -19,6 +18,7 @@ from photocal.adjustment.normal import values_of
 from photocal.adjustment.score import followed_by
 from photocal.adjustment.sensitivity import point_effects
 from photocal.adjustment.solution import Solution
+from photocal.base.arrays import Floats
 from photocal.geometry.camera import PARAMETERS
 
 SIGNIFICANCE, POWER = 0.001, 0.80

@@ -16,9 +16,9 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.mounting import whitened
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.geometry.rotation import left_jacobian, skew, turned
 
 # What a head has: 3 turns (rad), 3 coordinates of its projection centre (m), 1 time (s).

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.normal import values_of
 from photocal.adjustment.sensitivity import across, along
+from photocal.base.arrays import Floats
 
 
 @dataclass(frozen=True)

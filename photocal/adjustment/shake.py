@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Flags, Floats
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.kernels.data import POSE, Design, Values, columns
 from photocal.adjustment.kernels.ray import ray_rows
@@ -16,7 +14,9 @@ from photocal.adjustment.normal import prepare, values_of
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
-from photocal.compiled import compiled
+from photocal.base.arrays import Flags, Floats
+from photocal.base.compiled import compiled
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES
 from photocal.geometry.lens import Scratch, scratch
 

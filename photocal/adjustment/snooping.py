@@ -14,8 +14,6 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
@@ -25,6 +23,8 @@ from photocal.adjustment.normal import Problem, normal_equations, other_equation
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import NotConvergedError
 
 Test = Literal["w", "tau"]
 

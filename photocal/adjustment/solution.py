@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
+from photocal.base.arrays import Floats, Integers
 
 Sided = Literal["two-sided", "one-sided", "none"]
 

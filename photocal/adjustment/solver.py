@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import NotConvergedError
 from photocal.adjustment.datum import at_rest, full_solution, inner_state
 from photocal.adjustment.envelope import factorise, solve
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.kernels.substitution import back_substitute
+from photocal.adjustment.ledger import enter
 from photocal.adjustment.normal import (
     Normal,
     Problem,
@@ -32,6 +31,8 @@ from photocal.adjustment.rank import (
 from photocal.adjustment.sensitivity import across, along, pulls
 from photocal.adjustment.state import State, moved_exposures, round_the_middle
 from photocal.adjustment.unknowns import unknowns
+from photocal.base.arrays import Floats
+from photocal.base.errors import NotConvergedError
 
 # Squared distance to the minimum, in units of the standard deviations, that is left of a solution.
 CONVERGED = 1e-12
@@ -99,12 +100,21 @@ class Minimum:
 def minimise(
     problem: Problem, state: State, report: Callable[[Iteration], None] | None = None, near: float = CONVERGED
 ) -> Minimum:
-    """Find the state of least v'Pv.
+    """Find the state of least v'Pv, and enter it into the open ledgers.
 
     near: squared distance to the minimum, in units of the standard deviations, that may be left.
     raises IllPosedError: when the observations do not determine the unknowns.
     raises NotConvergedError: when the iteration does not end.
     """
+    minimum = _minimum(problem, state, report, near)
+    network = problem.network
+    enter(len(network.image_names), len(network.rays.image), len(minimum.iterations))
+    return minimum
+
+
+def _minimum(
+    problem: Problem, state: State, report: Callable[[Iteration], None] | None, near: float
+) -> Minimum:
     damping, decrement, steps = 0.0, np.inf, list[Iteration]()
     tried, bends, worked, start = np.inf, False, FIRST_DAMPING, state
     normal = normal_equations(problem, state)

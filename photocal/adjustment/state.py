@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Flags, Floats
 from photocal.adjustment.layout import Layout
 from photocal.adjustment.network import Network, own_parameters
+from photocal.base.arrays import Flags, Floats
 from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle, turned
 

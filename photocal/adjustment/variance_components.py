@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Integers
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.groups import groups_of_rays
 from photocal.adjustment.network import Network
 from photocal.adjustment.solution import Group, Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import State
+from photocal.base.arrays import Integers
+from photocal.base.errors import IllPosedError, NotConvergedError
 
 # A variance is settled when a round changes it by less than this share of itself.
 SETTLED = 1e-3

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.analysis.estimates import Estimates, positive_definite, quadratic_form, without
+from photocal.base.arrays import Floats
 from photocal.findings.finding import Figure, Finding
 
 # The tank study neglects components with 0.74, 0.98 and 1.14 % of the variance together and keeps 3.15 %.

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.factored import camera_covariance_column
 from photocal.adjustment.state import turn_basis
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.systematic_errors.refit import Fit
+from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, IllPosedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.geometry.camera import Camera
 
 GROUPS = (("x0", "y0"), ("K1", "K2", "K3"), ("P1", "P2"), ("B1", "B2"))

@@ -5,14 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Integers
-from drivers.errors import IllPosedError, InputMalformedError, NotConvergedError
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.state import State
 from photocal.analysis.robust import NEAR, state_without
 from photocal.analysis.systematic_errors.refit import Checks, Fit, fit, lowest, without_images
+from photocal.base.arrays import Flags, Integers
+from photocal.base.errors import IllPosedError, InputMalformedError, NotConvergedError
 from photocal.findings.finding import Figure, Finding, Size
 from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model, among
 from photocal.geometry.conversion import converted
@@ -63,7 +64,8 @@ def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]
         try:
             cameras = list(fitted.network.cameras)
             cameras[camera] = _alternative(interior, model)
-            other = fit(replace(fitted.network, cameras=tuple(cameras)), fitted.state)
+            with because(f"lens model {model}"):
+                other = fit(replace(fitted.network, cameras=tuple(cameras)), fitted.state)
             fits.append(_judged(other, camera, interior, groups, checks, _nearby))
         except (IllPosedError, NotConvergedError, InputMalformedError):
             continue

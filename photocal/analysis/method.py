@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
+from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
 
 # Convergent cameras: two photographs 90 degrees apart, one rolled by 90 degrees, both with the tolerance of

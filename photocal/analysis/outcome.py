@@ -7,9 +7,8 @@ from itertools import takewhile
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
-from drivers.errors import NotConvergedError
 from photocal.adjustment.groups import GroupTest
+from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
 from photocal.adjustment.state import State
 from photocal.analysis import correlation
@@ -26,6 +25,8 @@ from photocal.analysis.systematic_errors.refit import Checks, Fit, LeftOut, fit,
 from photocal.analysis.systematic_errors.scatter import AssumedSigma, ResidualMap, VarianceComponent
 from photocal.analysis.systematic_errors.search import Search, camera_estimates, search
 from photocal.analysis.systematic_errors.shifts import MOST_JOINT, ImageShift
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import NotConvergedError
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
@@ -273,7 +274,8 @@ def analyse_network(
         left -= now
         done(now)
 
-    fitted = fit(network, start)
+    with because("the calibrated block, whose residuals are analysed"):
+        fitted = fit(network, start)
     searched = search(fitted, step)
     geometry = shape(network, fitted.state)
     drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), step) if draws else None

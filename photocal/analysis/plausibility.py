@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.analysis.correlation import correlation_findings
+from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
 
 Triple = tuple[float, float, float]

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.analysis.components import Components, principal_components
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
 from photocal.analysis.estimates import GROUPS, Estimates, FTest, f_test, from_sigmas
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.table import read_columns, read_table, read_wider_table
 
 # What the studies call the parameters of ours.

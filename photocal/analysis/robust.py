@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.factored import camera_covariance_column
 from photocal.adjustment.near import Removals
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by
 from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit, left_without, lowest, without_images
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
 
 # Beyond this many images, neighbours are left out together, in so many groups: the standard error is then
 # itself good to a fifth, 1 / sqrt(2 (m - 1)), where three times the formal one is worth a line.

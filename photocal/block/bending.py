@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.network import Network
+from photocal.base.arrays import Floats
 from photocal.geometry.oriented_images import OrientedImages
 
 # Mean radius of the earth, m: a hundredth of it changes what is said here by a hundredth of itself.

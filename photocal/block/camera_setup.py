@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, PositiveInt
 
-from acquire.checked_toml import Table
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats
+from photocal.base.checked_toml import Table
+from photocal.base.errors import ConfigurationError
 from photocal.geometry.camera import (
     MM,
     MODELS,

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.checked_toml import read_toml
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.network import ANGLES, NO_RELATIONS, RELATIONS, Relations, covariance_matrices
+from photocal.base.arrays import Floats
+from photocal.base.checked_toml import read_toml
+from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, InputNotFoundError
 from photocal.block.camera_setup import make_camera
 from photocal.block.model import (
     ROLES,

@@ -7,7 +7,6 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from drivers.arrays import Columns, Flags, Floats, Integers
 from photocal.adjustment.mounting import (
     NO_ATTITUDES,
     NO_MOUNTING,
@@ -18,6 +17,7 @@ from photocal.adjustment.mounting import (
 )
 from photocal.adjustment.network import NO_RELATIONS, Relations
 from photocal.adjustment.solution import Sided
+from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.block.rig import Head
 from photocal.geometry.camera import Camera
 from photocal.geometry.oriented_images import OrientedImages

@@ -4,10 +4,10 @@ from functools import partial
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import Positions, body_to_camera
 from photocal.adjustment.network import Network
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.block.table import Table
 from photocal.geometry.camera import SHAKE

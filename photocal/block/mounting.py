@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
 from photocal.adjustment import mounting
 from photocal.adjustment.network import covariance_matrices
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import sigmas
 from photocal.block.setup import MountingKeys
 from photocal.block.table import Table, known_rows, read_table, refuse

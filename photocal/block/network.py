@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import (
     Exposures,
@@ -18,6 +16,8 @@ from photocal.adjustment.network import (
 )
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import LATER
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.block.bending import straightened
 from photocal.block.model import Block
 from photocal.block.motion import motion_of

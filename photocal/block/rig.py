@@ -7,10 +7,10 @@ import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat
 from scipy.spatial.transform import Rotation
 
-from acquire.checked_toml import Table
-from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError
 from photocal.adjustment.rig import CENTRE, LATER, NO_RIG, OF_HEAD, TURN, Rig, pairs_of
+from photocal.base.arrays import Floats, Integers
+from photocal.base.checked_toml import Table
+from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import NonNegative, Sigma, sigmas
 
 # How far heads on one frame move and turn against each other: a tenth of a millimetre, and a second of arc.

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, model_validator
 
-from acquire.checked_toml import Table
+from photocal.base.checked_toml import Table
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma
 from photocal.block.rig import HeadKeys
 

@@ -14,8 +14,8 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import ArrayLike
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 
 # As spreadsheets of half the world write them: 1234,5 and 1.234,5.
 _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
-from acquire.console import AsJson, answer, argument, option, progress
-from drivers.errors import ConfigurationError
+from photocal.base.console import AsJson, answer, argument, option, progress
+from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import datetime as dt
@@ -43,7 +43,7 @@ def adjust(
 
     Example: `photocal adjust my-block -o run`
     """
-    from photocal.compiled import compile_ahead
+    from photocal.base.compiled import compile_ahead
     from photocal.exchange.formats import read_any_block
     from photocal.results.adjusted import adjust_block
     from photocal.results.folder import result_json

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from acquire.console import AsJson, answer, argument, numbers_of, option, progress
-from drivers.errors import ConfigurationError
+from photocal.base.console import AsJson, answer, argument, numbers_of, option, progress
+from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,14 +43,14 @@ def judge_product(
         more, product = {"likeness": likeness, "remarks": list(remarks)}, product.discrepancies
     result = assess(product, standards, question)
     if figures is not None:
-        from acquire.outputs import output_folder
         from photocal.accuracy.maps import check_figures, save_figures
+        from photocal.base.files import output_folder
 
         with output_folder(figures) as aside:
             save_figures(aside, check_figures(result.discrepancies, question.gsd_m))
     if geopackage is not None:
         from photocal.accuracy.maps import reference_system, write_geopackage
-        from photocal.geopackage import changed_utc
+        from photocal.base.geopackage import changed_utc
 
         write_geopackage(geopackage, (("check", product),), reference_system(crs), changed_utc(path))
     return to_json(result) | more, "\n".join([to_text(result), *remarks])
@@ -74,7 +74,6 @@ def judge_block(
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import to_json, to_text
-    from photocal.run.georeferencing import own_calibration
     from photocal.run.stage import is_stage
     from photocal.run.summary import outdated, project_verdict
 
@@ -84,8 +83,7 @@ def judge_block(
     with progress("checking", len(METHODS) + 2) as advance:
         # A flight is its own calibration; a block folder states what it wants to be judged with.
         read = with_shutters(read)
-        calibration = own_calibration(read) if on_the_job else None
-        result = check_block(read, standards, question, noise, lambda _: advance(1), calibration)
+        result = check_block(read, standards, question, noise, lambda _: advance(1), on_the_job=on_the_job)
     content, text = to_json(result), to_text(result)
     # A project has one verdict, however its block is named: that over all its stages.
     say, of_project = catalogue("en"), on_the_job or is_stage(source)
@@ -98,7 +96,7 @@ def judge_block(
         content["findings"].append(finding_json(note, say))
         text += f"\n{finding_text(note, say, plain)}"
     if output is not None:
-        from photocal.geopackage import changed_utc
+        from photocal.base.geopackage import changed_utc
         from photocal.georeferencing.output import write_check
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
@@ -137,8 +135,8 @@ def judge_experiment(path: Path, output: Path | None) -> Judged:
 
 def judge_numbers(source: Path, counts: str, output: Path | None) -> Judged:
     """Repeat the adjustment with several numbers of control points."""
-    from acquire.outputs import output_folder, write_json
     from photocal.accuracy.maps import save_figures
+    from photocal.base.files import output_folder, write_json
     from photocal.exchange.formats import read_any_block
     from photocal.georeferencing.experiment import control_numbers, numbers_text
     from photocal.georeferencing.experiment_output import control_plot

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from acquire.console import AsJson, answer, argument, option, progress
-from drivers.arrays import as_plain
+from photocal.base.arrays import as_plain
+from photocal.base.console import AsJson, answer, argument, option, progress
 
 if TYPE_CHECKING:
     from photocal.analysis.stability.camera_file import CameraFile
@@ -51,12 +51,12 @@ def compare(
     """
     import numpy as np
 
-    from acquire.outputs import picture_kind
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.analysis.stability.comparison import compare as compare_pairs
     from photocal.analysis.stability.comparison import follow
     from photocal.analysis.stability.methods import methods, sensor_grid
     from photocal.analysis.stability.repeatability import compared_heads, heads_text, repeatability_text
+    from photocal.base.files import picture_kind
     from photocal.run.calibrations import cameras_of, exchanged, repeated, uses_text
 
     for path in (picture, curves):
@@ -108,7 +108,7 @@ def compare(
 
 def _flights(paths: list[Path], *, exchange: bool) -> tuple[Calibrated, ...]:
     """Find the flights that were named; none when it is a file of cameras."""
-    from drivers.errors import ConfigurationError
+    from photocal.base.errors import ConfigurationError
     from photocal.run.calibrations import is_camera_file, read_calibrated
 
     if not is_camera_file(paths[0]):

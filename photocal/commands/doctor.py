@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
-from acquire.console import Check, answer, argument, option
-from drivers.errors import PhotocalError, ProgramMissingError
+from photocal.base.console import Check, answer, argument, option
+from photocal.base.errors import PhotocalError, ProgramMissingError
 
 OLDEST_PYTHON = (3, 11)
 # The program is not older than this: a clock before it is wrong.
@@ -97,14 +97,14 @@ def _packages() -> Check:
 
 
 def _kernels() -> Check:
-    from acquire.operating_system import cache_folder
-    from photocal.compiled import FOLDER, PACKAGE
+    from photocal.base.compiled import FOLDER, PACKAGE
+    from photocal.base.operating_system import cache_folder
 
     if not any(parent in (PACKAGE, cache_folder()) for parent in FOLDER.parents):
         remedy = f"make {cache_folder()} writable, mode 700"
         return Check("kernels", "poor", f"in {FOLDER}, which is not kept", remedy)
     if not any(FOLDER.rglob("*.nbi")):
-        remedy = "run: python -m photocal.compiled"
+        remedy = "run: python -m photocal.base.compiled"
         return Check("kernels", "poor", "not compiled yet: the first adjustment is slow", remedy)
     return Check("kernels", "good", f"in {FOLDER}")
 
@@ -196,7 +196,7 @@ def _grids(crs: str | None) -> Check:
 
 
 def _leap_seconds(today: dt.date) -> Check:
-    from drivers.gnsstime import installed_leap_seconds
+    from photocal.base.time_scales import installed_leap_seconds
 
     expires = installed_leap_seconds().expires
     remedy = "run: python -m pip install --upgrade tzdata"
@@ -208,7 +208,7 @@ def _leap_seconds(today: dt.date) -> Check:
 
 
 def _key() -> Check:
-    from acquire.operating_system import private_folder, settings_folder
+    from photocal.base.operating_system import private_folder, settings_folder
     from photocal.report.keys import own_key
 
     key = own_key()

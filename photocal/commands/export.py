@@ -4,8 +4,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from acquire.console import answer, argument, numbers_of, option
-from drivers.errors import ConfigurationError
+from photocal.base.console import answer, argument, numbers_of, option
+from photocal.base.errors import ConfigurationError
 from photocal.exchange.formats import exported
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def export(
 
     Example: `photocal export run --format colmap -o colmap`
     """
-    from acquire.outputs import output_folder
+    from photocal.base.files import output_folder
     from photocal.exchange.formats import export as write
     from photocal.exchange.formats import named
     from photocal.exchange.reconstruction import Choices, Origin, middle, of_result

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from acquire.console import answer, option
+from photocal.base.console import answer, option
 
 
 def forms(
@@ -24,7 +24,7 @@ def forms(
     """
     import datetime as dt
 
-    from acquire.outputs import output_file
+    from photocal.base.files import output_file
     from photocal.findings.texts import catalogue
     from photocal.report.document import pdf
     from photocal.report.forms import field_forms, planned_places

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import Address, answer, argument, option, printable, progress
-from drivers.errors import ConfigurationError
+from photocal.base.console import Address, answer, argument, option, printable, progress
+from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from photocal.measurement.marking.scene import Scene
@@ -79,8 +79,8 @@ def _figures(scene: Scene, store: MarkStore) -> dict[str, object]:
 
 
 def _show(scene: Scene, store: MarkStore, address: str, cache: Path | None) -> None:
-    from acquire.operating_system import cache_folder, stopped_by_signals
-    from acquire.web import read_address, serving
+    from photocal.base.operating_system import cache_folder, stopped_by_signals
+    from photocal.base.web import read_address, serving
     from photocal.measurement.marking.service import application
 
     stop = stopped_by_signals()
@@ -112,7 +112,7 @@ def targets(
 
     Example: `photocal targets apriltag_36h11 --numbers 1-20 --size-mm 160 -o targets.pdf`
     """
-    from acquire.outputs import output_file
+    from photocal.base.files import output_file
     from photocal.measurement.boards import parse_board
     from photocal.measurement.markers import DICTIONARIES
     from photocal.measurement.target_shapes import board_target, coded_target, plain_target, sheets_pdf

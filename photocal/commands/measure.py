@@ -7,14 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from acquire.console import answer, argument, numbers_of, option, progress
-from drivers.errors import ConfigurationError
+from photocal.base.console import answer, argument, numbers_of, option, progress
+from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from photocal.base.workers import Workers
     from photocal.measurement.block_files import Measured
     from photocal.measurement.image_block import GivenControl
     from photocal.measurement.match_images import MatchingPlan
-    from photocal.tasks.workers import Workers
 
 Work: TypeAlias = "Callable[[], Measured]"
 # A principal distance that is known no better than this is worth a warning.
@@ -146,7 +146,7 @@ def _control(gcp: Path, sigma: str, crs: str, height: str) -> GivenControl:
 def _crew(workers: int, cluster: str) -> Workers:
     import os
 
-    from photocal.tasks.workers import Cluster
+    from photocal.base.workers import Cluster
 
     if cluster and workers:
         raise ConfigurationError(
@@ -156,9 +156,9 @@ def _crew(workers: int, cluster: str) -> Workers:
 
 
 def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
-    from acquire.operating_system import cache_folder
+    from photocal.base.operating_system import cache_folder
+    from photocal.base.workers import Cluster
     from photocal.measurement.match_images import MatchingPlan
-    from photocal.tasks.workers import Cluster
 
     folder = (cache or cache_folder()).resolve()
     if isinstance(crew, Cluster):
@@ -168,7 +168,7 @@ def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
 
 def _written(work: Work, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
-    from acquire.outputs import output_folder
+    from photocal.base.files import output_folder
     from photocal.measurement.block_files import SCHEMA, Measured, write_block
     from photocal.measurement.oriented_ties import UnorientedError
 

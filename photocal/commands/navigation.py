@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import AsJson, answer, argument, numbers_of, option, progress
+from photocal.base.console import AsJson, answer, argument, numbers_of, option, progress
 
 if TYPE_CHECKING:
-    from drivers.arrays import Floats
+    from photocal.base.arrays import Floats
 
 Rover = Annotated[Path | None, option("RINEX observations of the rover.")]
 Base = Annotated[Path | None, option("RINEX observations of the base.")]
@@ -68,7 +68,7 @@ def ppk(
     """
     import tempfile
 
-    from acquire.outputs import output_folder
+    from photocal.base.files import output_folder
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.flight_log import FlightLog
     from photocal.navigation.ppk import options_for, process, with_antennas
@@ -153,9 +153,9 @@ def exposures(
 
     import numpy as np
 
-    from acquire.operating_system import cache_folder
-    from acquire.outputs import output_folder, write_json
-    from drivers.errors import ConfigurationError
+    from photocal.base.errors import ConfigurationError
+    from photocal.base.files import output_folder, write_json
+    from photocal.base.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.exposure_files import write_run
@@ -237,8 +237,8 @@ def survey(
     """
     import tempfile
 
-    from acquire.checked_toml import read_toml
-    from acquire.outputs import output_folder, write_json
+    from photocal.base.checked_toml import read_toml
+    from photocal.base.files import output_folder, write_json
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.survey import Survey, SurveySetup, run_survey
     from photocal.navigation.survey_report import survey_figures, survey_text, write_points

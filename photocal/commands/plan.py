@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from acquire.console import AsJson, answer, argument, numbers_of, option, progress
-from drivers.errors import ConfigurationError
+from photocal.base.console import AsJson, answer, argument, numbers_of, option, progress
+from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from photocal.planning.mission import Home

@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
-from acquire.console import AsJson, answer, argument, numbers_of, option, progress
-from drivers.errors import ConfigurationError
+from photocal.base.console import AsJson, answer, argument, numbers_of, option, progress
+from photocal.base.errors import ConfigurationError
 
 # Cells so many pixels wide leave pixels out.
 _COARSE = 2.0

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquire.console import AsJson, answer, argument, option, printable, progress
+from photocal.base.console import AsJson, answer, argument, option, printable, progress
 
 if TYPE_CHECKING:
     from photocal.debrief.verdict import Debrief
@@ -129,7 +129,7 @@ def debrief(
     say, last = catalogue(language), () if since is None else _cameras(since)
     known, crew = read_project(file), workers or os.cpu_count() or 1
     if live:
-        from acquire.operating_system import stopped_by_signals
+        from photocal.base.operating_system import stopped_by_signals
         from photocal.debrief.live import follow
 
         def report(so_far: "Debrief") -> None:

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-from acquire.console import AsJson, answer, numbers_of, option
-from drivers.errors import ConfigurationError
+from photocal.base.console import AsJson, answer, numbers_of, option
+from photocal.base.errors import ConfigurationError
 
 
 def radiometry(
@@ -32,7 +32,7 @@ def radiometry(
 
     import numpy as np
 
-    from acquire.outputs import output_file
+    from photocal.base.files import output_file
     from photocal.measurement import radiometry as measure
     from photocal.measurement.image_facts import read_facts
     from photocal.measurement.image_file import list_images, read_grey

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from acquire.console import answer, argument, option, printable, progress
-from drivers.arrays import as_plain
-from drivers.errors import InputMalformedError, InputNotFoundError, NotSignedError, UnknownSignerError
+from photocal.base.arrays import as_plain
+from photocal.base.console import answer, argument, option, printable, progress
+from photocal.base.errors import InputMalformedError, InputNotFoundError, NotSignedError, UnknownSignerError
 
 if TYPE_CHECKING:
     from photocal.report.signing import Authenticity
@@ -30,7 +30,7 @@ def keys(
 
     Example: `photocal keys --new "Laboratory for photogrammetry"`
     """
-    from acquire.operating_system import settings_folder
+    from photocal.base.operating_system import settings_folder
     from photocal.report.journal import read_journal
     from photocal.report.keys import known_keys, new_key, own_key, quoted, revoked_keys
 

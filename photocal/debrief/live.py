@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquire.operating_system import cache_folder
-from acquire.outputs import output_file, write_json
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
+from photocal.base.files import output_file, write_json
+from photocal.base.operating_system import cache_folder
 from photocal.debrief import verdict
 from photocal.debrief.pictures import QUICK, Look, look, picture_findings
 from photocal.debrief.verdict import Debrief, Together

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import PhotocalError
 from photocal.adjustment.solution import Solution
+from photocal.base.errors import PhotocalError
+from photocal.base.progress import Progress
 from photocal.block.model import digest
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.camera import Camera
@@ -23,7 +24,6 @@ from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
 from photocal.measurement.tie_adjustment import camera_figures, with_released_c
 from photocal.navigation.exposures import Exposures
-from photocal.tasks.progress import Progress
 
 # Enough for overlap, orientation and a first calibration; a tenth of the time of the features for the map.
 QUICK = FeatureSettings(most=2500, longest_px=1200)

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from acquire.operating_system import cache_folder
-from acquire.outputs import output_file, write_json
-from drivers.arrays import Flags, Floats, Integers, as_plain
-from drivers.errors import PhotocalError
+from photocal.base.arrays import Flags, Floats, Integers, as_plain
+from photocal.base.errors import PhotocalError
+from photocal.base.files import output_file, write_json
+from photocal.base.operating_system import cache_folder
+from photocal.base.progress import Progress
+from photocal.base.workers import Workers, run_tasks
 from photocal.block.motion import strips
 from photocal.debrief import pictures
 from photocal.debrief.pictures import Look, Quick, picture_findings
@@ -29,8 +31,6 @@ from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
 from photocal.project import Project
 from photocal.run.exposures import exposures_of
 from photocal.run.stage import alone
-from photocal.tasks.progress import Progress
-from photocal.tasks.workers import Workers, run_tasks
 
 # Neighbours along a strip must share so much of what they show: less is no stereoscopic cover.
 LEAST_OVERLAP = 0.5

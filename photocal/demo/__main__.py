@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from acquire.console import application, run
+from photocal.base.console import application, run
 
 _DATA = Path(__file__).parent
 app = application("Demonstrations: a simulated flight with known truth, a camera of a published study.")
@@ -23,8 +23,8 @@ def calibrate(block: Path, output: Path) -> None:
 
 def fly(recording: Path, output: Path) -> tuple[str, ...]:
     """Import a recording as flight log and say in three lines what it holds."""
+    from acquire.channels.summary import summarise
     from acquire.importing.importer import import_recordings
-    from acquire.log.summary import summarise
     from drivers.mavlink.dialect import ardupilotmega
 
     import_recordings([], [recording], output / "flight.mcap", lambda _: None)

@@ -15,9 +15,9 @@ from typing import Any
 
 import typer
 
-from acquire.console import progress
-from acquire.operating_system import CHILD_FLAGS, interrupt
-from drivers.errors import DeviceError
+from photocal.base.console import progress
+from photocal.base.errors import DeviceError
+from photocal.base.operating_system import CHILD_FLAGS, interrupt
 from photocal.results.folder import read_result
 from photocal.results.result import Result
 
@@ -160,9 +160,9 @@ def simulated(plan: Path, output: Path, seed: int | None, speed: float) -> None:
 
 def fly(plan: Path, flight: Path, seed: int | None) -> None:
     """Simulate the flight into its folder."""
-    from acquire.outputs import output_folder
     from acquire.simulate.world.configuration import read_configuration
     from acquire.simulate.world.site import simulate_flight
+    from photocal.base.files import output_folder
 
     given = read_configuration(plan, {} if seed is None else {"seed": seed})
     with progress("simulating", 1.0) as advance, output_folder(flight) as aside:

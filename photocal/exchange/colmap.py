@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import InputMalformedError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.parts import digits, require_no_blanks, whole_numbers
 from photocal.exchange.pinhole import (

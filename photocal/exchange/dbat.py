@@ -12,8 +12,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from drivers.arrays import Integers
-from drivers.errors import InputMalformedError
+from photocal.base.arrays import Integers
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import Block, Images, InputFile, ObjectPoints, Role
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import (

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.source import Line, number, read_lines
 from photocal.geometry.camera import PARAMETERS, Affinity, Camera, Model, camera
 

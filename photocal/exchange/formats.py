@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 
 if TYPE_CHECKING:
     from photocal.block.model import Block

@@ -14,15 +14,15 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.earth import enu_axes, geocentric, geodetic
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
+from photocal.base.geodesy import enu_axes, geocentric, geodetic
+from photocal.base.geopackage import LOCAL, Feature, Layer, add_layer, add_table, geopackage, wgs84
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, to_cartesian, to_wgs84
 from photocal.exchange.source import write_xml
 from photocal.geometry.conversion import Conversion
 from photocal.geometry.distortion import undistorted
-from photocal.geopackage import LOCAL, Feature, Layer, add_layer, add_table, geopackage, wgs84
 
 # Turns local coordinates, shape (n, 3), into longitude, latitude, height.
 ToGeographic = Callable[[Floats], Floats]

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError
 from photocal.adjustment.network import RELATIONS, Relations
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, Images
 from photocal.exchange import parts
 from photocal.exchange.parts import Row, whole_numbers, write_rows

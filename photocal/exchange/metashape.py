@@ -15,8 +15,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, Role
 from photocal.exchange.parts import UNKNOWN, PointEntry, distinct
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision

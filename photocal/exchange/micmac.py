@@ -13,8 +13,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import Block, Images
 from photocal.exchange import parts
 from photocal.exchange.parts import digits, require_file_name

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
 from photocal.exchange.reconstruction import Choices, Reconstruction, cameras_alone, file_name
 from photocal.exchange.source import image_size, number, read_json, read_text, structured

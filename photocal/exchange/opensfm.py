@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block

@@ -19,9 +19,9 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
-from acquire.outputs import write_json
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError
+from photocal.base.files import write_json
 from photocal.block.model import Block
 from photocal.exchange.parts import require_unique
 from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole, require_one_focal_length, to_pinhole

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.parts import digits, poses_of_matrices, require_no_blanks, require_unique
 from photocal.exchange.reconstruction import Angle, Choices, Reconstruction
 from photocal.exchange.source import Line, numbers, read_lines

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
 from photocal.adjustment.network import NO_RELATIONS, Relations
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations, Role
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix

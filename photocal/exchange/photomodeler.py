@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, Images, InputFile
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import read_rows, to_column_row

@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import Block, Images
 from photocal.exchange import parts
 from photocal.exchange.metashape import Chunk, chunk_of, chunk_transform, image_names, local_chunk

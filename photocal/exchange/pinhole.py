@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError
 from photocal.geometry.camera import MODELS, Camera, Model, camera
 from photocal.geometry.conversion import Conversion, converted, in_pixels, require_no_skew
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Block, Images, Observations, Role
 from photocal.exchange.parts import PointEntry, distinct, object_points
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole

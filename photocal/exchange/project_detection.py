@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.errors import InputNotFoundError, PhotocalError
+from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import Block
 from photocal.exchange.colmap import FILES as COLMAP_FILES
 from photocal.exchange.dbat import read_dbat_cameras

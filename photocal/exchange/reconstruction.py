@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
 from photocal.block.network import frame_of, observed_pixels
 from photocal.block.rig import Head

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.parts import PointEntry, require_unique
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import number, read_text

@@ -20,9 +20,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import InputMalformedError
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import InputMalformedError
 from photocal.block.rig import Head
 from photocal.exchange.pinhole import FLIP, rotation_from_quaternion, to_vision
 from photocal.exchange.reconstruction import Reconstruction

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, ParseError, indent, tostring
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import InputFile
 from photocal.block.model import fingerprint as plain_fingerprint
 from photocal.block.table import MARKS, require_file

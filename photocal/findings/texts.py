@@ -11,9 +11,9 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from acquire.console import printable
-from drivers.arrays import as_plain
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.arrays import as_plain
+from photocal.base.console import printable
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.findings.digits import Measured, Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
 

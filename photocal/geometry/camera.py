@@ -7,7 +7,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drivers.arrays import Flags, Floats
+from photocal.base.arrays import Flags, Floats
 
 Model = Literal["brown-observed", "brown-ideal", "rational", "equidistant", "pix4d-fisheye"]
 Affinity = Literal["additive", "before", "after"]

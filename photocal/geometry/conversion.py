@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError
 from photocal.geometry.camera import MODELS, PARAMETERS, Affinity, Camera, Model
 from photocal.geometry.distortion import affinity_matrix, distorted, undistorted
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers
 from photocal.geometry.camera import AFFINITY_MATRICES, MM, Camera
 from photocal.geometry.lens import all_directions, all_recorded, optics
 

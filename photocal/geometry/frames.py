@@ -10,9 +10,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.earth import enu_axes, geocentric, geodetic
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.geodesy import enu_axes, geocentric, geodetic
 
 
 class Frame(Protocol):

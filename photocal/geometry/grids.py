@@ -5,7 +5,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.errors import ConfigurationError, OutputError
+from photocal.base.errors import ConfigurationError, OutputError
 
 if TYPE_CHECKING:
     from pyproj.transformer import TransformerGroup

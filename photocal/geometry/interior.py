@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError
 
 Transformation = Literal["conformal", "affine", "projective"]
 PARAMETER_COUNT: dict[Transformation, int] = {"conformal": 4, "affine": 6, "projective": 8}

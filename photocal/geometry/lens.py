@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Floats
-from photocal.compiled import allocating, compiled, inlined
+from photocal.base.arrays import Floats
+from photocal.base.compiled import allocating, compiled, inlined
 from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MM, MODELS, OWN, PARAMETERS, Camera
 from photocal.geometry.other_lenses import equidistant, pix4d_fisheye, rational
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers
 from photocal.geometry.camera import SHAKE_DEGREES, Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
 from photocal.geometry.frames import Frame, nearest_rotation

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from drivers.arrays import Floats
-from photocal.compiled import inlined
+from photocal.base.arrays import Floats
+from photocal.base.compiled import inlined
 from photocal.geometry.camera import PARAMETERS
 
 _C, _K1, _P1, _K5, _S1 = (PARAMETERS.index(name) for name in ("c", "K1", "P1", "K5", "S1"))

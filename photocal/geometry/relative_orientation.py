@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 # Five points make a matrix; more have to choose among several.
 FEWEST = 8

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers
 
 # Three points leave up to four poses.
 FEWEST = 4

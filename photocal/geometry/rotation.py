@@ -5,7 +5,7 @@ Body axes are forward, right, down; the object frame is X east, Y north, Z up.
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 # East, north, up to north, east, down.
 TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

@@ -8,8 +8,8 @@ Vibration turns the camera to and fro within the readout. The turn is then s W p
 2 s from the second degree on, which the pose and W leave.
 """
 
-from drivers.arrays import Floats
-from photocal.compiled import compiled, inlined
+from photocal.base.arrays import Floats
+from photocal.base.compiled import compiled, inlined
 from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES
 from photocal.geometry.lens import BROWN, LINE, OTHERS, Scratch, bent, image_residual
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
+from photocal.base.arrays import Flags, Floats
 
 # Places whose second extent is a smaller share of their first lie too close to a line.
 LINE = 0.02

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, PhotocalError
 from photocal.accuracy.assessment import Assessment, assess
 from photocal.accuracy.standard import Question, Standard
+from photocal.adjustment.solution import Solution
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, PhotocalError
 from photocal.block.model import Block, Role
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
@@ -19,8 +20,7 @@ from photocal.georeferencing.differences import (
     differences,
     exposure_difference,
 )
-from photocal.georeferencing.direct import Calibration
-from photocal.georeferencing.freed_groups import Separation, separation
+from photocal.georeferencing.freed_groups import Separation, opened, separation
 from photocal.georeferencing.ground_mistakes import Mistyped, ground_findings, mistyped_control
 from photocal.georeferencing.local import as_mounted, in_local_frame, with_attitude_angles
 from photocal.georeferencing.methods import (
@@ -88,9 +88,13 @@ def check_block(
     question: Question,
     simulate: tuple[Degradation, np.random.Generator] | None = None,
     done: Callable[[str], None] = lambda _: None,
-    calibration: Calibration | None = None,
+    *,
+    on_the_job: bool = False,
 ) -> BlockCheck:
     """Georeference a block three ways and judge it at its ground points.
+
+    on_the_job: whether camera and mounting of the direct method are those of the integrated one, not those
+        that the block states.
 
     raises IllPosedError: when no method can be computed; the message has what was found in the ground points.
     """
@@ -101,33 +105,36 @@ def check_block(
         block = with_attitude_angles(checkable(in_local_frame(with_shutters(block))))
     except PhotocalError as refusal:
         raise type(refusal)(_with_findings(str(refusal), plausibility), where=block.name) from refusal
-    judged, refused = [], []
-    for method in METHODS:
+    judged, refused = dict[Method, Judged](), dict[Method, str]()
+    # A flight that is its own calibration takes it from the integrated method.
+    for method in ("integrated", "direct", "indirect"):
         try:
             source, note = block, ""
             if method == "direct" and simulate is not None:
                 source, note = degraded(block, *simulate), simulate[0].note
-            judged.append(
-                _judge(source, places, of_method(source, method, note, calibration), standards, question)
-            )
+            own = judged["integrated"].result.calibration if on_the_job and "integrated" in judged else None
+            result = of_method(source, method, note, own if method == "direct" else None)
+            judged[method] = _judge(source, places, result, standards, question)
         except PhotocalError as refusal:
-            refused.append((method, str(refusal)))
+            refused[method] = str(refusal)
         done(method)
-    sound, mistyped = _sound(block, typed, judged)
+    sound, mistyped = _sound(block, typed, list(judged.values()))
     if not judged:
-        reasons = "; ".join(f"{method}: {reason}" for method, reason in refused)
+        reasons = "; ".join(f"{method}: {refused[method]}" for method in METHODS)
         wrong = "".join(f"; control point {point.point} contradicts the others" for point in mistyped)
         message = _with_findings(f"no method can be computed: {reasons}{wrong}", plausibility)
         raise IllPosedError(message, where=block.name)
-    by_method = {entry.result.method: entry.result.exposures for entry in judged}
-    both = "direct" in by_method and "indirect" in by_method
-    systematic, apart = _calibration(sound)
+    # The minimum of the integrated method is that of the search, where it has the same observations.
+    same = "integrated" in judged and sound is block and len(block.positions.image) > 0
+    systematic, apart = _calibration(sound, judged["integrated"].result.solution if same else None)
     done("systematic errors")
     return BlockCheck(
         block,
-        tuple(judged),
-        tuple(refused),
-        exposure_difference(by_method["direct"], by_method["indirect"]) if both else None,
+        tuple(judged[method] for method in METHODS if method in judged),
+        tuple((method, refused[method]) for method in METHODS if method in refused),
+        exposure_difference(judged["direct"].result.exposures, judged["indirect"].result.exposures)
+        if {"direct", "indirect"} <= judged.keys()
+        else None,
         systematic,
         apart,
         plausibility,
@@ -185,18 +192,19 @@ def coarsely_placed(block: Block) -> bool:
     return bool(none_else and len(stated) and np.median(stated[:, :2]) > COARSE_M)
 
 
-def _calibration(block: Block) -> tuple[SystematicErrors | None, Separation | None]:
+def _calibration(block: Block, first: Solution | None) -> tuple[SystematicErrors | None, Separation | None]:
     """Systematic errors and separation; None where the block gives no hold for them."""
     mounted = as_mounted(without_weak_images(block)[0])
     if not len(mounted.positions.image) or block.datum == "free":
         return None, None
     try:
-        apart = separation(mounted)
+        free = opened(mounted, first)
+        apart = separation(free)
         if apart is not None and not len(block.positions.image):
             # Positions that images state have no lever arm that could be told from anything.
             groups = tuple(g for g in apart.groups if not all("lever_arm" in name for name in g))
             apart = replace(apart, groups=groups)
-        return None if coarsely_placed(block) else systematic_errors(mounted), apart
+        return None if coarsely_placed(block) else systematic_errors(free), apart
     except PhotocalError:
         # The integrated method has failed for the same reason, which is said there.
         return None, None

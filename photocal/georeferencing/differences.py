@@ -8,10 +8,10 @@ import numpy as np
 from scipy import stats
 from scipy.linalg import block_diag
 
-from drivers.arrays import Floats
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.adjustment.ellipses import Ellipses, ellipses
 from photocal.adjustment.network import covariance_matrices
+from photocal.base.arrays import Floats
 from photocal.block.model import ROLES, Block, Role
 from photocal.georeferencing.methods import Georeferenced
 

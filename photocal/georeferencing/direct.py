@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
-from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import blocks
-from photocal.adjustment.factored import factored
+from photocal.adjustment.envelope import border_inverse
+from photocal.adjustment.factored import Factored, factored
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import (
     BORESIGHT,
     HEIGHT_SCALE,
@@ -21,6 +21,8 @@ from photocal.adjustment.mounting import (
     body_to_camera,
 )
 from photocal.adjustment.readout import READOUT
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.block.network import assemble, observed_pixels
 from photocal.geometry.camera import PARAMETERS
@@ -60,8 +62,12 @@ class Calibration:
 def calibrate(block: Block) -> Calibration:
     """Adjust a block and keep camera and mounting; raises PhotocalError as the adjustment does."""
     network = assemble(block).network
-    solution = adjust(network)
-    at = factored(network, solution.state)
+    with because("calibration on the job"):
+        return calibration_of(factored(network, adjust(network).state))
+
+
+def calibration_of(at: Factored) -> Calibration:
+    """Keep camera and mounting of an adjusted network, with their joint covariance."""
     columns = [at.problem.layout.common_columns[:STRIPS]]
     for active, where in at.problem.layout.camera_columns:
         camera_columns = np.full(len(PARAMETERS), -1)
@@ -71,9 +77,10 @@ def calibrate(block: Block) -> Calibration:
     unknown = np.flatnonzero(column >= 0)
     covariance = np.zeros((len(column), len(column)))
     if len(unknown):
+        inverse = border_inverse(at.problem.layout.envelope, at.normal.matrix)
         square = np.ix_(unknown, unknown)
-        covariance[square] = blocks(column[unknown][None, :], at.problem.structure, at.inverse)[0]
-    return Calibration(solution.cameras, solution.state.common[:STRIPS], covariance)
+        covariance[square] = blocks(column[unknown][None, :], at.problem.structure, inverse)[0]
+    return Calibration(at.state.cameras, at.state.common[:STRIPS], covariance)
 
 
 def with_calibration(block: Block, calibration: Calibration) -> Block:

@@ -11,10 +11,10 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
-from acquire.checked_toml import Table, read_toml
-from drivers.arrays import Floats, Integers, spread
-from drivers.errors import ConfigurationError, PhotocalError
 from photocal.accuracy.statistics import BiasTest, bias_test, moments, rmse_after_trend_removal
+from photocal.base.arrays import Floats, Integers, spread
+from photocal.base.checked_toml import Table, read_toml
+from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.model import Block
 from photocal.geometry.camera import Camera
 from photocal.georeferencing.differences import (

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from acquire.outputs import output_folder, rows_text, write_json
-from drivers.arrays import as_plain
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import save_figures
+from photocal.base.arrays import as_plain
+from photocal.base.files import output_folder, rows_text, write_json
 from photocal.georeferencing.differences import Differences, cells, rms
 from photocal.georeferencing.experiment import LeftOut, Outcome, Pair, Run
 

@@ -10,17 +10,19 @@ from scipy import stats
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.adjust import adjust, minimum_of
-from photocal.adjustment.covariance import Shared, blocks
-from photocal.adjustment.factored import factored
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.condensed import Condensed, condensed, with_second_camera
+from photocal.adjustment.covariance import Shared
+from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.groups import FEWEST, GroupTest, tested
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, LEVER, SHIFT, STRIPS, TIME
 from photocal.adjustment.network import Network
 from photocal.adjustment.readout import READOUT
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault
@@ -60,8 +62,42 @@ class Separation:
     groups: tuple[tuple[str, ...], ...]
 
 
-def separation(block: Block) -> Separation | None:
-    """Free everything at once and see what the block leaves open."""
+@dataclass(frozen=True)
+class Opened:
+    """A block at the minimum of its integrated adjustment, with all that faults may free as unknowns.
+
+    first: the minimum of the block as it is.
+    at: normal equations there with everything free.
+    whole: the same, condensed to what all images share.
+    table: the faults.
+    """
+
+    block: Block
+    first: Solution
+    at: Factored
+    whole: Condensed
+    table: tuple[Fault, ...] = FAULTS
+
+
+def opened(block: Block, first: Solution | None = None, table: tuple[Fault, ...] = FAULTS) -> Opened:
+    """Adjust a block, unless its adjustment is given, and set up what tells of all faults at once.
+
+    raises PhotocalError: as the adjustment does.
+    """
+    with because("integrated adjustment in which faults are sought"):
+        first = first or adjust(assemble(block).network)
+    free = block
+    for fault in table:
+        if fault.frees and fault.each != "part" and _testable(block, fault, None):
+            free = with_freed(free, fault, None)
+    network = assemble(free).network
+    at = factored(network, beside(network, first))
+    return Opened(block, first, at, condensed(at), table)
+
+
+def separation(given: Opened) -> Separation | None:
+    """See what the block would leave open if everything were free; None without positions."""
+    block, whole = given.block, given.whole
     if not len(block.positions.image):
         return None
     asked = np.zeros(len(block.mounting.sigma), dtype=bool)
@@ -72,22 +108,20 @@ def separation(block: Block) -> Separation | None:
     sigma = np.zeros(len(asked))
     sigma[taken] = _SCALE_COMMON[taken]
     cameras = tuple(replace(camera, prior_sigma=_scales(camera)) for camera in block.cameras)
-    network = assemble(replace(block, mounting=replace(block.mounting, sigma=sigma), cameras=cameras)).network
-    try:
-        at = factored(network, adjust(network).state)
-    except (IllPosedError, NotConvergedError):
-        return None
-    layout = at.problem.layout
-    columns = [layout.common_columns[k] for k in taken]
+    columns = [int(whole.common_columns[k]) for k in taken]
     names = [COMMON[k] for k in taken]
     scale = [float(_SCALE_COMMON[k]) for k in taken]
-    for camera, camera_columns in zip(cameras, layout.camera_columns, strict=True):
+    for camera, camera_columns in zip(cameras, whole.camera_columns, strict=True):
         for k, column in zip(*camera_columns, strict=True):
             if np.isfinite(camera.prior_sigma[k]):
                 names.append(PARAMETERS[k] + (f"[{camera.id}]" if len(cameras) > 1 else ""))
-                columns.append(column)
+                columns.append(int(column))
                 scale.append(float(camera.prior_sigma[k]))
-    covariance = blocks(np.array([columns]), at.problem.structure, at.inverse)[0]
+    try:
+        mounting = replace(block.mounting, sigma=sigma)
+        covariance = whole.covariance(cameras, mounting)[np.ix_(columns, columns)]
+    except IllPosedError:
+        return None
     deviation = np.sqrt(np.diag(covariance))
     groups = _groups(tuple(names), covariance / np.outer(scale, scale))
     return Separation(tuple(names), deviation, covariance / np.outer(deviation, deviation), groups)
@@ -307,18 +341,18 @@ def unknowns_of(block: Block, fault: Fault, estimates: tuple[Estimate, ...]) -> 
     return int(free.sum()) + held
 
 
-def best_change(block: Block, first: Solution, table: tuple[Fault, ...] = FAULTS) -> Change | None:
-    """Find the image from which a second camera explains most."""
-    fault = next((entry for entry in table if entry.each == "part"), None)
-    if fault is None:
-        return None
-    chi_squared: dict[int, float] = {}
+def best_change(given: Opened, fault: Fault) -> tuple[Change, Condensed] | None:
+    """Find the image from which a second camera explains most; with the equations that have it."""
+    block, first = given.block, given.first
+    tried: list[tuple[float, Change, Condensed]] = []
     for image in places_of_change(block):
-        network = assemble(with_freed(block, fault, (image, first.cameras[0]))).network
-        with suppress(IllPosedError, NotConvergedError):
-            minimum = minimum_of(network, state=beside(network, first))[1]
-            chi_squared[image] = minimum.iterations[-1].chi_squared
-    return (min(chi_squared, key=chi_squared.__getitem__), first.cameras[0]) if chi_squared else None
+        later = np.arange(len(block.images.names)) >= image
+        change = image, first.cameras[0]
+        split = with_freed(block, fault, change)
+        with suppress(IllPosedError):
+            whole = with_second_camera(given.whole, given.at, first.residuals, later)
+            tried.append((whole.with_sigmas(split.cameras, split.mounting).chi_squared, change, whole))
+    return min(tried, key=lambda one: one[0])[1:] if tried else None
 
 
 def beside(network: Network, first: Solution) -> State:
@@ -371,7 +405,8 @@ def with_agreeing(block: Block, test: GroupTest) -> tuple[Block, GroupTest]:
             f"{test.name}s": replace(observed, covariance=observed.covariance * test.factor**2)
         }
         block = replace(block, **scaled)
-        groups = adjust(assemble(block).network).groups
+        with because(f"standard deviations of {test.name}s that agree"):
+            groups = adjust(assemble(block).network).groups
         test = tested(next(group for group in groups if group.name == test.name))
         if abs(test.factor - 1.0) < _SETTLED:
             break

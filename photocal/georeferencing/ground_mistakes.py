@@ -9,14 +9,15 @@ import numpy as np
 from scipy import stats
 from scipy.linalg import block_diag
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import PhotocalError
 from photocal.accuracy import ground_points
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import body_to_camera
 from photocal.adjustment.network import covariance_matrices
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import PhotocalError
 from photocal.block.model import Block, Role
 from photocal.block.network import assemble, observed_plane
 from photocal.findings.finding import Finding
@@ -265,7 +266,8 @@ def _by_the_images(block: Block, control: Integers) -> tuple[Integers, Floats, F
     else:
         alone = replace(without_georeference(alone), datum="free")
     assembly = assemble(alone)
-    solution = adjust(assembly.network)
+    with because("control points predicted without themselves"):
+        solution = adjust(assembly.network)
     seen = np.flatnonzero(np.isin(assembly.points, control))
     names = [assembly.network.point_names[j] for j in seen]
     at = factored(assembly.network, solution.state)

@@ -5,20 +5,27 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import ConfigurationError, IllPosedError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance as covariance_of
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS
 from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import ConfigurationError, IllPosedError, PhotocalError
 from photocal.block.model import ROLES, Block
 from photocal.block.motion import observed_motion
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.georeferencing.direct import Calibration, direct_orientation, joint_covariance, with_calibration
+from photocal.georeferencing.direct import (
+    Calibration,
+    calibration_of,
+    direct_orientation,
+    joint_covariance,
+    with_calibration,
+)
 from photocal.georeferencing.space_intersection import intersect_points
 
 Method = Literal["direct", "integrated", "indirect"]
@@ -50,6 +57,7 @@ class Georeferenced:
     exposures (images, 6): omega, phi, kappa (rad), X, Y, Z (m); NaN where the method has none.
     joint: covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for
         direct georeferencing, and for more of them than `_MOST_JOINT`.
+    calibration: camera and mounting of the integrated method, where there are positions and attitudes.
     """
 
     method: Method
@@ -65,6 +73,7 @@ class Georeferenced:
     test: GlobalTest | None
     solution: Solution | None
     joint: Floats | None = None
+    calibration: Calibration | None = None
 
 
 def of_method(
@@ -133,7 +142,8 @@ def with_shutters(block: Block) -> Block:
         return block
     try:
         assembly = assemble(without_weak_images(checkable(block))[0])
-        network = with_moving_images(assembly.network, adjust(assembly.network))[0]
+        with because("shutters and lags of heads"):
+            network = with_moving_images(assembly.network, adjust(assembly.network))[0]
     except PhotocalError:
         return block
     lag = {
@@ -241,7 +251,8 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         )
     block, weak = without_weak_images(block)
     assembly = assemble(block)
-    solution = adjust(assembly.network)
+    with because(f"{method} georeferencing"):
+        solution = adjust(assembly.network)
     origin = local_origin(assembly)
     exposures = solution.exposures + np.concatenate([np.zeros(3), origin])
     exposures[weak] = np.nan
@@ -255,10 +266,13 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         for j, name in enumerate(assembly.network.point_names)
         if wanted[j] and not control[assembly.points[j]]
     ]
-    joint = None
-    if 0 < len(checks) <= _MOST_JOINT:
+    joint = calibration = None
+    mounted = method == "integrated" and len(block.positions.image) and len(block.attitudes.image)
+    few = 0 < len(checks) <= _MOST_JOINT
+    if few or mounted:
         at = factored(assembly.network, solution.state)
-        joint = covariance_of(at, [("point", name) for name in checks])[1]
+        joint = covariance_of(at, [("point", name) for name in checks])[1] if few else None
+        calibration = calibration_of(at) if mounted else None
     labels = {
         "integrated": "integrated: positions, attitudes, control and image observations adjusted together",
         "indirect": "indirect: control and image observations only",
@@ -277,6 +291,7 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         global_test(solution.chi_squared, solution.degrees_of_freedom),
         solution,
         joint,
+        calibration,
     )
 
 
@@ -325,7 +340,8 @@ def degraded(block: Block, noise: Degradation, rng: np.random.Generator) -> Bloc
     """Adjust a block and give its images the result with noise, as observations."""
     adjusted, weak = without_weak_images(block)
     assembly = assemble(adjusted)
-    exposures = adjust(assembly.network).exposures
+    with because("simulated direct orientation"):
+        exposures = adjust(assembly.network).exposures
     sigma = np.broadcast_to(
         np.repeat([noise.attitude_rad, noise.position_m], 3), block.images.sigma.shape
     ).copy()

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_folder, rows_text, write_json
-from drivers.arrays import Floats, as_plain
 from photocal.accuracy.assessment import ComponentResult
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
@@ -15,9 +13,11 @@ from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
 from photocal.accuracy.output import findings_text, finite
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
+from photocal.base.arrays import Floats, as_plain
+from photocal.base.files import output_folder, rows_text, write_json
+from photocal.base.geopackage import ReferenceSystem
 from photocal.findings.finding import verdict
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
-from photocal.geopackage import ReferenceSystem
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import CRITICAL_W, ELLIPSE_PROBABILITY, Differences, cells
 from photocal.georeferencing.findings import block_findings, estimate_text

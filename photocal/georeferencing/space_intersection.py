@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.readout import READOUT
+from photocal.base.arrays import Floats, Integers
 from photocal.block.model import Block
 from photocal.block.network import observed_plane
 from photocal.geometry.camera import PARAMETERS

@@ -1,7 +1,8 @@
 """The search for systematic errors: as few faults of the table as explain the contradictions of a block.
 
 A fault is a hypothesis: its values are freed in the integrated adjustment, and an F test of the fall of v'Pv
-says whether it is needed beside the others that are freed. Stepwise: the most probable one is accepted, then
+says whether it is needed beside the others that are freed. The condensed normal equations screen all of them
+at once, an adjustment confirms those that may be. Stepwise: the most probable one is accepted, then
 the others are tested beside it; after each step what the others make needless is given up again. So what
 imitates a cause gives way to the cause; what explains the same is said with it: the flight cannot tell.
 """
@@ -13,25 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, NotConvergedError
-from photocal.adjustment.adjust import adjust, minimum_of
+from photocal.adjustment.adjust import minimum_of
 from photocal.adjustment.covariance import Shared, shared
 from photocal.adjustment.factored import factorised
 from photocal.adjustment.groups import GroupTest
+from photocal.adjustment.ledger import because
 from photocal.adjustment.solution import Solution
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.georeferencing.freed_groups import (
     SIGNIFICANCE,
+    Change,
     Estimate,
+    Opened,
     beside,
     best_change,
     estimates_of,
     faults_of,
     left_free,
     of_camera,
+    opened,
     positions_moved,
     unknowns_of,
     with_agreeing,
@@ -42,6 +47,9 @@ from photocal.georeferencing.freed_groups import (
 _ROUNDS = 4
 # Akaike (1974): models this close are not told apart; in units of v'Pv.
 _AS_GOOD = 10.0
+# What the condensed equations tell to be below this share of its limit, or of the best one's gain, is not
+# adjusted: they neglect no more than second order.
+_DOUBT = 0.5
 # A share of the gain: what explains as much of it is another name for the same error.
 _SAME_GAIN = 0.95
 # A principal distance that differs by less is no other camera, zoom or focus: warmth and correlated tie
@@ -220,16 +228,14 @@ class SystematicErrors:
     sigmas: tuple[GroupTest, ...] = ()
 
 
-def systematic_errors(
-    block: Block, done: Callable[[], None] = lambda: None, table: tuple[Fault, ...] = FAULTS
-) -> SystematicErrors:
+def systematic_errors(given: Opened, done: Callable[[], None] = lambda: None) -> SystematicErrors:
     """Look for systematic errors of the georeference, the faults of a table."""
-    sigmas, stated, of_c = list[GroupTest](), block.positions.stated(), list[Fit]()
+    table = given.table
+    sigmas, stated, of_c = list[GroupTest](), given.block.positions.stated(), list[Fit]()
     while True:
-        first = adjust(assemble(block).network)
-        done()
-        larger = np.maximum(stated, block.positions.stated())
-        search = _Search(block, first, larger, done, table, *of_c[:1])
+        first = given.first
+        larger = np.maximum(stated, given.block.positions.stated())
+        search = _Search(given, larger, done, *of_c[:1])
         of_c.append(search.first)
         alone = search.beside(())
         # An error competes by what it gains, less the logarithm of the observations for each unknown.
@@ -238,8 +244,9 @@ def systematic_errors(
         wrong = wrong_sigma(first, max(gains, default=0.0))
         if wrong is None or wrong.name in (group.name for group in sigmas):
             break
-        block, settled = with_agreeing(block, wrong)
+        block, settled = with_agreeing(given.block, wrong)
         sigmas.append(settled)
+        given = opened(block, table=table)
     accepted: tuple[str, ...] = ()
     for turn in range(_ROUNDS):
         tries = search.beside(accepted) if turn else alone
@@ -254,38 +261,48 @@ def systematic_errors(
     free_in_block = tuple(
         e
         for entry in table
-        if entry.frees and not of_camera(entry) and left_free(block, entry)
-        for e in estimates_of(block, block, _shared(first), entry)
+        if entry.frees and not of_camera(entry) and left_free(given.block, entry)
+        for e in estimates_of(given.block, given.block, _shared(first), entry)
     )
     untested = tuple(f"{name}: {reason}" for name, reason in search.refused.items())
     return SystematicErrors(alone, errors, search.together(accepted), untested, free_in_block, tuple(sigmas))
 
 
 class _Search:
-    """Adjustments of one block with groups freed, each set of groups once."""
+    """Tests of one block's faults: the condensed equations screen them, adjustments confirm what may be."""
 
     def __init__(
         self,
-        block: Block,
-        first: Solution,
+        given: Opened,
         stated: Floats,
         done: Callable[[], None],
-        table: tuple[Fault, ...],
         as_stated: Fit | None = None,
     ) -> None:
-        self._block, self._first, self._stated, self._done = block, first, stated, done
-        self.first = _fit(_shared(first), {}, {})
+        self._given, self._stated, self._done = given, stated, done
+        self.first = _fit(_shared(given.first), {}, {})
         self._fits, self._as_stated = {frozenset[str](): self.first}, as_stated
-        self._change = best_change(block, first, table)
+        part = next((entry for entry in given.table if entry.each == "part"), None)
+        found = best_change(given, part) if part else None
+        self._change: Change | None = found[0] if found else None
+        self._split = found[1] if found else given.whole
         # A second camera is made of the first one, so it stands before what is freed in both.
-        self._faults = {cause.code: cause for cause in faults_of(block, self._change, table)}
+        self._faults = {cause.code: cause for cause in faults_of(given.block, self._change, given.table)}
         self.refused: dict[str, str] = {}
 
     def beside(self, accepted: tuple[str, ...]) -> tuple[Hypothesis, ...]:
         """Test all other groups beside those that were accepted."""
         # Two principal distances leave nothing of a common one.
         taken = {code for name in accepted for code in (name, *self._faults[name].contains)}
-        tries = (self._tested(name, accepted) for name in self._faults if name not in taken)
+        screened = [
+            self._tested(name, accepted, self._predicted) for name in self._faults if name not in taken
+        ]
+        likely = [trial for trial in screened if trial is not None and trial.f > _DOUBT * trial.critical]
+        least = _DOUBT * max((trial.gain for trial in likely), default=0.0)
+        tries = (
+            self._tested(trial.name, accepted) if trial in likely and trial.gain >= least else trial
+            for trial in screened
+            if trial is not None
+        )
         return tuple(filter(None, tries))
 
     def needed(self, accepted: tuple[str, ...]) -> tuple[str, ...]:
@@ -303,46 +320,64 @@ class _Search:
         errors: list[SystematicError] = []
         left = accepted
         while left:
-            tries = self.beside(tuple(error.hypothesis.name for error in errors))
+            before = tuple(error.hypothesis.name for error in errors)
+            tries = self.beside(before)
             remaining = tuple(trial for trial in tries if trial.name in left)
             if not remaining:
                 break
             gravest = max(causes_first(remaining, tuple(self._faults.values())), key=lambda trial: trial.gain)
+            gravest = self._tested(gravest.name, before) or gravest
             errors.append(SystematicError(gravest, as_good(gravest, tries)))
             left = _less(left, gravest.name)
         return tuple(errors)
 
     def together(self, accepted: tuple[str, ...]) -> tuple[Estimate, ...]:
         """Give the values of all accepted groups from one adjustment."""
-        fit = self._fit(frozenset(accepted))
+        fit = self._adjusted(frozenset(accepted))
         return tuple(e for name in accepted for e in fit.estimates[name])
 
-    def _tested(self, name: str, others: tuple[str, ...]) -> Hypothesis | None:
+    def _tested(
+        self, name: str, others: tuple[str, ...], fit: Callable[[frozenset[str]], Fit] | None = None
+    ) -> Hypothesis | None:
         """Test a group beside others; None when it cannot be freed."""
+        fit = fit or self._adjusted
         try:
-            before, after = self._fit(frozenset(others)), self._fit(frozenset((*others, name)))
+            before, after = fit(frozenset(others)), fit(frozenset((*others, name)))
         except (IllPosedError, NotConvergedError) as refusal:
             if not others:
                 self.refused[name] = refusal.what
             return None
-        unknowns = unknowns_of(self._block, self._faults[name], after.estimates[name])
+        unknowns = unknowns_of(self._given.block, self._faults[name], after.estimates[name])
         return compare(name, before, after, unknowns, len(self._faults), self._as_stated)
 
-    def _fit(self, groups: frozenset[str]) -> Fit:
+    def _adjusted(self, groups: frozenset[str]) -> Fit:
         if groups not in self._fits:
-            freed = self._block
-            chosen = [cause for name, cause in self._faults.items() if name in groups]
-            for cause in chosen:
-                freed = with_freed(freed, cause, self._change)
+            chosen, freed = self._freed(groups)
             network = assemble(freed).network
-            solution = shared(factorised(*minimum_of(network, state=beside(network, self._first))))
-            estimates = {cause.code: estimates_of(self._block, freed, solution, cause) for cause in chosen}
-            moved = {
-                cause.code: positions_moved(self._block, solution, cause, self._stated) for cause in chosen
-            }
-            self._fits[groups] = _fit(solution, estimates, moved)
+            start = beside(network, self._given.first)
+            with because(f"fault tested: {' and '.join(cause.code for cause in chosen)}"):
+                minimum = minimum_of(network, state=start)
+            self._fits[groups] = self._of(chosen, freed, shared(factorised(*minimum)))
             self._done()
         return self._fits[groups]
+
+    def _predicted(self, groups: frozenset[str]) -> Fit:
+        """What an adjustment would give, to first order at the minimum without any group."""
+        chosen, freed = self._freed(groups)
+        whole = self._split if len(freed.cameras) > len(self._given.block.cameras) else self._given.whole
+        return self._of(chosen, freed, whole.with_sigmas(freed.cameras, freed.mounting))
+
+    def _freed(self, groups: frozenset[str]) -> tuple[list[Fault], Block]:
+        chosen, freed = [cause for name, cause in self._faults.items() if name in groups], self._given.block
+        for cause in chosen:
+            freed = with_freed(freed, cause, self._change)
+        return chosen, freed
+
+    def _of(self, chosen: list[Fault], freed: Block, solution: Shared) -> Fit:
+        block = self._given.block
+        estimates = {cause.code: estimates_of(block, freed, solution, cause) for cause in chosen}
+        moved = {cause.code: positions_moved(block, solution, cause, self._stated) for cause in chosen}
+        return _fit(solution, estimates, moved)
 
 
 def _less(names: tuple[str, ...], removed: str) -> tuple[str, ...]:

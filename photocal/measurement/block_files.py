@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import write_json, write_rows
 from photocal.adjustment.network import ANGLES, RELATIONS
+from photocal.base.files import write_json, write_rows
 from photocal.block.folder import EXPOSURE, POINT_CROSS
 from photocal.block.model import ROLES, Block, Images
 from photocal.block.motion import RATE, SIGMAS_OF_MOTION, VELOCITY

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, InputNotFoundError
 from photocal.adjustment.adjust import adjust
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, InputNotFoundError
+from photocal.base.progress import Progress
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.block.network import assemble
 from photocal.geometry.camera import pixel_to_plane
@@ -20,7 +21,6 @@ from photocal.measurement.boards import Board, BoardView, find_board
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, read_grey
 from photocal.measurement.maker_camera import group_cameras, principal_distance_px, start_camera
-from photocal.tasks.progress import Progress
 
 ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 FEWEST_VIEWS = 3

@@ -5,8 +5,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drivers.arrays import Bytes, Floats, Integers
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Bytes, Floats, Integers
+from photocal.base.errors import ConfigurationError
 from photocal.measurement.centre import Centre, measurable
 from photocal.measurement.image_file import Grey, as_eight_bit
 from photocal.measurement.markers import dictionary

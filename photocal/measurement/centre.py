@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
+from photocal.base.arrays import Flags, Floats
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.measurement.image_file import Grey, as_eight_bit

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.outputs import output_file
-from drivers.arrays import Bytes, Columns, Integers
+from photocal.base.arrays import Bytes, Columns, Integers
+from photocal.base.files import output_file
 
 Arrays = dict[str, NDArray[Any]]
 Floats32 = NDArray[np.float32]

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import InputNotFoundError
 from photocal.adjustment.network import NO_RELATIONS
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputNotFoundError
+from photocal.base.progress import Progress
 from photocal.block.folder import read_relations
 from photocal.block.model import Block, Images, ObjectPoints, Observations
 from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA, Measured
@@ -17,7 +18,6 @@ from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, read_grey
 from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
 from photocal.measurement.markers import dictionary, find_markers
-from photocal.tasks.progress import Progress
 
 # Of fewer pictures or targets no camera is calibrated.
 FEWEST_PICTURES, FEWEST_TARGETS = 4, 8

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
+from photocal.base.progress import Progress
+from photocal.base.workers import one_crew
 from photocal.block.model import Block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import as_record
@@ -20,8 +22,6 @@ from photocal.measurement.position_files import local_places, map_places
 from photocal.measurement.project_block import OTHER_SURFACE_M, findings_of_marks, suspected_marks
 from photocal.measurement.start_block import position_sigma, start_block
 from photocal.measurement.tie_block import marked_control
-from photocal.tasks.progress import Progress
-from photocal.tasks.workers import one_crew
 
 
 @dataclass(frozen=True)

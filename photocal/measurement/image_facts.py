@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.measurement.image_file import opened, stored_size
 from photocal.measurement.recorded_turns import recorded_turns
 

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Bytes
-from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.arrays import Bytes
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 
 if TYPE_CHECKING:
     from PIL.Image import Image

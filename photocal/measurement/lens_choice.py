@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import minimum_of
 from photocal.adjustment.readout import with_loose_sides
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, Model, among

@@ -16,7 +16,7 @@ from importlib import resources
 
 import numpy as np
 
-from drivers.arrays import Integers
+from photocal.base.arrays import Integers
 from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.measurement.image_facts import ImageFacts

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
+from photocal.base.workers import Workers, run_tasks
 from photocal.exchange.parts import Mark
 from photocal.measurement import patterns
 from photocal.measurement.centre import Centre, accepted, half_contrast, measurable
@@ -16,7 +17,6 @@ from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_file import Grey, as_eight_bit, read_grey
 from photocal.measurement.refine import Source
 from photocal.measurement.template import cut_window, fit_template
-from photocal.tasks.workers import Workers, run_tasks
 
 DICTIONARIES = (
     *(f"{n}x{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),

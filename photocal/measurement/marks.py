@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.table import read_table, refuse
 from photocal.exchange.ground_points import read_gcp_list

@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import PhotocalError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import PhotocalError
+from photocal.base.workers import Workers, run_tasks
 from photocal.block.model import digest
 from photocal.measurement.features import (
     Arrays,
@@ -22,7 +23,6 @@ from photocal.measurement.features import (
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.matching import MatchSettings, match
 from photocal.measurement.tracks import Tracks, join_tracks
-from photocal.tasks.workers import Workers, run_tasks
 
 Rule = Literal["footprints", "neighbours", "sequence", "all"]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Bytes, Flags, Floats, Integers
+from photocal.base.arrays import Bytes, Flags, Floats, Integers
 from photocal.measurement.features import Features
 
 Floats32 = NDArray[np.float32]

@@ -7,8 +7,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import InputNotFoundError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import InputNotFoundError
+from photocal.base.progress import Progress
 from photocal.measurement import match_images
 from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts, read_facts
@@ -20,7 +21,6 @@ from photocal.measurement.refine import Source
 from photocal.measurement.start_block import explained
 from photocal.measurement.tie_adjustment import camera_figures, pixel_residuals, with_released_c
 from photocal.measurement.tracks import Tracks, of_images
-from photocal.tasks.progress import Progress
 
 # Why a picture is left out that is there twice: nothing is lost with it.
 SAME = "same-picture"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import ndtr
 
-from drivers.arrays import Flags, Floats
+from photocal.base.arrays import Flags, Floats
 from photocal.block.folder import read_images
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame

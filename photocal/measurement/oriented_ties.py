@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import IllPosedError, PhotocalError
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError, PhotocalError
+from photocal.base.progress import Progress
+from photocal.base.workers import Workers
 from photocal.block.model import Block, Images
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
@@ -18,8 +20,6 @@ from photocal.measurement.tie_adjustment import Adjusted, adjust_ties
 from photocal.measurement.tie_block import GROSS, intersected, marked_control, misses, with_ties
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.results.adjusted import movements
-from photocal.tasks.progress import Progress
-from photocal.tasks.workers import Workers
 
 # Cells along the longer side of an image; points in each that orient it at first, tracks that are matched
 # precisely, and points that are adjusted: more of them cost time, and what they have in common is no noise

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats
-from photocal.compiled import allocating, compiled, inlined
+from photocal.base.arrays import Floats
+from photocal.base.compiled import allocating, compiled, inlined
 
 Floats32 = NDArray[np.float32]
 

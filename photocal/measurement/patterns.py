@@ -7,7 +7,7 @@ straight edge blurred by a Gaussian of standard deviation s is erf(d / (s sqrt 2
 import numpy as np
 from scipy.special import erf
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 # Of a plane parallel to an image without distortion: see `eccentricity.ground_bend`.
 FLAT = np.zeros((2, 2, 2))

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
-from drivers.errors import IllPosedError
 from photocal.adjustment.network import Rays
 from photocal.adjustment.start.bearings import bearings
 from photocal.adjustment.start.model import LENS, Model, held_to_given, misfit, support
 from photocal.adjustment.start.values import free_models
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import IllPosedError
 from photocal.block.model import Block, Images
 from photocal.block.network import block_frame, observed_plane
 from photocal.findings.finding import Finding

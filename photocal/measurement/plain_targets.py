@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
+from photocal.base.progress import Progress
+from photocal.base.workers import Workers, run_tasks
 from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
@@ -21,8 +23,6 @@ from photocal.measurement.orientation import Orientation, predict
 from photocal.measurement.refine import Source
 from photocal.measurement.target_search import find_targets
 from photocal.project import PlainTargets, Project
-from photocal.tasks.progress import Progress
-from photocal.tasks.workers import Workers, run_tasks
 
 # Raised whenever the meaning of cached results changes.
 VERSION = 2

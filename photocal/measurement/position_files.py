@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.earth import enu_axes, geocentric
-from drivers.errors import ConfigurationError, InputMalformedError, PhotocalError
 from drivers.mrk import COLUMNS, parse_event
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
+from photocal.base.geodesy import enu_axes, geocentric
 from photocal.block.table import read_under
 from photocal.exchange.ground_points import read_geo
 from photocal.exchange.reference_table import read_references

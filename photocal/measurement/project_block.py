@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Flags, Integers
-from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError, NotConvergedError
 from photocal.adjustment.readout import left_by_movement
+from photocal.base.arrays import Flags, Integers
+from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError, NotConvergedError
+from photocal.base.progress import Progress
+from photocal.base.workers import one_crew
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
 from photocal.block.rig import make_heads
@@ -53,8 +55,6 @@ from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, assembled
 from photocal.measurement.tie_block import GROSS, brought_nearer, marked_control, place, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.project import Project
-from photocal.tasks.progress import Progress
-from photocal.tasks.workers import one_crew
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,
 # which the measurement does not use.

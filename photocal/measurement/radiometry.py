@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import fmin
 
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError
 from photocal.measurement.image_file import Grey
 
 # Bins of an edge for each pixel, and least and largest slant of it (ISO 12233 takes 5 degrees).

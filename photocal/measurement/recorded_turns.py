@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.polynomial import legendre
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.geometry.camera import MOTION, SHAKE, SHAKE_DEGREES
 
 # Records of Parrot's Sequoia: time, us; rates about its axes, rad/s; and what is not told.

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Columns, Flags, Floats, Integers
+from photocal.base.arrays import Columns, Flags, Floats, Integers
+from photocal.base.workers import Workers, run_tasks
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.features import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.tracks import Tracks
-from photocal.tasks.workers import Workers, run_tasks
 
 Floats32 = NDArray[np.float32]
 

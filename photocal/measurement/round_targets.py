@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.measurement import patterns
 from photocal.measurement.centre import Centre, accepted, half_contrast
 from photocal.measurement.image_file import Grey

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Bytes, Flags, Floats
-from drivers.errors import PhotocalError
+from photocal.base.arrays import Bytes, Flags, Floats
+from photocal.base.errors import PhotocalError
 from photocal.block.model import Block, Images
 from photocal.geometry.camera import among
 from photocal.measurement.image_facts import ImageFacts, clock_seconds

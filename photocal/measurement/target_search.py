@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.measurement.centre import Centre, Look
 from photocal.measurement.image_file import Grey
 from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre

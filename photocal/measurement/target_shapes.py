@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Flags
-from drivers.errors import ConfigurationError, OutputError
+from photocal.base.arrays import Flags
+from photocal.base.errors import ConfigurationError, OutputError
 from photocal.measurement.boards import Board, charuco_board
 from photocal.measurement.markers import DICTIONARIES, dictionary
 from photocal.measurement.patterns import BAR, HOLE

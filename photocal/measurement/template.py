@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Columns, Floats
+from photocal.base.arrays import Columns, Floats
 from photocal.measurement.image_file import Grey
 
 # Grey values at columns and rows, relative to the middle of the window, for a vector of parameters; for

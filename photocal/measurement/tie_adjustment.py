@@ -5,8 +5,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.normal import prepare
@@ -14,6 +12,8 @@ from photocal.adjustment.readout import READOUT, rolls_whatever_the_lens, with_r
 from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.state import State, start_state
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import PARAMETERS, Camera, among

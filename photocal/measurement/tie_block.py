@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.block.model import ROLES, Block
 from photocal.block.network import block_frame, observed_pixels, observed_plane
 from photocal.geometry.distortion import slopes_of

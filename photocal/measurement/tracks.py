@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from drivers.arrays import Columns, Flags, Floats, Integers
+from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.measurement.features import Features
 
 # Features with several directions stand at one place: they are one.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Flags, Floats
+from photocal.base.arrays import Flags, Floats
 from photocal.geometry.rotation import TO_NED, object_to_body
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import LARGEST_GAP_S, local_mean_square

@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError
 from photocal.adjustment.reliability import noncentrality
 from photocal.adjustment.solution import GlobalTest, global_test
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError
 from photocal.navigation.trajectory import enu_axes_at
 
 # Two-sided 0.1 % for one component (Baarda 1968: alpha 0.001, beta 0.80 give lambda 17.075).

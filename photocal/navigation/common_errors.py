@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats, as_plain
-from drivers.earth import geodetic
+from photocal.base.arrays import Floats, as_plain
+from photocal.base.geodesy import geodetic
 from photocal.navigation.engine_output import (
     PER_METRE,
     SatelliteResiduals,
@@ -59,7 +59,7 @@ class CommonErrors:
         return np.zeros(3) if moved is None else moved * self.lapse.value
 
     def as_json(self) -> dict[str, Any]:
-        """Give them as a JSON value, which `drivers.arrays.from_plain` reads back."""
+        """Give them as a JSON value, which `photocal.base.arrays.from_plain` reads back."""
         derived = {
             "shift_sigma_m": self.shift_sigma_m,
             "zenith_scale_sigma": self.zenith_scale_sigma,

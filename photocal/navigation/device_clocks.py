@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError
 
 _WINDOW = 12
 _LEAST_READINGS = 4

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, ProgramMissingError
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, ProgramMissingError
 from photocal.navigation.engine_output import (
     EngineSolution,
     SatelliteResiduals,

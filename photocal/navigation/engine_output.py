@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import IllPosedError, InputMalformedError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.navigation.time import WEEK_NS, GpsTime, exact_ns
 from photocal.navigation.trajectory import Geodetic, Trajectory
 

@@ -8,15 +8,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import InputMalformedError, reading
 from drivers.frames import Wire
-from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mrk import parse_event
 from drivers.ubx import decode as ubx
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import InputMalformedError, reading
+from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
 from photocal.navigation.device_clocks import AutopilotClock
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.earth import enu_offsets
-from drivers.errors import IllPosedError
+from photocal.base.errors import IllPosedError
+from photocal.base.geodesy import enu_offsets
 from photocal.findings.finding import Finding, untested
 from photocal.navigation.events import CameraEventList, Events
 from photocal.navigation.exposures import Exposures

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_picture, write_rows
-from drivers.arrays import Floats, Integers
-from drivers.earth import enu_axes, enu_offsets
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import ConfigurationError
+from photocal.base.files import output_picture, write_rows
+from photocal.base.geodesy import enu_axes, enu_offsets
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, Orientations, orientations

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import as_plain
+from photocal.base.arrays import as_plain
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text

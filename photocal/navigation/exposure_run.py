@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Floats, from_plain
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats, from_plain
+from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival

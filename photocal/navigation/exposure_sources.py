@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Flags
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Flags
+from photocal.base.errors import ConfigurationError
 from photocal.navigation.attitude import LINE_OF_SIGHT, Attitudes, at_instants, from_angles, no_attitudes
 from photocal.navigation.events import (
     CameraEventList,

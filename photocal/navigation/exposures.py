@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import ConfigurationError
 from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
 from photocal.navigation.attitude import Attitudes
 from photocal.navigation.events import Events

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import label
 
-from drivers.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
 from photocal.navigation.time import GpsTime
 

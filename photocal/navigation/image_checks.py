@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import PhotocalError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import PhotocalError
+from photocal.base.progress import Progress
 from photocal.block.table import read_wider_table
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.oriented_images import OrientedImages
@@ -20,7 +21,6 @@ from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.rig import Rig
 from photocal.results.folder import RESULT, read_result
-from photocal.tasks.progress import Progress
 
 CODE = "image-rotations"
 # Attitudes of small vehicles are good to a few degrees.

@@ -11,8 +11,8 @@ from re import compile as pattern
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
 

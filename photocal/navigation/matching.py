@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import poisson
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError
 
 _LEAST_PAIRS = 4
 _CERTAIN = 0.6

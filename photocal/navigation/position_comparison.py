@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from drivers.arrays import Floats, Integers
-from drivers.earth import enu_offsets
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError
+from photocal.base.geodesy import enu_offsets
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.rotation import skew
 from photocal.geometry.similarity import similarity

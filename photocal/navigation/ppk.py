@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from acquire.console import numbers_of
-from drivers.arrays import Flags, Floats
-from drivers.earth import enu_axes, geocentric, geodetic
-from drivers.errors import ConfigurationError, IllPosedError
+from photocal.base.arrays import Flags, Floats
+from photocal.base.console import numbers_of
+from photocal.base.errors import ConfigurationError, IllPosedError
+from photocal.base.geodesy import enu_axes, geocentric, geodetic
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Mode, ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import (

@@ -6,10 +6,10 @@ from typing import Literal, Self
 
 import numpy as np
 
-from acquire.console import numbers_of
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, IllPosedError
-from drivers.gnsstime import GPS_EPOCH_NS
+from photocal.base.arrays import Floats
+from photocal.base.console import numbers_of
+from photocal.base.errors import ConfigurationError, IllPosedError
+from photocal.base.time_scales import GPS_EPOCH_NS
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position

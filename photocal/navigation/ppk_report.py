@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_picture, write_json
-from drivers.arrays import Floats
-from drivers.earth import geodetic
+from photocal.base.arrays import Floats
+from photocal.base.files import output_picture, write_json
+from photocal.base.geodesy import geodetic
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text

@@ -9,8 +9,8 @@ from re import compile as pattern
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError, reading
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError, reading
 from photocal.navigation.time import GpsTime, exact_ns
 from photocal.navigation.trajectory import enu_axes_at
 

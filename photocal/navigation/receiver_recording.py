@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.log.reader import link_of
-from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError, IllPosedError
 from drivers.frames import Batch, Wire
-from drivers.gnsstime import week_to_ns
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import Dialect
 from drivers.nmea import decode_gga
 from drivers.rtcm3 import decode_stations
 from drivers.ubx import decode as ubx
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import ConfigurationError, IllPosedError
+from photocal.base.time_scales import week_to_ns
 from photocal.navigation.flight_log import FlightLog
 
 # A survey-in is announced with rounded coordinates.

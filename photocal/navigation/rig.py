@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from acquire.channels.mounting import CAMERA_PLACE_SIGMA_M, MOUNT_SIGMA_DEG, Mounting
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import NADIR
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
 from photocal.block.mounting import BODY_AXES
 from photocal.block.setup import MountingKeys
 from photocal.findings.finding import Finding

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from acquire.checked_toml import Table
-from drivers.arrays import Floats
-from drivers.earth import enu_axes, geocentric
-from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError
+from photocal.base.arrays import Floats
+from photocal.base.checked_toml import Table
+from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
+from photocal.base.geodesy import enu_axes, geocentric
 from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajectory_of

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import write_rows
-from drivers.arrays import Floats
-from drivers.earth import geodetic
 from photocal.adjustment.ellipses import ellipses
+from photocal.base.arrays import Floats
+from photocal.base.files import write_rows
+from photocal.base.geodesy import geodetic
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
 from photocal.navigation.trajectory import enu_axes_at

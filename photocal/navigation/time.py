@@ -11,10 +11,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drivers import gnsstime
-from drivers.arrays import Integers
-from drivers.errors import InputMalformedError
-from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
+from photocal.base import time_scales as gnsstime
+from photocal.base.arrays import Integers
+from photocal.base.errors import InputMalformedError
+from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
 WEEK_NS = WEEK_S * SECOND_NS
 EXPIRES = gnsstime.EXPIRES

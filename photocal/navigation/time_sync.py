@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError
 from photocal.navigation.device_clocks import (
     AutopilotClock,
     ComparedClocks,

@@ -7,9 +7,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acquire.outputs import write_rows
-from drivers.arrays import Columns, Flags, Floats, Integers
-from drivers.earth import enu_axes, enu_offsets, geocentric, geodetic
+from photocal.base.arrays import Columns, Flags, Floats, Integers
+from photocal.base.files import write_rows
+from photocal.base.geodesy import enu_axes, enu_offsets, geocentric, geodetic
 from photocal.navigation.time import GpsTime
 
 COLUMNS = (

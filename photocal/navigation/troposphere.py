@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.project import AirAtBase
 
 # Means and seasonal amplitudes at 15, 30, 45, 60 and 75 degrees: pressure (hPa), temperature (K), vapour

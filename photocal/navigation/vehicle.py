@@ -7,12 +7,12 @@ import numpy as np
 
 from acquire.channels.mounting import Mounting, mounting_of
 from acquire.log.reader import read_json
-from drivers.arrays import Flags, Floats, Integers
 from drivers.frames import Wire
-from drivers.gnsstime import SECOND_NS
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.time_scales import SECOND_NS
 from photocal.geometry.rotation import object_to_body
 from photocal.navigation.attitude import AttitudeTrack, rotations_of_quaternions
 from photocal.navigation.device_clocks import ComparedClocks

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
-from drivers.errors import InputMalformedError, reading
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import InputMalformedError, reading
 
 # Beyond this the plane of one flight is no plane any more, and the polygon rather a mistake.
 _LARGEST_EXTENT_M = 100_000.0

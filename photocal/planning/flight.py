@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats, spread
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats, spread
+from photocal.base.errors import ConfigurationError
 from photocal.planning.area import Area, LocalPlane, grid, inside, polygon_area
 from photocal.planning.frame import (
     ExpectedPrecision,

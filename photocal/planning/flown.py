@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.oriented_images import OrientedImages

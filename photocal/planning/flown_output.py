@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_folder, output_picture, write_json, write_rows
-from drivers.arrays import Floats
-from photocal.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
+from photocal.base.arrays import Floats
+from photocal.base.files import output_folder, output_picture, write_json, write_rows
+from photocal.base.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
 from photocal.planning.flown import FEWEST_RAYS, FlownBlock, gaps
 
 _NUMBERS = ("height_m", "gsd_m", "tilt_deg", "forward_overlap", "smear_px", "speed_m_s")

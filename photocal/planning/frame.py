@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
 
 Side = Literal["columns", "rows"]
 Figure = TypeVar("Figure", float, Floats)

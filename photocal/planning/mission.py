@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from acquire.outputs import output_folder, rows_text
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
+from photocal.base.files import output_folder, rows_text
 from photocal.planning.flight import Flight, Layout
 
 AUTOPILOTS = {"ardupilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4": mavlink.MAV_AUTOPILOT_PX4}

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.planning.area import grid

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.errors import ConfigurationError
 from photocal.accuracy.standard import ScaleStandard, Standard
+from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json, finding_text
 from photocal.planning.flight import Flight, LevelGeometry

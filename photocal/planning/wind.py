@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.planning.flight import Flight
 from photocal.planning.mission import Home
 

@@ -5,8 +5,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError
 from photocal.products.sections import RingPoints
 
 Shape = Literal["curve", "polygon"]

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats, Integers
-from photocal.compiled import allocating, inlined
+from photocal.base.arrays import Floats, Integers
+from photocal.base.compiled import allocating, inlined
 from photocal.geometry.lens import LINE, Scratch, kernel_scratch, recorded
 from photocal.geometry.shutter import shaken
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block
 from photocal.block.network import block_frame
 from photocal.exchange.formats import read_any_block

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.outputs import output_picture
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.files import output_picture
 from photocal.block.model import Block
 from photocal.geometry.frames import Frame
 from photocal.geometry.oriented_images import OrientedImages

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import ConfigurationError
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import Frame

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.ground_points import GroundPoints
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
 from photocal.block.table import read_table
 from photocal.products.raster import RasterFile, describe, opened, terrain_source
 

@@ -14,8 +14,8 @@ import rasterio.errors  # type: ignore[import-untyped]
 import rasterio.windows  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from acquire.outputs import output_file
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.files import output_file
 from photocal.products.terrain import HEIGHT_KINDS, Bounds, Terrain, Transform, bounds_of
 
 HEIGHT_TAG = "HEIGHT_KIND"

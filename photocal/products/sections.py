@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from acquire.outputs import output_picture
-from drivers.arrays import Floats, as_plain
-from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
 from photocal.adjustment.solution import global_test
+from photocal.base.arrays import Floats, as_plain
+from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, PhotocalError
+from photocal.base.files import output_picture
 from photocal.block.table import read_table, refuse
 from photocal.products.surfaces import Circle, Cylinder, fit_circle, fit_cylinder
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, InputMalformedError, NotConvergedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, InputMalformedError, NotConvergedError
 
 # Value of each point's condition (n,), its derivatives to the parameters (n, u) and to the point (n, d).
 Condition = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError, IllPosedError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.block.table import read_table
 from photocal.geometry.frames import Frame
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from acquire.outputs import output_file, write_json
-from drivers.arrays import as_plain
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
 from photocal.analysis.outcome import Analysis, ExteriorDifference, Outcome, analyse_network
 from photocal.analysis.systematic_errors.refit import Checks
+from photocal.base.arrays import as_plain
+from photocal.base.files import output_file, write_json
 from photocal.block.model import Block, digest
 from photocal.block.network import NetworkOfBlock, block_frame
 from photocal.exchange.formats import read_any_block

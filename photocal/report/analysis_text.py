@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import as_plain
 from photocal.analysis.components import Components
 from photocal.analysis.lens_models import LensFit
 from photocal.analysis.method import MethodCheck
 from photocal.analysis.outcome import CameraAnalysis, Opinions, Outcome
 from photocal.analysis.published import PublishedSet
 from photocal.analysis.systematic_errors.refit import LeftOut
+from photocal.base.arrays import as_plain
 from photocal.findings.digits import Number
 from photocal.findings.texts import Catalogue, finding_text, need_words, plain
 from photocal.geometry.camera import Camera

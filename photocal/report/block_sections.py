@@ -5,7 +5,7 @@ from collections import Counter
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.block.model import InputFile
 from photocal.findings.digits import decimals_of, probability, symbol
 from photocal.findings.texts import Catalogue

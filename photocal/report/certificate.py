@@ -3,7 +3,7 @@
 import hashlib
 import math
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.findings.digits import relation
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.texts import Catalogue, finding_text, identity

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, FiniteFloat, PositiveFloat
 
-from acquire.checked_toml import Table, checked_tables, read_tables
-from drivers.errors import ConfigurationError
+from photocal.base.checked_toml import Table, checked_tables, read_tables
+from photocal.base.errors import ConfigurationError
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Sigmas = tuple[PositiveFloat, PositiveFloat, PositiveFloat]

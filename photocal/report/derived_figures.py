@@ -8,9 +8,9 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import FiniteFloat, PositiveInt
 
-from acquire.checked_toml import Table, read_toml
-from drivers.errors import ConfigurationError
 from photocal.analysis.plausibility import CalibrationRecord, Offsets, effective_unit, plausibility
+from photocal.base.checked_toml import Table, read_toml
+from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.report.camera_sections import rms_px

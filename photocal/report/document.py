@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any, Literal
 
-from drivers.errors import OutputError
+from photocal.base.errors import OutputError
 from photocal.findings.texts import Catalogue
 
 Align = Literal["left", "right", "center"]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.accuracy.maps import draw_histogram, draw_vectors
+from photocal.base.arrays import Floats
 from photocal.findings.digits import MINUS, symbol
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera

@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.findings.texts import Catalogue
 from photocal.report.document import Column, Document, Figure, KeyValues, Paragraph, Piece, Section, Table
 

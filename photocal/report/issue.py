@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from acquire.outputs import output_folder
-from drivers.arrays import as_plain
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.arrays import as_plain
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.files import output_folder
 from photocal.block.model import InputFile
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json

@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from acquire.checked_json import read_checked_json
-from acquire.operating_system import lock, private_folder, settings_folder, sync_folder
-from acquire.outputs import output_file, refusals
-from drivers.errors import InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.checked_json import read_checked_json
+from photocal.base.errors import InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.files import output_file, refusals
+from photocal.base.operating_system import lock, private_folder, settings_folder, sync_folder
 from photocal.report.keys import read_object
 
 _JOURNAL = "journal.jsonl"

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acquire.checked_json import read_checked_json
-from acquire.console import printable
-from acquire.names import compared, plain_name
-from acquire.operating_system import is_private, private_folder, settings_folder
-from acquire.outputs import output_file
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.checked_json import read_checked_json
+from photocal.base.console import printable
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.files import output_file
+from photocal.base.names import compared, plain_name
+from photocal.base.operating_system import is_private, private_folder, settings_folder
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import radial_profile as beyond
 from photocal.geometry.distortion import radial_profile_sigma

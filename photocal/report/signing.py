@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from acquire.operating_system import settings_folder
-from acquire.outputs import output_file
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.files import output_file
+from photocal.base.operating_system import settings_folder
 from photocal.report.journal import note
 from photocal.report.keys import (
     Key,

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.arrays import as_plain, from_plain
-from drivers.errors import InputMalformedError
 from photocal.analysis.outcome import SCHEMA, Analysis
+from photocal.base.arrays import as_plain, from_plain
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import InputFile, fingerprint
 from photocal.results.folder import RESULT, read_json, read_result
 from photocal.results.result import Result

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from acquire.outputs import output_folder
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
+from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import BORESIGHT, COMMON, STRIPS
 from photocal.adjustment.network import Network
 from photocal.adjustment.readout import with_moving_images
@@ -30,6 +29,8 @@ from photocal.adjustment.variance_components import (
     rays_by_camera,
     with_factors,
 )
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.files import output_folder
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block
 from photocal.block.motion import require_motion
@@ -463,10 +464,11 @@ def adjusted(
     lost = behind_cameras(network.exposures, network.rays, network.points.values) & ~known
     if lost.any():
         assembly = _part(assembly, *subset(network, ~lost[network.rays.point]))
-    if snooping is None:
-        solution = adjust(assembly.network, report)
-    else:
-        clean = snoop(assembly.network, snooping, report)
-        assembly, solution = _part(assembly, clean.network, clean.accepted, clean.points), clean.solution
-    network, solution, readouts = with_moving_images(assembly.network, solution, report)
+    with because("calibration of the block"):
+        if snooping is None:
+            solution = adjust(assembly.network, report)
+        else:
+            clean = snoop(assembly.network, snooping, report)
+            assembly, solution = _part(assembly, clean.network, clean.accepted, clean.points), clean.solution
+        network, solution, readouts = with_moving_images(assembly.network, solution, report)
     return replace(assembly, network=network, readouts=readouts), solution

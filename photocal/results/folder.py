@@ -14,10 +14,10 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 
-from acquire.checked_json import read_checked_json
-from acquire.outputs import write_json
-from drivers.arrays import Floats, Integers, as_plain
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.arrays import Floats, Integers, as_plain
+from photocal.base.checked_json import read_checked_json
+from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.files import write_json
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import fingerprint
 from photocal.block.table import known_rows, read_table

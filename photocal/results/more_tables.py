@@ -8,13 +8,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
 from photocal.adjustment.ellipses import ellipses, ellipsoids, hottier_factor, mean_precision, spheres
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.reliability import POWER, SIGNIFICANCE, reliability
 from photocal.adjustment.solution import Solution
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
 from photocal.geometry.camera import OWN

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import InputFile, digest
 from photocal.results.result import Figures
 

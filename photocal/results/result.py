@@ -8,10 +8,10 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from drivers.arrays import Columns, Floats, Integers
 from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import GlobalTest, Group
+from photocal.base.arrays import Columns, Floats, Integers
 from photocal.block.model import InputFile, Repetition
 from photocal.geometry.camera import MOTION, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages

@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import f
 
-from acquire.outputs import write_json, write_rows
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factored
 from photocal.adjustment.groups import member_tests
@@ -21,6 +18,10 @@ from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import ray_fit, robust_state, subset
 from photocal.adjustment.state import start_state
 from photocal.adjustment.variance_components import estimate_components
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.files import write_json, write_rows
+from photocal.base.progress import Progress
 from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import assemble, behind_cameras, block_frame
@@ -48,7 +49,6 @@ from photocal.run.adoption_figures import (
 )
 from photocal.run.block import mounting_text
 from photocal.run.folder_survey import ASSUMED_M
-from photocal.tasks.progress import Progress
 
 SCHEMA = "photocal.adoption/1"
 FIGURES = "adoption.json"

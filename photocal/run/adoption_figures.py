@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats
 from photocal.adjustment.rig import OF_HEAD
+from photocal.base.arrays import Flags, Floats
 from photocal.exchange.reconstruction import ForeignProject
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles

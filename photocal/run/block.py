@@ -6,11 +6,11 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import InputNotFoundError
+from photocal.base.errors import InputNotFoundError
+from photocal.base.progress import Progress
 from photocal.block.setup import MountingKeys
 from photocal.project import Project
 from photocal.run.stage import Stage
-from photocal.tasks.progress import Progress
 
 _FROM_EXPOSURES = ("positions.csv", "attitudes.csv")
 

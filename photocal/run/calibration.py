@@ -4,11 +4,11 @@ import datetime as dt
 import shutil
 from pathlib import Path
 
+from photocal.base.progress import Progress
 from photocal.project import Project
 from photocal.report.keys import own_key
 from photocal.run.stage import RECORD, Stage
 from photocal.run.summary import gather, read_json
-from photocal.tasks.progress import Progress
 
 
 def calibration_stage(block: Path) -> Stage:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from acquire.checked_toml import parse_toml
-from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.analysis.stability.repeatability import Occasion, Repeatability, repeatability
+from photocal.base.checked_toml import parse_toml
+from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.geometry.camera import Camera
 from photocal.project import read_project
 from photocal.report.certificate_metadata import given_particulars

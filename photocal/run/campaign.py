@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from acquire.console import printable
-from drivers.errors import ConfigurationError, PhotocalError
+from photocal.base.console import printable
+from photocal.base.errors import ConfigurationError, PhotocalError
+from photocal.base.progress import Progress, quiet
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
@@ -21,7 +22,6 @@ from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
 from photocal.run.stage import Digests, Stage, StageResult, alone, made_in, update_stage, written
 from photocal.run.summary import gather, kind, summary
-from photocal.tasks.progress import Progress, quiet
 
 _MEMORY = ".digests.json"
 # In the work folder while a run works: how far it is.
@@ -141,7 +141,7 @@ def run_projects(
     if cluster is None and (workers == 1 or len(tasks) == 1):
         outcomes = [_outcome(task, progress, _say) for task in tasks]
     else:
-        from photocal.tasks.workers import Cluster, run_tasks
+        from photocal.base.workers import Cluster, run_tasks
 
         crew = min(workers, len(tasks)) if cluster is None else Cluster(cluster)
         outcomes = []

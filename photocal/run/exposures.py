@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from acquire.outputs import write_json, write_rows
-from drivers.errors import ConfigurationError, IllPosedError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
+from photocal.base.files import write_json, write_rows
+from photocal.base.progress import Progress
 from photocal.block.motion import strips
 from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS, RATE_COLUMNS
 from photocal.navigation.exposure_files import projected, with_images
@@ -18,7 +19,6 @@ from photocal.run.measurements import pictures_of
 from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY, ppk_stage
 from photocal.run.stage import Stage
-from photocal.tasks.progress import Progress
 
 if TYPE_CHECKING:
     from photocal.navigation.exposure_run import ExposureRun

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import IllPosedError, InputMalformedError
 from photocal.accuracy.maps import reference_system
+from photocal.base.errors import IllPosedError, InputMalformedError
+from photocal.base.geopackage import changed_utc
+from photocal.base.progress import Progress
 from photocal.block.motion import strips, velocity_of_neighbours
-from photocal.geopackage import changed_utc
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
@@ -21,7 +22,6 @@ from photocal.project import Project
 from photocal.report.derived_figures import NADIR_DEG
 from photocal.results.folder import read_result
 from photocal.run.stage import Stage
-from photocal.tasks.progress import Progress
 
 
 def flown_stage(project: Project, block: Path, calibration: Path) -> Stage:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.errors import InputNotFoundError, PhotocalError
+from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.table import read_under
 from photocal.exchange.parts import Mark, object_points

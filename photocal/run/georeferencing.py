@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquire.outputs import write_json
+from photocal.base.files import write_json
+from photocal.base.progress import Progress
 from photocal.project import Project
 from photocal.run.stage import Stage
-from photocal.tasks.progress import Progress
 
 if TYPE_CHECKING:
     from photocal.accuracy.standard import Question
@@ -34,9 +34,9 @@ def georeferencing_stage(project: Project, block: Path) -> Stage:
 def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.accuracy.maps import reference_system
     from photocal.accuracy.standard import SHIPPED, load_standard
+    from photocal.base.geopackage import changed_utc
     from photocal.block.folder import read_block
     from photocal.findings.texts import as_record
-    from photocal.geopackage import changed_utc
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import SCHEMA, to_json, write_check
@@ -50,9 +50,7 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
         write_json(folder / FIGURES, with_nothing | as_record([NOT_PLACED]))
         return
     with show("three georeferencings", len(METHODS) + 2) as done:
-        result = check_block(
-            block, standards, question_of(project), done=lambda _: done(1), calibration=own_calibration(block)
-        )
+        result = check_block(block, standards, question_of(project), done=lambda _: done(1), on_the_job=True)
     system = reference_system(None if block.frame == "local" else block.frame)
     write_check(result, to_json(result), folder, system, changed_utc(source))
 
@@ -70,22 +68,6 @@ def question_of(project: Project) -> Question:
         target_horizontal_m=asked.target_horizontal_m,
         target_vertical_m=asked.target_vertical_m,
     )
-
-
-def own_calibration(block: Block) -> Calibration | None:
-    """Calibrate camera and mounting on the job, for direct georeferencing of the very flight.
-
-    returns: none when the block has no antenna positions with attitudes, or cannot be adjusted: the
-        integrated method says why.
-    """
-    from drivers.errors import PhotocalError
-
-    if not len(block.positions.image) or not len(block.attitudes.image):
-        return None
-    try:
-        return calibrated_on_the_job(block)[1]
-    except PhotocalError:
-        return None
 
 
 def calibrated_on_the_job(block: Block) -> tuple[Block, Calibration]:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
+from photocal.base.progress import Progress
 from photocal.block.folder import read_images, read_observations, read_points
 from photocal.block.model import ROLES, Block, Images, fingerprint
 from photocal.block.network import observed_plane
@@ -18,7 +19,6 @@ from photocal.geometry.distortion import slopes_of
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.project import Project
 from photocal.run.stage import Stage
-from photocal.tasks.progress import Progress
 
 RECORD = "measurement.json"
 _UNMATCHED = ("unmatched_images", "ambiguous_images")
@@ -142,7 +142,7 @@ def _make(project: Project, exposures: Path | None, folder: Path, show: Progress
         block = given_block(project, starts, unmatched)
         write_block(folder, block, {"schema": SCHEMA, "kind": "given observations"})
         return
-    from acquire.operating_system import cache_folder
+    from photocal.base.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan
     from photocal.measurement.orientation import of_exposures
     from photocal.measurement.project_block import measure_project

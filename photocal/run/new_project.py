@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.outputs import rows_text
-from drivers.errors import InputNotFoundError, OutputError, PhotocalError
+from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
+from photocal.base.files import rows_text
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera

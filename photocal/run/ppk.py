@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
+from photocal.base.progress import Progress
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
 from photocal.project import Project
 from photocal.run.stage import Stage
-from photocal.tasks.progress import Progress
 
 _COLUMNS = ("lat_deg", "lon_deg", "height_m", "status", "covariance_m2", "velocity_m_s")
 TRAJECTORY = "trajectory.npz"

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, PhotocalError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.folder import read_block
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import block_frame

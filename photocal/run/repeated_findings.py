@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text, plain
@@ -92,16 +92,13 @@ def _of_check(source: Source, done: Callable[[], None]) -> tuple[tuple[Finding, 
     from photocal.georeferencing.findings import block_findings
     from photocal.georeferencing.methods import with_shutters
     from photocal.measurement.oriented_ties import NOT_PLACED
-    from photocal.run.georeferencing import own_calibration
 
     try:
         block = with_shutters(read_any_block(source.path))
         if block.datum != "control":
             return (NOT_PLACED,), None
-        calibration = own_calibration(block)
-        return block_findings(
-            check_block(block, (), Question(), done=lambda _: done(), calibration=calibration)
-        ), None
+        check = check_block(block, (), Question(), done=lambda _: done(), on_the_job=True)
+        return block_findings(check), None
     except PhotocalError as refusal:
         return (), str(refusal)
 

@@ -14,15 +14,16 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from acquire.operating_system import lock as take
-from acquire.outputs import output_file, refusals, write_json
-from drivers.errors import InputNotFoundError, OutputError
+from photocal.adjustment.ledger import ledger
+from photocal.base.errors import InputNotFoundError, OutputError
+from photocal.base.files import output_file, refusals, write_json
+from photocal.base.operating_system import lock as take
+from photocal.base.progress import Progress
 from photocal.block.model import digest
-from photocal.tasks.progress import Progress
 
 # Smaller files are read each time: nothing deceives that, and it takes no time.
 _SMALL_BYTES = 1 << 22
@@ -286,6 +287,7 @@ class Stage:
 class StageResult:
     """A stage that is done.
 
+    adjustments: reasons of those that it took, one each.
     foreign: what lies in its folder and is not of it, one phrase each.
     """
 
@@ -293,6 +295,7 @@ class StageResult:
     folder: Path
     kept: bool
     seconds: float
+    adjustments: tuple[str, ...] = ()
     foreign: tuple[str, ...] = ()
 
 
@@ -326,10 +329,12 @@ def update_stage(
     stage: Stage, work: Path, digests: Digests, progress: Progress, *, again: bool = False
 ) -> StageResult:
     """Make a stage, or keep it while its inputs, settings and code do not change, and publish it."""
-    kept, seconds = _made(stage, made_in(work) / stage.name, digests, progress, again=again)
-    public = work / stage.name
-    record = made_in(work) / f"{stage.name}.published.json"
-    return StageResult(stage.name, public, kept, seconds, publish(made_in(work) / stage.name, public, record))
+    made = made_in(work) / stage.name
+    kept, record = _made(stage, made, digests, progress, again=again)
+    public, published = work / stage.name, made_in(work) / f"{stage.name}.published.json"
+    seconds, taken = float(record.get("seconds", 0.0)), record.get("adjustments", [])
+    reasons = tuple(entry["reason"] for entry in taken)
+    return StageResult(stage.name, public, kept, seconds, reasons, publish(made, public, published))
 
 
 def made_in(work: Path) -> Path:
@@ -344,16 +349,16 @@ def is_stage(folder: Path) -> bool:
 
 def _made(
     stage: Stage, folder: Path, digests: Digests, progress: Progress, *, again: bool
-) -> tuple[bool, float]:
-    """Make a stage or keep it: which of both, and the seconds that it took."""
+) -> tuple[bool, dict[str, Any]]:
+    """Make a stage or keep it: which of both, and its record."""
     sweep(folder)
     key = _key(stage, digests)
     record = _kept(folder / RECORD)
     made = not again and record.get("key") == key
     if made and digests.of_folder(folder, leave_out=RECORD) == record.get("outputs"):
-        return True, float(record.get("seconds", 0.0))
+        return True, record
     began = time.monotonic()
-    with replaced_folder(folder) as aside:
+    with replaced_folder(folder) as aside, ledger() as adjustments:
         stage.make(aside, progress)
         seconds = time.monotonic() - began
         content = {
@@ -365,9 +370,10 @@ def _made(
             "settings": stage.settings,
             "inputs": {name: digests.of_any(path) for name, path in stage.inputs.items()},
             "outputs": digests.of_folder(aside),
+            "adjustments": [asdict(entry) for entry in adjustments],
         }
         write_json(aside / RECORD, content)
-    return False, seconds
+    return False, content
 
 
 def _key(stage: Stage, digests: Digests) -> str:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.arrays import as_plain
+from photocal.base.arrays import as_plain
 from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding, of_global_test, verdict
@@ -246,6 +246,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
                 "stage": result.name,
                 "kept": result.kept,
                 "seconds": round(result.seconds, 2),
+                "adjustments": list(result.adjustments),
                 "folder": str(result.folder),
             }
             for result in made

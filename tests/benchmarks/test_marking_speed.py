@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from acquire.web import Address, serving
+from photocal.base.web import Address, serving
 from photocal.measurement.marking.scene import scene_of_folder
 from photocal.measurement.marking.service import application
 from photocal.measurement.marking.store import MarkStore

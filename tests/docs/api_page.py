@@ -16,8 +16,8 @@ _HEAD = """# photocal in Python
 
 Made from the docstrings by `python -m tests.docs`. `import photocal` is quick; what is used is loaded
 then. Lengths are metres, angles radians, unless a name says otherwise; arrays are numpy, tables Arrow
-(`to_pandas()` goes on). What is wrong raises one of `drivers.errors.PhotocalError`, with cause, place and
-remedy.
+(`to_pandas()` goes on). What is wrong raises one of `photocal.base.errors.PhotocalError`, with cause,
+place and remedy.
 
 Examples that run: {examples}.
 """

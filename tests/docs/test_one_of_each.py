@@ -67,7 +67,7 @@ def test_one_strict_base_of_tables() -> None:
         for base in node.bases
         if isinstance(base, ast.Name) and base.id == "BaseModel"
     }
-    assert bases == {"acquire.checked_toml.Table"}
+    assert bases == {"photocal.base.checked_toml.Table"}
 
 
 def test_one_skew_matrix() -> None:

@@ -8,11 +8,11 @@ from types import ModuleType
 
 import pytest
 
-from acquire.checked_toml import Table
-from drivers import errors
 from photocal import project
 from photocal.adjustment.mounting import COMMON
 from photocal.analysis.stability.methods import methods
+from photocal.base import errors
+from photocal.base.checked_toml import Table
 from photocal.block import camera_setup, setup
 from photocal.geometry.camera import PARAMETERS
 from tests.docs import fault_page

@@ -16,8 +16,15 @@ from pyubx2 import UBXMessage, UBXReader
 
 from drivers import nmea, rtcm3
 from drivers.frames import GNSS, Batch, StreamFramer, Wire
-from drivers.gnsstime import EXPIRES, GPS_EPOCH_NS, expiry_warning, gps_to_utc_ns, utc_date_ns, week_to_ns
 from drivers.ubx import decode as ubx
+from photocal.base.time_scales import (
+    EXPIRES,
+    GPS_EPOCH_NS,
+    expiry_warning,
+    gps_to_utc_ns,
+    utc_date_ns,
+    week_to_ns,
+)
 
 
 def framed(data: bytes) -> Batch:

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import fit
 from photocal.analysis.systematic_errors.search import search
+from photocal.base.arrays import Floats
 from tests.photocal.analysis.simulated import (
     CONTROL_M,
     Simulated,

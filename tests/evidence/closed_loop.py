@@ -33,6 +33,7 @@ from acquire.simulate.world.site import simulate_flight
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.mounting import COMMON
 from photocal.adjustment.solution import Solution
+from photocal.base.progress import quiet
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.block.network import assemble
@@ -43,7 +44,6 @@ from photocal.project import read_project
 from photocal.results.adjusted import given_exposures, given_points
 from photocal.run.campaign import run_project
 from photocal.run.georeferencing import calibrated_on_the_job
-from photocal.tasks.progress import quiet
 from tests.simulated import FLIGHT, fly
 
 Floats = NDArray[np.float64]

@@ -26,11 +26,11 @@ from PIL import Image
 
 from acquire.simulate.world.configuration import FLIGHTS, read_configuration
 from acquire.simulate.world.site import simulate_flight
+from photocal.base.progress import quiet
 from photocal.debrief.verdict import debrief
 from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.geometry.camera import Camera
 from photocal.project import read_project
-from photocal.tasks.progress import quiet
 from tests.photocal.debrief.conftest import (
     BOTH,
     EXIF,

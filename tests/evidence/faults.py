@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from acquire.simulate.world.configuration import Fault
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.run.campaign import run_one
 from photocal.run.summary import summary_text
 from tests.evidence.portions import outcomes

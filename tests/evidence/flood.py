@@ -22,8 +22,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from acquire.importing.recovery import recover
 from acquire.log.records import MAGIC
-from acquire.log.recovery import recover
 from acquire.log.replay import raw_frames
 from acquire.recording.configuration import Configuration
 from acquire.recording.recorder import record, source_of_link

@@ -30,14 +30,14 @@ import cv2
 import numpy as np
 from typer.testing import CliRunner
 
+from acquire.channels.summary import summarise
 from acquire.cli import app as acquire_app
 from acquire.importing.recording import identify, open_recording
-from acquire.log.recovery import recover
-from acquire.log.summary import summarise
+from acquire.importing.recovery import recover
 from acquire.recording.configuration import read_configuration
 from acquire.simulate.world.configuration import read_configuration as read_flight
-from drivers.errors import PhotocalError
 from drivers.mavlink.dialect import ardupilotmega
+from photocal.base.errors import PhotocalError
 from photocal.block.folder import read_block
 from photocal.cli import app
 from photocal.exchange.colmap import read_colmap

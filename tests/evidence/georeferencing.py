@@ -19,6 +19,7 @@ from scipy import stats
 
 from photocal.block.folder import read_block
 from photocal.georeferencing.differences import differences
+from photocal.georeferencing.freed_groups import opened
 from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.methods import METHODS, of_method
 from photocal.georeferencing.systematic import systematic_errors
@@ -84,7 +85,7 @@ def injected(folder: Path) -> list[str]:
             block = with_attitude_angles(
                 read_block(fly(place, np.random.default_rng(5000 + seed), errors, PLAN))
             )
-            found = systematic_errors(block)
+            found = systematic_errors(opened(block))
             names = [error.hypothesis.name for error in found.errors]
             alone += names == [name] or (name == "none" and not names)
             among += name in names

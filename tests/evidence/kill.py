@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
-from acquire.log.recovery import recover
+from acquire.importing.recovery import recover
 from drivers import ubx
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 
 KILLS = 200
 AT_ONCE = 4

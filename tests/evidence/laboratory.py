@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from drivers.arrays import Floats
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.solution import global_test
+from photocal.base.arrays import Floats
+from photocal.base.progress import quiet
 from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.block_files import write_block
 from photocal.measurement.field_block import measure_field
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import GivenLens
 from photocal.results.adjusted import adjust_block
-from photocal.tasks.progress import quiet
 from tests.photocal.measurement.laboratory import (
     ESTIMATED,
     LENS,

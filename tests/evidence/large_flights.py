@@ -20,8 +20,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import PhotocalError
+from photocal.base.arrays import Floats
+from photocal.base.errors import PhotocalError
 from photocal.block.model import Block, Images
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.oriented_images import OrientedImages

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.georeferencing.ground_mistakes import mistyped_control

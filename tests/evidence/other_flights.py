@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from typer.testing import CliRunner
 
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.cli import app
 from tests.photocal.measurement.site import SIDE, flight, texture
 

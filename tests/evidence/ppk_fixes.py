@@ -21,7 +21,7 @@ from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.session import simulate
 from acquire.simulate.gnss.settings import BASE, ROVER, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
-from drivers.earth import geocentric
+from photocal.base.geodesy import geocentric
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
 from photocal.navigation.precise_results import read_observation_file

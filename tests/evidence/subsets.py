@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measure_ties import Sighted, sight, stated_footprints
 from photocal.measurement.oriented_ties import first_orientation

@@ -16,12 +16,12 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.base.workers import run_tasks
 from photocal.measurement.boards import Board, find_board
 from photocal.measurement.centre import PARTS, SMALLEST_PX, Kind, Look
 from photocal.measurement.image_file import as_eight_bit, list_images, read_grey
 from photocal.measurement.markers import find_markers
 from photocal.measurement.target_search import WITHIN, find_targets
-from photocal.tasks.workers import run_tasks
 
 Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]

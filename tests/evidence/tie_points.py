@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import PhotocalError
 from photocal.adjustment.adjust import adjust
+from photocal.base.errors import PhotocalError
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import assemble
 from photocal.exchange.formats import read_foreign_block

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.demo.simulated import Row, against_truth
 from photocal.run.campaign import run_one
 from tests.simulated import FLIGHT, fly

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.cli import app
 from tests.simulated import PLANS, fly
 

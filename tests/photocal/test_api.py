@@ -14,7 +14,7 @@ import photocal
 from acquire.log.foxglove import location_fixes, schema
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from tests.docs.api_page import EXAMPLES, PAGE, page
 
 START_NS, FIXES = 1_700_000_000_000_000_000, 50

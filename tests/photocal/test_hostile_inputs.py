@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from acquire.checked_toml import read_tables
 from acquire.simulate.world.configuration import read_configuration
-from drivers.errors import PhotocalError
 from photocal.accuracy.discrepancies import read_discrepancies
 from photocal.accuracy.standard import load_standard
+from photocal.base.checked_toml import read_tables
+from photocal.base.errors import PhotocalError
 from photocal.block.folder import read_block
 from photocal.block.table import read_columns
 from photocal.exchange.formats import read_foreign_block

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from acquire.checked_toml import read_toml
-from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.base.checked_toml import read_toml
+from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.block.setup import Setup
 from photocal.project import Contents, read_project
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from acquire.simulate.gnss.geometry import Place
 from acquire.simulate.gnss.settings import L1CA, LIGHT_M_S, SkySettings
-from drivers.arrays import Floats, Integers
-from drivers.gnsstime import DAY_NS
+from photocal.base.arrays import Floats, Integers
+from photocal.base.time_scales import DAY_NS
 
 _LAYER_M, _EARTH_M = 350e3, 6371e3
 _SCALES = 2.0 ** np.array([-30, -27, -24, -24, 11, 14, 16, 16])

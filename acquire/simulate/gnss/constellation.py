@@ -6,8 +6,8 @@ import numpy as np
 
 from acquire.simulate.gnss.ephemeris import Ephemeris, gravity, quantised, renewed
 from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, GALILEO, GPS, LIGHT_M_S
-from drivers.arrays import Floats
-from drivers.gnsstime import SECOND_NS
+from photocal.base.arrays import Floats
+from photocal.base.time_scales import SECOND_NS
 
 # GPS: sets of two hours, valid around their end. Galileo: a set every ten minutes, of a time just past.
 _GPS_SET_S, _GALILEO_SET_S = 7200, 600

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, GPS, SEMICIRCLE_RAD
-from drivers.gnsstime import SECOND_NS, WEEK_S
+from photocal.base.time_scales import SECOND_NS, WEEK_S
 
 _WEEK_NS = WEEK_S * SECOND_NS
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.settings import EARTH_RATE_RAD_S, LIGHT_M_S
-from drivers.arrays import Columns, Floats, Integers
-from drivers.earth import enu_axes, geodetic
+from photocal.base.arrays import Columns, Floats, Integers
+from photocal.base.geodesy import enu_axes, geodetic
 
 Path = Callable[[Integers], Floats]
 

@@ -10,7 +10,7 @@ from acquire.simulate.gnss.navigation_messages import GST_BEHIND_WEEKS, field, j
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.session import Session
 from acquire.simulate.gnss.settings import GALILEO, GPS, LIGHT_M_S
-from drivers.gnsstime import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S
+from photocal.base.time_scales import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
 _NUMBER = {GPS: 1077, GALILEO: 1097}
 _LATENCY_NS = 100_000_000

@@ -13,9 +13,9 @@ import numpy as np
 from acquire.simulate.gnss.ephemeris import Ephemeris
 from acquire.simulate.gnss.observations import Observations
 from acquire.simulate.gnss.settings import GALILEO, GPS, SEMICIRCLE_RAD, UBX_SYSTEM, SkySettings
-from drivers.arrays import Floats, Integers
 from drivers.checksums import crc24q
-from drivers.gnsstime import SECOND_NS
+from photocal.base.arrays import Floats, Integers
+from photocal.base.time_scales import SECOND_NS
 
 SUBFRAME_S, PAGE_S = 6, 2
 GST_BEHIND_WEEKS = 1024

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from acquire.simulate.gnss.observations import Observations, correlated
-from drivers.arrays import Floats, Integers
-from drivers.gnsstime import GPS_EPOCH_NS, SECOND_NS, WEEK_S
+from photocal.base.arrays import Floats, Integers
+from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
 KIND, SURVEY_KIND = 0x0107, 0x013B
 _LATENCY_NS = 80_000_000

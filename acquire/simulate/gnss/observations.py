@@ -9,8 +9,8 @@ from acquire.simulate.gnss.atmosphere import Atmosphere, on
 from acquire.simulate.gnss.constellation import Satellite
 from acquire.simulate.gnss.geometry import Antenna, Link, Place, link, place
 from acquire.simulate.gnss.settings import GPS, LIGHT_M_S, SIGNALS, ReceiverModel, Signal
-from drivers.arrays import Flags, Floats, Integers
-from drivers.gnsstime import SECOND_NS
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.time_scales import SECOND_NS
 
 # A channel that was locked before the session began; one that sees its satellite rise; one that slipped.
 _LOCKED_BEFORE_S, _ACQUIRING_S, _RELOCKING_S = (60.0, 900.0), (0.5, 4.0), (0.05, 0.6)

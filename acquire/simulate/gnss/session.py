@@ -10,8 +10,8 @@ from acquire.simulate.gnss.constellation import Satellite, constellation
 from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.observations import Observations, observe
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, ReceiverModel, SkySettings
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
 
 
 @dataclass(frozen=True)

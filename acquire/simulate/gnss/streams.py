@@ -13,9 +13,9 @@ from acquire.simulate.gnss.session import Session
 from acquire.simulate.gnss.settings import SIGNALS, UBX_SYSTEM
 from acquire.simulate.gnss.time_marks import Events
 from drivers import rtcm3, ubx
-from drivers.arrays import Floats, Integers
-from drivers.gnsstime import SECOND_NS, WEEK_S
 from drivers.ubx.decode import signal_layout
+from photocal.base.arrays import Floats, Integers
+from photocal.base.time_scales import SECOND_NS, WEEK_S
 
 KIND = 0x0215
 # From the measurement until the message is complete on a fast line.

@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 
 from acquire.simulate.gnss.observations import Clock
-from drivers.arrays import Integers
-from drivers.gnsstime import SECOND_NS, WEEK_S
+from photocal.base.arrays import Integers
+from photocal.base.time_scales import SECOND_NS, WEEK_S
 
 KIND = 0x0D03
 TimeBase = Literal["receiver", "gnss", "utc"]

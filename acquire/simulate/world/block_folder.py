@@ -15,8 +15,8 @@ from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.world import World
-from drivers.arrays import Floats, Integers
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import ConfigurationError
 
 # Format and values of each column, by its name.
 Columns = dict[str, tuple[str, Iterable[Any]]]

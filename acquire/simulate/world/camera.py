@@ -5,8 +5,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat
 
-from acquire.checked_toml import Table
-from drivers.arrays import Flags, Floats
+from photocal.base.arrays import Flags, Floats
+from photocal.base.checked_toml import Table
 
 OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 

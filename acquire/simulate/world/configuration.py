@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat, model_validator
 
-from acquire.checked_toml import Table, checked_tables, read_tables
 from acquire.simulate.world.camera import Camera
+from photocal.base.checked_toml import Table, checked_tables, read_tables
 
 Pair = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]

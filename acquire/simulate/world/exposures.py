@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from acquire.simulate.world import configuration
 from acquire.simulate.world.camera import Camera
 from acquire.simulate.world.motion import Motion, Strip
-from drivers.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers
 
 # Camera axes (x right, y up in the image, z backwards) in body axes (forward, right, down), the upper edge of
 # the image forward.

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world import configuration
 from acquire.simulate.world.camera import Camera
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 _CLIMB_M_S = 4.0
 GRAVITY_M_S2 = 9.80665

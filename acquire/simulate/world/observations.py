@@ -9,7 +9,7 @@ from acquire.simulate.world.configuration import Fault
 from acquire.simulate.world.exposures import TO_OPENCV, Exposures, Pose, Rig, pose_at
 from acquire.simulate.world.motion import Motion
 from acquire.simulate.world.world import World
-from drivers.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 
 MARGIN_PX = 8.0
 

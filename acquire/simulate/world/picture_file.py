@@ -12,7 +12,7 @@ from acquire.simulate.world.observations import kept_images
 from acquire.simulate.world.render import make_scene, render
 from acquire.simulate.world.telemetry import LABEL, make_filter
 from acquire.simulate.world.world import World, picture_stamps
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 MAKER = "simulated"
 # Most of the time is spent outside the interpreter: threads share the painted ground.

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from acquire.simulate.world import configuration
-from drivers.arrays import Floats
-from drivers.earth import enu_axes, geocentric, geodetic
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
+from photocal.base.geodesy import enu_axes, geocentric, geodetic
 
 if TYPE_CHECKING:
     from pyproj import Transformer

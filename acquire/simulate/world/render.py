@@ -17,8 +17,8 @@ from acquire.simulate.world.exposures import TO_OPENCV, Pose, pose_at
 from acquire.simulate.world.observations import row_time, seen_rolling
 from acquire.simulate.world.terrain import Terrain
 from acquire.simulate.world.world import STREAMS, World
-from drivers.arrays import Bytes, Floats
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Bytes, Floats
+from photocal.base.errors import ConfigurationError
 
 COLOUR_M = 0.25
 # Blue, green, red at the mean grey of the detail.

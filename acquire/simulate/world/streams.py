@@ -14,7 +14,7 @@ from acquire.simulate.world.block_folder import telemetry_gap
 from acquire.simulate.world.configuration import Fault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.world import World
-from drivers.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers
 
 PULSE_S = 0.02
 

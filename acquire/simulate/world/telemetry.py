@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.world import World
-from drivers.arrays import Floats, Integers
 from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
+from photocal.base.arrays import Floats, Integers
 
 Fields = Mapping[str, Any]
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
 from acquire.simulate.world import configuration
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 STEP_M = 2.0
 # A ray meets the ground when it misses it by less.

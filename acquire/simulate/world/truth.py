@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.outputs import write_json
 from acquire.simulate.world.block_folder import Columns, take_notes, toml_text, write_table
 from acquire.simulate.world.camera import OPENCV, Camera
 from acquire.simulate.world.configuration import Configuration
@@ -12,7 +11,8 @@ from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
 from acquire.simulate.world.observations import Observations, kept_images
 from acquire.simulate.world.place import Place
 from acquire.simulate.world.world import World
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
+from photocal.base.files import write_json
 
 
 def write_truth(world: World, folder: Path, observed: Observations | None, projected: bool) -> None:

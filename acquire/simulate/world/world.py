@@ -12,8 +12,8 @@ from acquire.simulate.world.exposures import Exposures, Rig, make_exposures, mak
 from acquire.simulate.world.motion import Motion, legs, make_motion, strips
 from acquire.simulate.world.place import Place
 from acquire.simulate.world.terrain import Terrain, make_terrain
-from drivers.arrays import Floats, Integers, spread
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import Floats, Integers, spread
+from photocal.base.errors import ConfigurationError
 
 # The plate lies on the highest ground beneath it, on stones of this height.
 ABOVE_GROUND_M = 0.03

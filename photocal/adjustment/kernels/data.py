@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from drivers.arrays import Floats, Integers
-from photocal.compiled import inlined
+from photocal.base.arrays import Floats, Integers
+from photocal.base.compiled import inlined
 from photocal.geometry.camera import MOTION, OWN, SHAKE
 
 # Columns that an image may have: its exterior orientation, and room for parameters of its own. Kernels

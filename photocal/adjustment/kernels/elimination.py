@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
 from photocal.adjustment.kernels.ray import corner_of, inverse3, ray_rows
-from photocal.compiled import apart, compiled, each_piece, fetch, inlined
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.compiled import apart, compiled, each_piece, fetch, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 # So many points before they are worked on, their places in memory are asked for.

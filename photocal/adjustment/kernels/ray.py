@@ -1,8 +1,8 @@
 """One ray, one point, one element: what every pass is made of."""
 
-from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Structure, Values, columns, plain
-from photocal.compiled import inlined
+from photocal.base.arrays import Floats
+from photocal.base.compiled import inlined
 from photocal.geometry.lens import LINE, OTHERS, Scratch, image_residual
 from photocal.geometry.shutter import rolling_residual
 

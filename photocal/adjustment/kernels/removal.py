@@ -1,10 +1,10 @@
 """Reduced normal equations without some images: what their points give is taken back and given anew."""
 
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
 from photocal.adjustment.kernels.elimination import own_block
 from photocal.adjustment.kernels.ray import corner_of, inverse3, ray_rows
-from photocal.compiled import compiled, inlined
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.compiled import compiled, inlined
 from photocal.geometry.lens import Scratch
 
 

@@ -1,9 +1,9 @@
 """Residuals of all rays."""
 
-from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Values, width
 from photocal.adjustment.kernels.ray import ray_rows
-from photocal.compiled import compiled, each_piece
+from photocal.base.arrays import Floats
+from photocal.base.compiled import compiled, each_piece
 from photocal.geometry.lens import Scratch, scratch
 
 

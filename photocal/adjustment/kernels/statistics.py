@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
 from photocal.adjustment.kernels.elimination import most_rays
 from photocal.adjustment.kernels.ray import corner_of, ray_rows
-from photocal.compiled import compiled, each_piece, inlined
+from photocal.base.arrays import Floats
+from photocal.base.compiled import compiled, each_piece, inlined
 from photocal.geometry.lens import Scratch, scratch
 
 

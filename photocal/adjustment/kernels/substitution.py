@@ -1,8 +1,8 @@
 """From the reduced system back to the points, and from the points to the reduced system."""
 
-from drivers.arrays import Floats
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, columns
-from photocal.compiled import compiled, each_piece
+from photocal.base.arrays import Floats
+from photocal.base.compiled import compiled, each_piece
 
 
 @compiled

@@ -6,8 +6,8 @@ from typing import Self
 import numpy as np
 from scipy.sparse import csr_array
 
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.network import Rays
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import slopes_of
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.network import Exposures, Network, Points, Rays
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import robust_state
 from photocal.adjustment.start.bearings import Bearings
 from photocal.adjustment.state import start_state
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.resection import intersect, ray_residuals, resection
 from photocal.geometry.rotation import angles_from_matrix

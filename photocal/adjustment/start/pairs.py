@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.arrays import Flags
 from photocal.adjustment.start.bearings import Bearings
 from photocal.adjustment.start.model import Model, empty_model, grown, misfit, support
+from photocal.base.arrays import Flags
 from photocal.geometry.camera import Camera
 from photocal.geometry.relative_orientation import FEWEST, RelativeOrientation, relative_orientations
 

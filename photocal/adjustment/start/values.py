@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.network import NO_RELATIONS, RELATIONS, Rays, Relations
 from photocal.adjustment.start.bearings import Bearings, bearings
 from photocal.adjustment.start.model import Model, adjusted, empty_model, grown, intersected
 from photocal.adjustment.start.pairs import first_model
+from photocal.base.arrays import Floats, Integers
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import Similarity, robust_similarity

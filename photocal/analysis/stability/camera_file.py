@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, PositiveFloat, PositiveInt
 
-from acquire.checked_toml import Table, checked_tables, read_tables
-from drivers.errors import ConfigurationError, PhotocalError
 from photocal.analysis.estimates import from_sigmas
 from photocal.analysis.stability.comparison import Published
 from photocal.analysis.stability.methods import Terrain
+from photocal.base.checked_toml import Table, checked_tables, read_tables
+from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.geometry.camera import PARAMETERS, Camera, among, camera
 

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from pydantic import FiniteFloat, PositiveFloat
 
-from acquire.checked_toml import Table
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError
 from photocal.analysis.stability import methods
 from photocal.analysis.stability.methods import Method, Misfit, View
+from photocal.base.arrays import Floats
+from photocal.base.checked_toml import Table
+from photocal.base.errors import ConfigurationError
 from photocal.geometry.camera import Camera
 
 PROBABILITY = 0.95

@@ -7,10 +7,10 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
-from acquire.checked_toml import Table
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.analysis.estimates import estimates_of
+from photocal.base.arrays import Floats
+from photocal.base.checked_toml import Table
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.rotation import matrix_from_angles

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from acquire.outputs import output_picture
-from drivers.arrays import Floats
 from photocal.analysis.stability.comparison import Pair
+from photocal.base.arrays import Floats
+from photocal.base.files import output_picture
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import polynomial_distortion, radial_profile, radial_profile_sigma
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.geometry.camera import Camera
 from photocal.results.result import AdjustedHead
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.factored import covariance_column
 from photocal.analysis.estimates import Estimates, f_test, scaled
 from photocal.analysis.systematic_errors.candidates import ExtraParameter
@@ -14,6 +13,7 @@ from photocal.analysis.systematic_errors.refit import (
     ground_effect,
 )
 from photocal.analysis.systematic_errors.search import LEVEL, WRONG_SIGMA, Round, Search, camera_estimates
+from photocal.base.arrays import Floats
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS, Camera
 

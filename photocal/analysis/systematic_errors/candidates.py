@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.factored import factored
 from photocal.adjustment.kernels.residuals import evaluate
 from photocal.adjustment.near import Removals
@@ -16,6 +14,8 @@ from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.state import State
 from photocal.analysis.robust import FEWEST, LEAST_CHECKED, groups_of, standard_error, state_without
 from photocal.analysis.systematic_errors.refit import Fit, left_without, without_images
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import undistorted
 

@@ -6,8 +6,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import Factored, factorised
@@ -20,6 +18,8 @@ from photocal.adjustment.shake import carried
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Near, minimise
 from photocal.adjustment.state import State, start_state
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 
 Observed = TypeVar("Observed", Positions, Attitudes)

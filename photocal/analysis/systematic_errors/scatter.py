@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Flags, Floats, Integers
 
 RAYS_PER_CELL = 20
 

@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
+from photocal.adjustment.ledger import because
 from photocal.adjustment.variance_components import VarianceComponents, estimate_components
 from photocal.analysis.estimates import Estimates
 from photocal.analysis.robust import Jackknife, jackknife
 from photocal.analysis.systematic_errors import candidates, scatter, shifts
 from photocal.analysis.systematic_errors.candidates import Candidate, ExtraParameter
 from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas, without_member
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 
 # Each family of tests alarms on a clean block in no more than 5 of 1000 cases.
@@ -85,7 +86,8 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     members, last = _without_gross_errors(first)
     positions = shifts.position_shift(last)
     shift = positions if positions is not None and positions.p_value < LEVEL else None
-    last = last if shift is None else fit(shifts.with_free_shift(last.network), last.state)
+    with because("positions shifted in common"):
+        last = last if shift is None else fit(shifts.with_free_shift(last.network), last.state)
     while len(rounds) < ROUNDS:
         suspected = _suspected(last, tuple(correction.parameter.candidate for correction in rounds), done)
         step = next(filter(None, (_corrected(last, worst) for worst in suspected)), None)
@@ -131,7 +133,8 @@ def _without_gross_errors(first: Fit) -> tuple[tuple[Member, ...], Fit]:
         if worst is None:
             break
         try:
-            last = fit(without_member(last.network, worst), last.state)
+            with because("without a gross error"):
+                last = fit(without_member(last.network, worst), last.state)
         except (IllPosedError, NotConvergedError):
             break
         members.append(worst)
@@ -207,7 +210,8 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
     for _ in range(_STEPS):
         plane = before.network.rays.plane + (amount + step) * worst.candidate.displacement
         try:
-            trial = fit(with_measurements(before.network, plane), after.state)
+            with because(f"corrected for {worst.candidate.name}"):
+                trial = fit(with_measurements(before.network, plane), after.state)
         except (IllPosedError, NotConvergedError):
             # What cannot be adjusted with a correction is not corrected so.
             step /= 2.0
@@ -237,7 +241,8 @@ def _groups(last: Fit, sigma: scatter.AssumedSigma) -> tuple[GroupTest, ...]:
     """Test groups of observations, with the sigma of the rays that was found where it differs."""
     ratio = sigma.found / sigma.assumed
     if sigma.p_value < LEVEL and abs(ratio - 1.0) > WRONG_SIGMA:
-        last = fit(with_sigmas(last.network, ratio), last.state)
+        with because("sigma of the image coordinates that agrees"):
+            last = fit(with_sigmas(last.network, ratio), last.state)
     tests = group_tests(last.network, last.solution)
     components = _components(last, tests)
     if components is None:
@@ -265,7 +270,10 @@ def _components(last: Fit, tests: tuple[GroupTest, ...]) -> VarianceComponents |
     wrong = far & set(_STATED)
     hold = {group.name for group in last.solution.groups} - wrong - {"image"}
     try:
-        return estimate_components(last.network, None, hold, None, last.state, _SETTLED) if wrong else None
+        with because("standard deviations that agree"):
+            return (
+                estimate_components(last.network, None, hold, None, last.state, _SETTLED) if wrong else None
+            )
     except (IllPosedError, NotConvergedError):
         return None
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.groups import FEWEST, Member, member_tests, tested
 from photocal.adjustment.mounting import SHIFT, STRIPS
@@ -15,6 +14,7 @@ from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
 from photocal.analysis.systematic_errors.refit import Fit
+from photocal.base.arrays import Floats
 from photocal.geometry.rotation import skew
 
 # Of a shift, what no other unknown takes up, squared: less is not determined.

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Flags
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Flags
+from photocal.base.errors import IllPosedError
 from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.errors import ConfigurationError, PhotocalError
+from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.measurement.image_facts import read_facts

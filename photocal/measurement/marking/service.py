@@ -17,10 +17,10 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from acquire.checked_toml import Table
-from acquire.web import packaged
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputNotFoundError, PhotocalError
+from photocal.base.arrays import Floats
+from photocal.base.checked_toml import Table
+from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
+from photocal.base.web import packaged
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
 from photocal.measurement.centre import ground_bend, measurable

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
 from photocal.measurement.markers import COMMON_PX, find_markers

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from threading import RLock
 
-from acquire.outputs import output_file
+from photocal.base.files import output_file
 from photocal.exchange.parts import Mark
 from photocal.measurement.marks import read_marks
 

@@ -16,8 +16,8 @@ from pymavlink import DFReader
 from pyulog import ULog  # type: ignore[import-untyped]
 
 from acquire.importing.importer import Imported, import_recordings
-from drivers.errors import InputMalformedError
-from drivers.gnsstime import GPS_EPOCH_NS
+from photocal.base.errors import InputMalformedError
+from photocal.base.time_scales import GPS_EPOCH_NS
 
 LEAP_NS = 18 * 10**9  # GPS - UTC since 2017
 

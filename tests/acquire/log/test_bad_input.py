@@ -20,7 +20,7 @@ from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
 from acquire.log.records import Channel, Schema, encoded
 from acquire.log.writer import LogWriter
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 

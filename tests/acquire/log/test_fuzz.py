@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from acquire.channels.layouts import EXPOSURE, GNSS_STATUS
+from acquire.channels.summary import summarise
+from acquire.importing.recovery import recover
 from acquire.log.reader import LogReader
 from acquire.log.records import ARRIVED_ENCODING, Channel
-from acquire.log.recovery import recover
 from acquire.log.replay import links_of
-from acquire.log.summary import summarise
 from acquire.log.writer import LogWriter
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import State
 from acquire.monitor.view_model import view_of
 from drivers import ubx
-from drivers.errors import PhotocalError
 from drivers.mavlink.decode import encode
 from drivers.mavlink.dialect import ardupilotmega
+from photocal.base.errors import PhotocalError
 from photocal.navigation.events import logged_exposures
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.receiver_recording import read_receivers

@@ -14,7 +14,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from acquire.log.reader import LogReader
 from acquire.log.records import Channel, Schema
 from acquire.log.writer import LogWriter
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 
 SCHEMA = Schema("test.Thing", "jsonschema", b'{"type":"object"}')
 CHANNELS = [

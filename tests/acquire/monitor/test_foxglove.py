@@ -15,8 +15,8 @@ from playwright.sync_api import Browser
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
 from acquire.monitor.foxglove_server import has_token, serving_foxglove
-from acquire.web import Address, read_address
-from drivers.errors import ConfigurationError, ProgramMissingError
+from photocal.base.errors import ConfigurationError, ProgramMissingError
+from photocal.base.web import Address, read_address
 from tests.acquire.live import PATIENCE_S
 
 ANY = Address("127.0.0.1", 0)

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from acquire.web import Address, serving
+from photocal.base.web import Address, serving
 from tests.acquire.monitor.conftest import Monitor
 from tests.acquire.monitor.field import NO_FIX, RTK_FIXED, Field, at_work
 

@@ -16,7 +16,7 @@ from acquire.log.writer import LogWriter
 from acquire.monitor.state import State
 from acquire.monitor.tail import Tail, follow, tail_of
 from acquire.recording.files import Limits, LogFiles
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from tests.acquire.live import until
 
 SECOND = 1_000_000_000

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from acquire.importing.recovery import recover
 from acquire.log.records import MAGIC
-from acquire.log.recovery import recover
 from acquire.log.replay import raw_frames
 from acquire.recording.configuration import Configuration
 from acquire.recording.files import Limits, LogFiles

@@ -16,10 +16,10 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from acquire.checked_toml import Table
 from acquire.recording.alarms import ALARM
 from acquire.recording.configuration import Configuration, Site, read_configuration
 from acquire.recording.recorder import source_of_link
+from photocal.base.checked_toml import Table
 from tests.acquire.live import Process, free_port, is_bound, until
 
 GUIDE = Path(__file__).parents[3] / "docs" / "recording.md"

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from acquire.log.recovery import recover
+from acquire.importing.recovery import recover
 from acquire.recording.reader import Arrival, Inbox, read_link
 from acquire.transports.sources import LinkLostError, Source
 from drivers import ubx

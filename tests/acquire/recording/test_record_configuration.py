@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 
 from acquire.recording.configuration import Configuration, read_configuration
 from drivers import ubx
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from tests.acquire.scripted import Script, configured, run
 
 

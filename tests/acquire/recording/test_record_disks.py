@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from acquire.importing.recovery import recover
 from acquire.log.records import Channel
-from acquire.log.recovery import recover
 from acquire.log.writer import LogWriter
 from acquire.recording.files import Limits, LogFiles, WholeWrites
-from drivers.errors import OutputError
+from photocal.base.errors import OutputError
 from tests.acquire.live import until
 from tests.acquire.scripted import messages
 

@@ -20,7 +20,7 @@ from acquire.recording.recorder import source_of_link
 from acquire.transports.ntrip import NtripSource, ntrip_address
 from acquire.transports.sources import LinkLostError
 from drivers import rtcm3
-from drivers.errors import ConfigurationError, PhotocalError
+from photocal.base.errors import ConfigurationError, PhotocalError
 from tests.acquire.live import PATIENCE_S
 
 FRAMES = [rtcm3.encode(b"\x43\x50" + bytes([number]) * 100) for number in range(30)]

@@ -16,7 +16,7 @@ import serial
 import serial.rfc2217
 
 from acquire.transports.sources import LinkLostError, Source, TcpSource, UdpSource, source_of
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from tests.acquire.live import PATIENCE_S, until
 
 FIRST, SECOND, ANSWER = b"from the device\r\n", b"\x00\xff\xfe once more", b"\xffto the device\x00"

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError
 from photocal.accuracy.assessment import Assessment, TableResult, assess, findings
 from photocal.accuracy.classes import Sample, class_cm, sample, value_class
 from photocal.accuracy.discrepancies import Discrepancies, read_discrepancies
 from photocal.accuracy.maps import gsd_circles
 from photocal.accuracy.output import to_json, to_text
 from photocal.accuracy.standard import SHIPPED, Question, ValueStandard, load_standard
+from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from tests.photocal.findings.english import english
 

@@ -9,7 +9,7 @@ import pytest
 import rasterio  # type: ignore[import-untyped]
 from typer.testing import CliRunner
 
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.cli import app, main
 
 TABLE = "point,E,N,dE_cm,dN_cm,dh_cm\n" + "".join(

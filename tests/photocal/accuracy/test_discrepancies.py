@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.accuracy.discrepancies import Discrepancies, read_discrepancies
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ import pytest
 from pyproj import CRS
 from typer.testing import CliRunner
 
-from drivers.errors import ConfigurationError
 from photocal.accuracy.discrepancies import Discrepancies
 from photocal.accuracy.maps import reference_system, write_geopackage
+from photocal.base.errors import ConfigurationError
 from photocal.cli import app
 
 STAMP = "2025-01-31T12:00:00.000Z"

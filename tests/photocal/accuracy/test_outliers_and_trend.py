@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from drivers.errors import IllPosedError
 from photocal.accuracy.statistics import critical_deviate, outliers, similarity_trend
+from photocal.base.errors import IllPosedError
 
 Published = Callable[[str], list[dict[str, str]]]
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from drivers.errors import ConfigurationError, IllPosedError
 from photocal.accuracy.classes import component_sigma
 from photocal.accuracy.statistics import (
     Moments,
@@ -18,6 +17,7 @@ from photocal.accuracy.statistics import (
     rmse_after_trend_removal,
     std_interval_factors,
 )
+from photocal.base.errors import ConfigurationError, IllPosedError
 
 Published = Callable[[str], list[dict[str, str]]]
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import ConfigurationError, InputNotFoundError
 from photocal.accuracy.standard import (
     SHIPPED,
     LimitTable,
@@ -16,6 +15,7 @@ from photocal.accuracy.standard import (
     load_standard,
     parse_standard,
 )
+from photocal.base.errors import ConfigurationError, InputNotFoundError
 
 Published = Callable[[str], list[dict[str, str]]]
 

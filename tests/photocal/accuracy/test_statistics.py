@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.errors import InputMalformedError
 from photocal.accuracy.classes import Sample
 from photocal.accuracy.statistics import (
     Moments,
@@ -18,6 +17,7 @@ from photocal.accuracy.statistics import (
     moments,
     spread,
 )
+from photocal.base.errors import InputMalformedError
 
 Published = Callable[[str], list[dict[str, str]]]
 FloatArray = NDArray[np.float64]

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.arrays import Floats
-from drivers.errors import InputMalformedError
 from photocal.adjustment.observations import among_three, related
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError
 from photocal.block.folder import read_relations
 
 POINTS = np.array(

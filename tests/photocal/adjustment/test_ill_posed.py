@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.errors import IllPosedError, NotConvergedError
 from photocal.adjustment.adjust import adjust
+from photocal.base.errors import IllPosedError, NotConvergedError
 from tests.photocal import networks
 from tests.photocal.networks import Scene
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from photocal import compiled
 from photocal.adjustment import normal
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
+from photocal.base import compiled
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from tests.photocal import networks
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.joint import joint_covariance
 from photocal.adjustment.network import Network
+from photocal.base.errors import ConfigurationError
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal import networks, oracle
 

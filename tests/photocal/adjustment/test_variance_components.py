@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import IllPosedError
 from photocal.adjustment.network import Network, Relations
 from photocal.adjustment.variance_components import (
     VarianceComponents,
@@ -18,6 +17,7 @@ from photocal.adjustment.variance_components import (
     rays_together,
     with_factors,
 )
+from photocal.base.errors import IllPosedError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from tests.photocal import blocks, networks, oracle

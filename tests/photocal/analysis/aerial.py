@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats, Integers
 from photocal.adjustment.mounting import NO_MOUNTING, STRIPS, Mounting, Positions
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.base.arrays import Floats, Integers
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.arrays import Floats
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.base.arrays import Floats
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles

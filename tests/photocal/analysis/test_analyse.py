@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.arrays import as_plain
-from drivers.errors import InputMalformedError, InputNotFoundError
 from photocal.analysis.estimates import without
 from photocal.analysis.outcome import Analysis
 from photocal.analysis.systematic_errors.refit import Checks, fit, left_out
 from photocal.analysis.systematic_errors.search import camera_estimates
+from photocal.base.arrays import as_plain
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.cli import app

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError
 from photocal.analysis.components import Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import strong_correlations
 from photocal.analysis.estimates import Estimates, from_sigmas, without
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError
 from photocal.findings.texts import catalogue, finding_text, plain
 
 Rows = list[dict[str, str]]

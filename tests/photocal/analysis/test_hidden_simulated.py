@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from drivers.arrays import Floats
 from photocal.adjustment.network import Relations
 from photocal.analysis.robust import jackknife
 from photocal.analysis.systematic_errors.camera_findings import of_round
@@ -17,6 +16,7 @@ from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.refit import fit, with_measurements, with_sigmas, without_images
 from photocal.analysis.systematic_errors.search import search
 from photocal.analysis.systematic_errors.shifts import joint_shift
+from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
 from tests.photocal.analysis import aerial
 from tests.photocal.analysis.findings import said, sized

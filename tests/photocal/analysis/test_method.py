@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.arrays import Floats
 from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.state import start_state
 from photocal.analysis.method import METHODS, Shape, check_method, shape
+from photocal.base.arrays import Floats
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.findings.texts import catalogue, need_words

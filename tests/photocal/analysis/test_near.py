@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.errors import NotConvergedError
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import Network, Relations
 from photocal.analysis.outcome import analyse_network
@@ -22,6 +21,7 @@ from photocal.analysis.systematic_errors.refit import (
     without_images,
     without_parameter,
 )
+from photocal.base.errors import NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal.analysis.aerial import Flight, fly
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import ConfigurationError, IllPosedError
 from photocal.adjustment.solution import global_test
 from photocal.analysis.estimates import (
     Estimates,
@@ -20,6 +19,7 @@ from photocal.analysis.estimates import (
     significance,
     without,
 )
+from photocal.base.errors import ConfigurationError, IllPosedError
 
 Rows = list[dict[str, str]]
 NAMES = {"f": "c", "A": "B1", "B": "B2"}

@@ -12,9 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import (
-    IllPosedError,
-)
 from photocal.analysis.estimates import from_sigmas
 from photocal.analysis.stability.camera_file import CameraFile, brown_from_pix4d, read_camera_file
 from photocal.analysis.stability.comparison import Pair, compare, follow, likeness, sentences
@@ -27,6 +24,9 @@ from photocal.analysis.stability.methods import (
     methods,
     sensor_grid,
     view,
+)
+from photocal.base.errors import (
+    IllPosedError,
 )
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.distortion import distorted

@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from drivers.errors import (
-    ConfigurationError,
-    InputNotFoundError,
-    PhotocalError,
-)
 from photocal.analysis.stability.camera_file import read_camera_file
 from photocal.analysis.stability.comparison import compare
 from photocal.analysis.stability.methods import Terrain, methods, sensor_grid
 from photocal.analysis.stability.pictures import displacements
+from photocal.base.errors import (
+    ConfigurationError,
+    InputNotFoundError,
+    PhotocalError,
+)
 from photocal.cli import app
 from photocal.geometry.camera import camera
 

@@ -11,8 +11,8 @@ import pytest
 from scipy.integrate import quad
 
 import photocal
-from drivers.arrays import Floats
-from drivers.errors import PhotocalError
+from photocal.base.arrays import Floats
+from photocal.base.errors import PhotocalError
 from photocal.block.bending import RADIUS_M, apparent_rise
 from photocal.block.folder import read_block
 from photocal.block.model import Block

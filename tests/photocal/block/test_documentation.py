@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-import drivers.errors
-from acquire.checked_toml import read_toml
+import photocal.base.errors
 from acquire.cli import app as acquire_app
+from photocal.base.checked_toml import read_toml
 from photocal.block.camera_setup import make_camera
 from photocal.block.folder import (
     EXPOSURE,
@@ -59,7 +59,7 @@ def test_every_camera_parameter_has_its_term() -> None:
 
 def test_exit_codes_are_those_of_the_errors() -> None:
     listed = {int(code) for code in re.findall(r"^\| (\d+) \|", document("README.md"), re.MULTILINE)}
-    classes = [c for c in vars(drivers.errors).values() if isinstance(c, type)]
+    classes = [c for c in vars(photocal.base.errors).values() if isinstance(c, type)]
     # 0 is success, 2 the wrong use of the command line.
     assert listed == {0, 2} | {c.exit_code for c in classes if hasattr(c, "exit_code")}
 

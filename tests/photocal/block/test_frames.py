@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from tests.photocal.blocks import adjusted_json
 
 Floats = NDArray[np.float64]

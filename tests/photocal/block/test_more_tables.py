@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.exchange.reconstruction import of_result
 from photocal.products.oriented import oriented

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import NADIR, NO_POSITIONS, Attitudes, Mounting
+from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.block.folder import read_block
 from photocal.block.motion import expected_rates, motion_of, velocity_of_neighbours

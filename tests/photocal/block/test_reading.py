@@ -15,7 +15,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from tests.photocal.blocks import SMALL_TOML, adjusted_json, small, table

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
+from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
 from tests.photocal.blocks import adjusted_json
 

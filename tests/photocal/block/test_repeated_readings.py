@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.block.folder import read_block
 from tests.photocal.conftest import Answer
 from tests.photocal.georeferencing.flights import Plan, fly

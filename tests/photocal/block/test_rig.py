@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.readout import with_lags
 from photocal.adjustment.rig import OF_HEAD
+from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.georeferencing.methods import with_shutters

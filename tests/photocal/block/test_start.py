@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import IllPosedError, InputMalformedError
+from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.block.folder import read_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.rotation import matrix_from_angles

@@ -16,8 +16,8 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from acquire.console import Check
-from photocal import compiled
+from photocal.base import compiled
+from photocal.base.console import Check
 from photocal.cli import app
 from photocal.commands import doctor
 from photocal.commands.doctor import examine
@@ -87,7 +87,7 @@ def little_memory(_: Path, patch: Patch) -> None:
 
 def old_leap_seconds(_: Path, patch: Patch) -> None:
     expired = SimpleNamespace(expires=dt.date(2026, 1, 1))
-    patch.setattr("drivers.gnsstime.installed_leap_seconds", lambda: expired)
+    patch.setattr("photocal.base.time_scales.installed_leap_seconds", lambda: expired)
 
 
 def open_key(folder: Path, patch: Patch) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquire.console import progress
+from photocal.base.console import progress
 from photocal.debrief import pictures
 from photocal.debrief.verdict import Debrief, debrief, debrief_json
 from photocal.exchange.pinhole import Pinhole, from_pinhole

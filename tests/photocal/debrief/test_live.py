@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from drivers.arrays import Bytes
+from photocal.base.arrays import Bytes
 from photocal.debrief import live, pictures
 from photocal.debrief.verdict import Debrief
 from photocal.measurement.features import Features, FeatureSettings, detect

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.pinhole import Pinhole, from_pinhole
 from photocal.exchange.pix4d_project import HEAD
 from photocal.exchange.source import number, read_lines

@@ -11,8 +11,8 @@ import pyproj
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import ConfigurationError
 from photocal.adjustment.adjust import adjust
+from photocal.base.errors import ConfigurationError
 from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.exchange.ground_points import read_gcp_list, read_geo

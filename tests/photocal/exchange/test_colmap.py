@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InputMalformedError, PhotocalError
+from photocal.base.errors import InputMalformedError, PhotocalError
 from photocal.exchange.colmap import read_colmap, write_colmap
 from photocal.exchange.reconstruction import Reconstruction, as_block
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.pinhole import from_pinhole, to_pinhole
 from photocal.geometry.camera import Camera, Model, camera, plane_to_pixel
 from photocal.geometry.conversion import converted, in_pixels, require_no_skew, unbalanced

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
 from photocal.adjustment.adjust import adjust
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.exchange.dbat import lens_model, read_dbat, write_dbat

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.adjustment.adjust import adjust
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.commands.export import FORMATS

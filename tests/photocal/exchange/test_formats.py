@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.exchange.formats import FORMATS, Format, export, named, page, read_any_block
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import MODELS, Camera, Model, camera

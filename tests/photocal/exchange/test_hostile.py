@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.block.network import assemble
 from photocal.exchange import source
 from photocal.exchange.dbat import read_dbat, read_dbat_cameras

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.exchange.dbat import read_dbat_cameras
 from photocal.exchange.formats import FORMATS, export
 from photocal.exchange.ground_points import (

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.exchange.jaicov import read_jaicov, write_jaicov
 from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import camera, pixel_to_plane

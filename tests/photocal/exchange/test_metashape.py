@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import ROLES
 from photocal.exchange.metashape import read_metashape, to_metashape, write_metashape
 from photocal.exchange.photoscan import read_project

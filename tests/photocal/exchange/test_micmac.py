@@ -9,8 +9,8 @@ from xml.etree.ElementTree import parse
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
 from photocal.adjustment.adjust import adjust
+from photocal.base.errors import InputMalformedError
 from photocal.block.network import assemble
 from photocal.exchange.micmac import (
     read_calibration,

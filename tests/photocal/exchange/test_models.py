@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
 from photocal.adjustment.adjust import adjust
+from photocal.base.errors import InputMalformedError
 from photocal.block.network import assemble
 from photocal.exchange.formats import export, named, read_foreign_block
 from photocal.exchange.reconstruction import Choices, Reconstruction

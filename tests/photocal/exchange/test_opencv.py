@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.opencv import read_opencv, write_opencv
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.opensfm import export as write_opensfm
 from photocal.exchange.opensfm import read_cameras, read_reconstruction
 from photocal.exchange.pinhole import to_vision

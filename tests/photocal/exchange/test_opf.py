@@ -13,7 +13,7 @@ import pytest
 from pyopf.io import load  # type: ignore[import-untyped]
 from pyopf.resolve import resolve  # type: ignore[import-untyped]
 
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.exchange.opf import export as write_opf
 from photocal.exchange.opf import read_opf
 from photocal.exchange.reconstruction import Reconstruction

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.orientation_tables import (
     read_inpho,
     read_matrices,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.colmap import read_colmap, write_colmap
 from photocal.exchange.formats import export, named
 from photocal.exchange.metashape import write_metashape

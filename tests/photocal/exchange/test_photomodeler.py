@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.photomodeler import read_photomodeler, write_photomodeler
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import plane_to_pixel

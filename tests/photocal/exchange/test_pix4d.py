@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.pix4d_project import write_pix4d
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import plane_to_pixel

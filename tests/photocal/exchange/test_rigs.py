@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import InputMalformedError
 from photocal.adjustment.rig import CENTRE
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opensfm import read_reconstruction

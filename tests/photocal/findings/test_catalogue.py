@@ -10,7 +10,7 @@ from string import Formatter
 import pytest
 
 import photocal
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.findings.texts import LANGUAGES, catalogue
 
 OF_FINDINGS = {"finding", "passed", "untested", "clause", "cause", "remedy", "term", "slip", "change"}

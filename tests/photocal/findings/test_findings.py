@@ -12,7 +12,7 @@ from string import Formatter
 import pytest
 
 import photocal
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.findings.digits import Number
 from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import FAULTS

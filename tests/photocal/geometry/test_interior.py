@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from drivers.errors import IllPosedError
+from photocal.base.errors import IllPosedError
 from photocal.geometry.interior import Transformation, interior_orientation
 
 DCS460 = Path(__file__).parents[2] / "reference" / "dcs460"

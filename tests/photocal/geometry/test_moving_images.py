@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.arrays import Integers
+from photocal.base.arrays import Integers
 from photocal.block.folder import read_block
 from photocal.block.model import Block, Images, ObjectPoints, Observations
 from photocal.exchange.reconstruction import of_result

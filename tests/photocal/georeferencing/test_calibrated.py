@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from drivers.errors import ConfigurationError
 from photocal.adjustment.mounting import STRIPS
+from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.georeferencing.differences import differences

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.georeferencing.experiment import CHOICES, control_numbers, numbers_text
 from tests.photocal.georeferencing.flights import Errors, Plan, fly

@@ -17,6 +17,7 @@ from photocal.block.model import Block
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.georeferencing.comparison import check_block
 from photocal.georeferencing.findings import block_findings
+from photocal.georeferencing.freed_groups import opened
 from photocal.georeferencing.ground_mistakes import _slips, contradicting, mistyped_control
 from photocal.georeferencing.local import as_mounted, with_attitude_angles
 from photocal.georeferencing.methods import with_roles
@@ -63,7 +64,7 @@ def test_swapped_axes_of_the_lever_arm_are_named(flown: Flown) -> None:
 
 def test_a_camera_that_changed_is_named_with_its_image(flown: Flown) -> None:
     """The principal distance is longer by 1 % from the first cross strip on."""
-    found = systematic_errors(zoomed(flown(Errors(), PLAN), 1.01))
+    found = systematic_errors(opened(zoomed(flown(Errors(), PLAN), 1.01)))
     assert found.errors[0].hypothesis.name == "camera-change"
     before, after = found.errors[0].hypothesis.estimates
     assert after.name == "c[cam@s4_0]"
@@ -74,7 +75,7 @@ def test_a_camera_that_changed_is_named_with_its_image(flown: Flown) -> None:
 def test_a_camera_that_changed_is_the_only_cause(flown: Flown) -> None:
     """Strip shifts, heights and lever arms could imitate it where the camera is calibrated on the job."""
     plan = replace(PLAN, heights_m=(80.0, 110.0), tie=100, estimate=("c", "x0", "y0", "K1", "K2"))
-    found = systematic_errors(zoomed(flown(Errors(), plan), 1.004))
+    found = systematic_errors(opened(zoomed(flown(Errors(), plan), 1.004)))
     assert [error.hypothesis.name for error in found.errors] == ["camera-change"]
     assert found.errors[0].hypothesis.unknowns == 5
     before, after = found.errors[0].hypothesis.estimates
@@ -169,7 +170,9 @@ def test_navigation_fixes_are_no_evidence_of_a_mounting(flown: Flown) -> None:
         with_roles(block, np.zeros(0, dtype=np.int64)),
         images=images, positions=NO_POSITIONS, attitudes=NO_ATTITUDES,
     )  # fmt: skip
-    assert [one.hypothesis.name for one in systematic_errors(as_mounted(late)).errors] == ["lever-arm"]
+    assert [one.hypothesis.name for one in systematic_errors(opened(as_mounted(late))).errors] == [
+        "lever-arm"
+    ]
     said = findings(late)
     assert {"lever-arm", "camera-change", "strip-shifts", "time-offset"}.isdisjoint(said)
     assert "navigation fixes" in said["coarse-positions"]

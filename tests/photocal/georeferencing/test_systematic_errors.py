@@ -15,7 +15,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.hypotheses import Fault
 from photocal.findings.texts import catalogue, finding_text
 from photocal.georeferencing.findings import named, separation_findings
-from photocal.georeferencing.freed_groups import Estimate, Separation, separation
+from photocal.georeferencing.freed_groups import Estimate, Separation, opened, separation
 from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.systematic import (
     Fit,
@@ -73,20 +73,22 @@ def within_three_sigma(found: SystematicErrors, truth: dict[str, float]) -> None
 def test_injected_error_is_found_estimated_and_named(
     flown: Flown, errors: Errors, name: str, truth: dict[str, float]
 ) -> None:
-    found = systematic_errors(flown(errors, 21))
+    found = systematic_errors(opened(flown(errors, 21)))
     assert [error.hypothesis.name for error in found.errors] == [name]
     assert found.errors[0].same == ()
     within_three_sigma(found, truth)
 
 
 def test_two_errors_at_once(flown: Flown) -> None:
-    found = systematic_errors(flown(Errors(boresight_deg=(0.0, 0.5, 0.0), datum_m=(0.3, 0.0, 0.0)), 23))
+    found = systematic_errors(
+        opened(flown(Errors(boresight_deg=(0.0, 0.5, 0.0), datum_m=(0.3, 0.0, 0.0)), 23))
+    )
     assert {error.hypothesis.name for error in found.errors} == {"boresight", "datum-shift"}
     within_three_sigma(found, {"boresight_y": 0.5, "shift_x": 0.3})
 
 
 def test_nothing_is_found_where_nothing_is(flown: Flown) -> None:
-    found = systematic_errors(flown(Errors(), 25))
+    found = systematic_errors(opened(flown(Errors(), 25)))
     assert found.errors == ()
     assert {one.name for one in found.tested} == {
         "lever-arm",
@@ -105,7 +107,7 @@ def test_wrong_sigmas_of_positions_are_named_as_that(flown: Flown, factor: float
     """Positions that are stated three times too good or too poor: no shift of strips or datum."""
     block = flown(Errors(), 31)
     stated = replace(block.positions, covariance=block.positions.covariance * factor**2)
-    found = systematic_errors(replace(block, positions=stated))
+    found = systematic_errors(opened(replace(block, positions=stated)))
     (sigma,) = found.sigmas
     assert sigma.name == "position"
     assert sigma.lower < 1.0 / factor < sigma.upper
@@ -113,7 +115,7 @@ def test_wrong_sigmas_of_positions_are_named_as_that(flown: Flown, factor: float
 
 
 def test_an_error_is_not_taken_for_wrong_sigmas(flown: Flown) -> None:
-    found = systematic_errors(flown(Errors(datum_m=(0.0, 0.0, 0.085)), 33))
+    found = systematic_errors(opened(flown(Errors(datum_m=(0.0, 0.0, 0.085)), 33)))
     assert found.sigmas == ()
     assert "datum-shift" in {found.errors[0].hypothesis.name, *found.errors[0].same}
 
@@ -135,7 +137,7 @@ def test_strips_that_jump_are_an_error_beyond_what_is_stated_of_each_position(
     own = block.positions
     values = own.values + (own.strip == 1)[:, None] * np.array([0.0, jump, 0.0])
     stated = replace(own, values=values, covariance=own.covariance * (0.03 / white) ** 2)
-    found = systematic_errors(replace(block, positions=stated))
+    found = systematic_errors(opened(replace(block, positions=stated)))
     (strips,) = [one for one in found.tested if one.name == "strip-shifts"]
     assert strips.significant
     assert [error.hypothesis.name for error in found.errors] == named
@@ -172,7 +174,7 @@ def test_a_height_alone_pays_for_one_unknown() -> None:
 
 
 def test_vertical_lever_arm_is_said_to_be_like_a_height_datum(flown: Flown) -> None:
-    found = systematic_errors(flown(Errors(lever_arm_m=(0.0, 0.0, 0.3)), 27))
+    found = systematic_errors(opened(flown(Errors(lever_arm_m=(0.0, 0.0, 0.3)), 27)))
     error = found.errors[0]
     # Over two heights two principal distances look the same, too.
     assert {error.hypothesis.name, *error.same} == {"lever-arm", "datum-shift", "camera-change"}
@@ -185,7 +187,7 @@ def test_one_height_does_not_separate_c_height_and_lever_arm(tmp_path: Path) -> 
     for name, heights, relief in (("one", (90.0, 90.0), 0.0), ("two", (90.0, 130.0), 0.0)):
         plan = replace(SMALL, heights_m=heights, relief_m=relief, estimate=("c",), camera_sigma={"c": 0.05})
         block = with_attitude_angles(read_block(fly(tmp_path / name, np.random.default_rng(3), plan=plan)))
-        found = separation(block)
+        found = separation(opened(block))
         assert found is not None
         groups[name] = found
     assert any({"c", "shift_z", "lever_arm_z"} <= set(group) for group in groups["one"].groups)
@@ -213,7 +215,7 @@ def test_all_that_a_flight_leaves_open_stands_in_one_finding() -> None:
 def test_one_speed_does_not_separate_time_and_forward_lever_arm(tmp_path: Path) -> None:
     plan = replace(SMALL, speeds_m_s=(10.0, 10.0))
     block = with_attitude_angles(read_block(fly(tmp_path / "flight", np.random.default_rng(3), plan=plan)))
-    found = separation(block)
+    found = separation(opened(block))
     assert found is not None
     assert any({"lever_arm_x", "time_offset"} == set(group) for group in found.groups)
 
@@ -224,7 +226,7 @@ def test_values_left_free_in_the_block_are_estimated(tmp_path: Path) -> None:
     block = with_attitude_angles(
         read_block(fly(tmp_path / "flight", np.random.default_rng(29), errors, plan))
     )
-    found = systematic_errors(block)
+    found = systematic_errors(opened(block))
     assert found.errors == ()
     values = {e.name: e for e in found.free_in_block}
     truth = {"lever_arm_x": 0.16, "lever_arm_y": 0.12, "boresight_x": 0.3, "boresight_y": -0.4}
@@ -238,7 +240,7 @@ def test_values_left_free_in_the_block_are_estimated(tmp_path: Path) -> None:
 def test_a_new_fault_is_one_entry_and_its_texts(flown: Flown) -> None:
     """Search, naming, words and root causes take it from there."""
     new = Fault("worn-zoom", ("camera",), ("c",), prior=0.1)
-    found = systematic_errors(flown(Errors(focal_mm=0.03), 21), table=(new,))
+    found = systematic_errors(opened(flown(Errors(focal_mm=0.03), 21), table=(new,)))
     (error,) = found.errors
     assert error.hypothesis.name == "worn-zoom"
     within_three_sigma(found, {"c[cam]": 12.03})

@@ -10,7 +10,7 @@ from scipy import stats
 
 from acquire.simulate.world.configuration import read_configuration
 from acquire.simulate.world.site import simulate_flight
-from drivers.errors import IllPosedError
+from photocal.base.errors import IllPosedError
 from photocal.block.folder import read_block
 from photocal.georeferencing.differences import differences
 from photocal.georeferencing.local import in_local_frame, with_attitude_angles

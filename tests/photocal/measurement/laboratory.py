@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats
 from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.base.arrays import Floats
 from photocal.geometry.camera import Camera, camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
 from photocal.geometry.rotation import angles_from_matrix

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.measurement.boards import Board, charuco_board, find_board, parse_board
 from photocal.measurement.markers import dictionary, find_markers

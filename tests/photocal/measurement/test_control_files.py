@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pyproj import Transformer
 
-from drivers.errors import ConfigurationError, InputMalformedError, PhotocalError
+from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.measurement.marks import BY_HAND_PX, in_map_system, read_control_marks, read_marks
 
 SIGMA = (0.02, 0.03)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from rasterio.errors import NotGeoreferencedWarning  # type: ignore[import-untyped]
 
-from drivers.errors import InputNotFoundError, PhotocalError
+from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.measurement.boards import find_board, parse_board
 from photocal.measurement.centre import Look
 from photocal.measurement.image_facts import read_facts

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import as_eight_bit, list_images, read_grey
 

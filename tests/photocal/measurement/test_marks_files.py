@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.exchange.parts import Mark
 from photocal.measurement.marks import BY_HAND_PX, named_after, read_any_marks
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.errors import IllPosedError
+from photocal.base.errors import IllPosedError
 from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images
 from photocal.geometry.camera import PARAMETERS, camera, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images

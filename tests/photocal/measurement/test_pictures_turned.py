@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.measurement.placing import pictures_turned
 

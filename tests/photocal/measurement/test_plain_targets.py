@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block, read_points
 from photocal.block.model import digest
 from photocal.measurement.image_file import list_images

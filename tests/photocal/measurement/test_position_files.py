@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.position_files import read_positions
 

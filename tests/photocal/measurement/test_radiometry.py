@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 from scipy.special import erf
 from typer.testing import CliRunner
 
-from drivers.arrays import Floats
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.cli import app
 from photocal.measurement.radiometry import edge_mtf, falls_to, linearity, siemens_star, vignetting
 from photocal.report.certificate_metadata import read_particulars

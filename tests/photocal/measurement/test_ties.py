@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from pyproj import Geod
 
+from photocal.base.workers import run_tasks
 from photocal.block.folder import read_block
 from photocal.measurement.features import Features, FeatureSettings, cached, detect
 from photocal.measurement.image_facts import read_facts
@@ -27,7 +28,6 @@ from photocal.measurement.match_images import (
 )
 from photocal.measurement.matching import MatchSettings, match, mutual_matches, search_windows
 from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
-from photocal.tasks.workers import run_tasks
 
 
 class Answer(Protocol):

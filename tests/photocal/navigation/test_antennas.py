@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.navigation.engine import ProcessingOptions, configuration
 from photocal.navigation.ppk import with_antennas
 from photocal.navigation.precise_results import antenna_named, read_antennas

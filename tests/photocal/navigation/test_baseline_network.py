@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.earth import enu_axes, geocentric, geodetic
-from drivers.errors import IllPosedError
+from photocal.base.errors import IllPosedError
+from photocal.base.geodesy import enu_axes, geocentric, geodetic
 from photocal.navigation.baseline_network import Baseline, Mark, adjust_baselines
 
 Floats = NDArray[np.float64]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.errors import IllPosedError
 from drivers.frames import Wire
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.tlog import TlogFramer
+from photocal.base.errors import IllPosedError
 from photocal.navigation.device_clocks import fit_clock
 
 SECOND = 1_000_000_000

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.navigation.precise_results import read_observation_file
 
 HEADER = (

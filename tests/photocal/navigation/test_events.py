@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
-from drivers.errors import InputMalformedError
 from drivers.ubx.decode import TIM_TM2, layout
+from photocal.base.errors import InputMalformedError
 from photocal.navigation.events import (
     FALLING,
     RISING,

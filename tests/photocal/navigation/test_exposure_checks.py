@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from drivers.earth import enu_axes, geocentric, geodetic
+from photocal.base.geodesy import enu_axes, geocentric, geodetic
 from photocal.findings.finding import Finding
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events

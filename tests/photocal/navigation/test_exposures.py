@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from drivers.earth import enu_offsets
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
+from photocal.base.geodesy import enu_offsets
 from photocal.block.setup import MountingKeys
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events

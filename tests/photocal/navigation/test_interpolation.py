@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.earth import enu_axes, enu_offsets, geocentric, geodetic
+from photocal.base.geodesy import enu_axes, enu_offsets, geocentric, geodetic
 from photocal.navigation.events import RISING, time_marks
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.receiver_recording import read_receivers

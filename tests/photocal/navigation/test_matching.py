@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.errors import IllPosedError
+from photocal.base.errors import IllPosedError
 from photocal.navigation.matching import UnrelatedImagesError, match
 
 Floats = NDArray[np.float64]

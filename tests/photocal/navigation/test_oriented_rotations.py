@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from drivers.earth import enu_axes, geocentric, geodetic
+from photocal.base.geodesy import enu_axes, geocentric, geodetic
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.oriented_images import oriented_images as as_images

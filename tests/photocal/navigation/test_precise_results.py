@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.earth import geodetic
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.geodesy import geodetic
 from photocal.navigation.precise_results import read_precise_result
 
 # As the service prints it; values of a point in New Brunswick.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.navigation.exposure_run import choices_of_project
 from photocal.navigation.image_metadata import read_images
 from photocal.project import AirAtBase, read_project

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.earth import enu_offsets
+from photocal.base.geodesy import enu_offsets
 from tests.conftest import needs_engine
 from tests.photocal.conftest import Answer
 

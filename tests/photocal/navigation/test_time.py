@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.navigation.time import WEEK_NS, GpsTime, HostTime, UtcTime, leap_seconds
 
 SECOND = 1_000_000_000

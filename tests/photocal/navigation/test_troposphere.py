@@ -14,8 +14,8 @@ from acquire.simulate.gnss.geometry import Antenna, Place
 from acquire.simulate.gnss.session import simulate
 from acquire.simulate.gnss.settings import ROVER, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
-from drivers.arrays import from_plain
-from drivers.errors import ConfigurationError
+from photocal.base.arrays import from_plain
+from photocal.base.errors import ConfigurationError
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import IllPosedError, InputMalformedError
+from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.block.network import assemble
 from photocal.exchange.dbat import read_dbat
 from photocal.exchange.dbat_camera import NAMES, OURS, to_dbat

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod
 
-from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.planning.area import Area, LocalPlane, area_from_corners, inside, polygon_area, read_area
 
 # Longitude and latitude of the target field of the Phantom 4 Pro study, its convex hull in order.

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.planning.frame import (
     Frame,
     air_base,

@@ -17,10 +17,10 @@ from acquire.simulate.world.configuration import FLIGHTS, read_configuration
 from acquire.simulate.world.exposures import antenna_velocity, omega_phi_kappa
 from acquire.simulate.world.observations import observe, seen
 from acquire.simulate.world.world import World, make_world
+from photocal.base.geopackage import LOCAL
 from photocal.block.motion import strips
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.geopackage import LOCAL
 from photocal.planning.flown import (
     FlownBlock,
     cells_seen,

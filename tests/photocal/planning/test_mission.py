@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from pyproj import Geod
 from typer.testing import CliRunner
 
-from drivers.errors import ConfigurationError, PhotocalError
+from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.cli import app
 from photocal.planning.area import area_from_corners
 from photocal.planning.flight import Flight, Wish, plan_flight

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.planning.area import inside, polygon_area
 from photocal.planning.flight import Strip, best_azimuth, plan_strips, suggest_layout
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pyproj import Geod
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.planning.area import Area
 from photocal.planning.flight import Flight, Wish, plan_flight
 from photocal.planning.frame import Frame

@@ -10,8 +10,8 @@ import pytest
 from scipy.special import ellipe
 from typer.testing import CliRunner
 
-from drivers.arrays import Floats
-from drivers.errors import IllPosedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError
 from photocal.cli import app
 from photocal.products.closed_sections import measure_closed, outline_form
 from photocal.products.sections import RingPoints

@@ -11,10 +11,10 @@ import pytest
 import rasterio  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError
 from photocal.accuracy.assessment import assess
 from photocal.accuracy.ground_points import GroundPoints
 from photocal.accuracy.standard import Question, load_standard
+from photocal.base.errors import ConfigurationError
 from photocal.products.product_check import check_products, read_check_points
 from photocal.products.raster import system_wkt, write_terrain
 from photocal.products.terrain import Terrain

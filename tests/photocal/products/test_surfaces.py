@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from drivers.errors import IllPosedError, InputMalformedError
+from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.products.surfaces import fit_circle, fit_cylinder
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError, IllPosedError, InputMalformedError
+from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
 from photocal.products.raster import describe, same_system, system_wkt, terrain_source, write_terrain
 from photocal.products.terrain import Terrain, TerrainPoints, grid_of_points, read_terrain_points
 from tests.photocal.products.test_orthophoto import write_job

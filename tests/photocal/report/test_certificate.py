@@ -20,7 +20,7 @@ from defusedxml import ElementTree
 from pypdf import PdfReader
 from typer.testing import CliRunner
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.cli import app
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers.errors import NotSignedError, UnknownSignerError
+from photocal.base.errors import NotSignedError, UnknownSignerError
 from photocal.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import pages_of, repeated

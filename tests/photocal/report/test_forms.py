@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import ConfigurationError, InputMalformedError
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.cli import app
 from photocal.findings.texts import catalogue
 from photocal.report.document import Figure, KeyValues, Table

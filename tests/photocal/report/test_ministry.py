@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
-from drivers.errors import InputMalformedError, NotSignedError
+from photocal.base.errors import InputMalformedError, NotSignedError
 from photocal.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import as_certified, differences, record_of, repeated

@@ -13,7 +13,7 @@ import pyarrow.parquet
 import pytest
 
 import photocal
-from drivers.errors import PhotocalError
+from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
 from photocal.exchange.formats import FORMATS, export, read_foreign_block
 from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, of_result

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.results.folder import read_result, result_json
 
 

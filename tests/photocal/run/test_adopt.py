@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.block.model import ROLES
 from photocal.exchange.formats import export, named
 from photocal.exchange.pinhole import to_pinhole, to_vision

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.cli import app
 from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import InputNotFoundError
+from photocal.base.errors import InputNotFoundError
+from photocal.base.progress import quiet
 from photocal.run.campaign import run_projects
-from photocal.tasks.progress import quiet
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")

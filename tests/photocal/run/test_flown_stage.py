@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from photocal.base.progress import quiet
 from photocal.project import Project, read_project
 from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from photocal.run.campaign import stages
 from photocal.run.flown import flown_stage, measure_flown
-from photocal.tasks.progress import quiet
 from tests.photocal.conftest import Answer
 from tests.photocal.georeferencing.flights import FOCAL_MM, PITCH_MM, Plan, fly
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.block.folder import read_images
 from photocal.block.model import Images
 from photocal.project import Project, read_project

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from drivers.errors import ConfigurationError, InputNotFoundError, OutputError
+from photocal.base.errors import ConfigurationError, InputNotFoundError, OutputError
 from photocal.block.folder import read_points
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.maker_camera import stated_camera

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.project import read_project

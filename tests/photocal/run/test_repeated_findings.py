@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from photocal.base.progress import quiet
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.project import Project, read_project
@@ -25,7 +26,6 @@ from photocal.results.adjusted import adjust_block
 from photocal.run.calibration import certificate_stage
 from photocal.run.georeferencing import georeferencing_stage
 from photocal.run.summary import gather
-from photocal.tasks.progress import quiet
 from tests.photocal.conftest import Answer
 from tests.photocal.georeferencing.flights import Plan, fly
 

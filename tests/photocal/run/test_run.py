@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers.errors import ConfigurationError, InputNotFoundError, NotConvergedError
+from photocal.base.errors import ConfigurationError, InputNotFoundError, NotConvergedError
 from photocal.cli import app
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
@@ -63,6 +63,18 @@ def test_every_stage_is_made_and_told(shifted: tuple[Path, Result]) -> None:
     assert (path.parent / "work" / "certificate" / "certificate.pdf").read_bytes().startswith(b"%PDF-")
     assert figures["check_points"]["indirect"]["errors_over_prediction"] < 2.0
     assert {one["standard"] for one in figures["classes"]} == {"pec-pcd"}
+
+
+def test_a_ready_block_is_adjusted_five_times_at_most(tmp_path: Path) -> None:
+    """Each adjustment says why; what is kept repeats what it said."""
+    path = project(tmp_path, Errors())
+    for kept in (False, True):
+        figures = json.loads(run(str(path), "--json").stdout)
+        assert all(one["kept"] is kept for one in figures["stages"])
+        reasons = [reason for one in figures["stages"] for reason in one["adjustments"]]
+        assert 4 <= len(reasons) <= 5
+        assert all(reasons)
+        assert {"calibration of the block", "integrated georeferencing"} <= set(reasons)
 
 
 def test_a_fault_is_named_and_reaches_the_certificate(shifted: tuple[Path, Result]) -> None:

@@ -16,9 +16,9 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import InputNotFoundError, OutputError
+from photocal.base.errors import InputNotFoundError, OutputError
+from photocal.base.progress import Progress
 from photocal.run.stage import Digests, Stage, alone, made_in, needed_modules, update_stage
-from photocal.tasks.progress import Progress
 from tests.photocal.run.toy_stages import sequence
 
 

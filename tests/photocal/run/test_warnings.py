@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 from photocal.findings.finding import Finding, Severity
 from photocal.findings.hypotheses import FAULTS
 from photocal.findings.texts import catalogue, finding_text

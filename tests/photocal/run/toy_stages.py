@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from photocal.base.progress import Progress
 from photocal.run.stage import Digests, Stage, made_in, update_stage
-from photocal.tasks.progress import Progress
 
 NAMES = ("first", "second", "third")
 KINDS = ("content", "keep times", "touch", "add", "remove", "foreign", "change", "delete", "move")

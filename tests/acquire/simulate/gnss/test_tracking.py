@@ -13,7 +13,7 @@ from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import Faults, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import base_rtcm, base_ubx, rover_ubx
 from acquire.simulate.gnss.time_marks import Events, messages
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, fly, gps_ns, streams
 from tests.acquire.simulate.gnss.rtklib import to_rinex
 

@@ -21,7 +21,7 @@ from acquire.recording.recorder import Recorded, record
 from acquire.simulate.hardware import awaited, on_ports, record_settings
 from acquire.simulate.playback import FlightClock, FlownAutopilot, PlayedFlight, read_flight
 from acquire.simulate.world.streams import Wire
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from tests.acquire.live import frames_in, until
 from tests.acquire.simulate.world.conftest import DEMO, Flight, flown
 

@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world.configuration import Fault
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 from tests.acquire.simulate.world.conftest import DEMO, Flight, configured, flown
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]

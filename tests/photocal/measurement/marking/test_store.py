@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import InputMalformedError, PhotocalError
+from photocal.base.errors import InputMalformedError, PhotocalError
 from photocal.exchange.parts import Mark
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marks import read_marks

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from drivers.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.measurement.features import sweep, touch
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles, coarsest_level
 

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from acquire import console
+from photocal.base import console
 
 
 def test_a_file_gets_a_line_now_and_then(

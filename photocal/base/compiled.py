@@ -19,8 +19,8 @@ from numba import types
 from numba.core.compiler import Compiler
 from numba.extending import intrinsic
 
-from acquire.operating_system import cache_folder, private_folder
-from drivers.errors import OutputError, ProgramMissingError
+from photocal.base.errors import OutputError, ProgramMissingError
+from photocal.base.operating_system import cache_folder, private_folder
 
 PACKAGE = Path(__file__).resolve().parent
 Function = TypeVar("Function", bound=Callable[..., Any])

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError, DeviceError, InputNotFoundError, ProgramMissingError
+from photocal.base.errors import ConfigurationError, DeviceError, InputNotFoundError, ProgramMissingError
+from photocal.base.workers import Cluster, Workers, run_tasks
 from photocal.measurement.features import FeatureSettings
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
 from photocal.measurement.tracks import Tracks
-from photocal.tasks.workers import Cluster, Workers, run_tasks
 from tests.photocal.conftest import Answer
 from tests.photocal.measurement.site import SIDE, flight, texture
 
@@ -113,7 +113,7 @@ def test_folders_that_workers_do_not_see_are_named(two_workers: Any, tmp_path: P
 
 def test_no_scheduler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("photocal.tasks.workers._TIMEOUT_S", 1)
+    monkeypatch.setattr("photocal.base.workers._TIMEOUT_S", 1)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Integers
+from photocal.base.arrays import Integers
 
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _LEAP = re.compile(r"^Leap\s+(\d+)\s+(\w+)\s+(\d+)\s+\S+\s+([+-])\s", re.MULTILINE)

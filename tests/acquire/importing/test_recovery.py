@@ -15,10 +15,10 @@ from mcap.records import Chunk, Statistics
 from mcap.stream_reader import StreamReader
 
 from acquire.importing.importer import import_recordings
+from acquire.importing.recovery import recover
 from acquire.log.records import Channel
-from acquire.log.recovery import recover
 from acquire.log.writer import LogWriter
-from drivers.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError
 
 Acquire = Callable[..., subprocess.CompletedProcess[str]]
 RAW = Channel("/rover/raw", "ubx")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 if TYPE_CHECKING:
     from pyproj import Transformer

@@ -18,7 +18,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -6,7 +6,7 @@ import datetime as dt
 
 import pytest
 
-from drivers.gnsstime import installed_leap_seconds, parse_leap_seconds
+from photocal.base.time_scales import installed_leap_seconds, parse_leap_seconds
 
 
 def test_the_installed_table() -> None:

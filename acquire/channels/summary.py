@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from acquire.channels.mounting import mounting_of
 from acquire.log.reader import LogReader, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
-from drivers.arrays import Bytes, Floats, Integers
 from drivers.frames import Batch, Wire
 from drivers.identify import batch_of_payloads, kind_name
 from drivers.mavlink.decode import decode, sequences, sources
 from drivers.mavlink.dialect import Dialect
+from photocal.base.arrays import Bytes, Floats, Integers
 
 EARLIEST_US = 946_684_800_000_000
 _SAMPLES = 24

@@ -14,7 +14,7 @@ from unicodedata import category
 
 import typer
 
-from drivers.errors import ConfigurationError, PhotocalError, ProgramMissingError
+from photocal.base.errors import ConfigurationError, PhotocalError, ProgramMissingError
 
 # Into a file, or to a program that reads along, a line of progress is written so often.
 LINE_EVERY_S = 10.0

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from drivers.errors import ConfigurationError, InputNotFoundError
+from photocal.base.errors import ConfigurationError, InputNotFoundError
 
 Content = TypeVar("Content", bound=BaseModel)
 

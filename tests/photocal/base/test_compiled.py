@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from photocal import compiled
+from photocal.base import compiled
 
 
 def test_what_comes_last_is_compiled_beside_where_nothing_was_compiled_yet(

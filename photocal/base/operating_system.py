@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import IO, Any
 
-from drivers.errors import DeviceError, OutputError
+from photocal.base.errors import DeviceError, OutputError
 
 # Windows refuses to replace a file that another program, often a scanner, is looking at.
 _REPLACE_TRIES, _REPLACE_WAIT_S = 20, 0.05

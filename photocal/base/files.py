@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acquire.operating_system import replace
-from drivers.arrays import as_plain
-from drivers.errors import ConfigurationError, OutputError
+from photocal.base.arrays import as_plain
+from photocal.base.errors import ConfigurationError, OutputError
+from photocal.base.operating_system import replace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

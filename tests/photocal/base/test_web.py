@@ -13,8 +13,8 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
-from acquire.web import Address, read_address, serving
-from drivers.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError
+from photocal.base.web import Address, read_address, serving
 from tests.acquire.live import PATIENCE_S
 
 

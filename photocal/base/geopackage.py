@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.arrays import Floats
+from photocal.base.arrays import Floats
 
 Kind = Literal["POINT", "LINESTRING", "POLYGON"]
 # Coordinates of the corners, shape (n, 2) or (n, 3), and what stands in the other columns.

@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
-from drivers.errors import ConfigurationError, DeviceError, PhotocalError, ProgramMissingError
+from photocal.base.errors import ConfigurationError, DeviceError, PhotocalError, ProgramMissingError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

@@ -1,0 +1,192 @@
+"""Normal equations condensed to what all images share: cameras, mounting and heads of rigs.
+
+Images and points are eliminated. What is left is small, and tells in closed form what an adjustment becomes
+when shared values are freed, held or observed with other standard deviations: from the minimum of one network
+the fall of v'Pv, the estimates and their covariances of any other, to first order (Rao 1948).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from photocal.adjustment.covariance import Shared, degrees_of_freedom
+from photocal.adjustment.envelope import solve
+from photocal.adjustment.factored import Factored
+from photocal.adjustment.mounting import Mounting
+from photocal.adjustment.score import followed_by, score
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.errors import IllPosedError
+from photocal.geometry.camera import PARAMETERS, Camera
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """The condensed normal equations of a network at a state: matrix x = right.
+
+    matrix (k, k), right (k,): of steps of the shared unknowns from the state.
+    camera_columns: for each camera the positions of its unknown parameters and their columns.
+    common_columns (c,): column of each common value; -1 for those that are no unknowns.
+    cameras, mounting: with the standard deviations that stand in the matrix.
+    values (cameras, parameters), common (c,): at the state.
+    chi_squared, degrees_of_freedom: of the network at the state.
+    """
+
+    matrix: Floats
+    right: Floats
+    camera_columns: tuple[tuple[Integers, Integers], ...]
+    common_columns: Integers
+    cameras: tuple[Camera, ...]
+    mounting: Mounting
+    values: Floats
+    common: Floats
+    chi_squared: float
+    degrees_of_freedom: int
+
+    def with_sigmas(self, cameras: tuple[Camera, ...], mounting: Mounting) -> Shared:
+        """Give the minimum of the network with other given values and standard deviations of these.
+
+        cameras, mounting: as in a network; what is no unknown here stays held.
+        raises IllPosedError: when the equations are singular.
+        """
+        there = _observed(self, self.cameras, self.mounting)
+        here = _observed(self, cameras, mounting)
+        covariance = self.covariance(cameras, mounting)
+        right = self.right + there.pull - here.pull
+        step = covariance @ right
+        values, spread = self.values.copy(), np.zeros((len(self.values), len(PARAMETERS), len(PARAMETERS)))
+        for k, (active, columns) in enumerate(self.camera_columns):
+            values[k, active] += step[columns]
+            spread[k][np.ix_(active, active)] = covariance[np.ix_(columns, columns)]
+        unknown = np.flatnonzero(self.common_columns >= 0)
+        columns = self.common_columns[unknown]
+        common, joint = self.common.copy(), np.zeros((len(self.common), len(self.common)))
+        common[unknown] += step[columns]
+        joint[np.ix_(unknown, unknown)] = covariance[np.ix_(columns, columns)]
+        return Shared(
+            self.chi_squared - there.chi_squared + here.chi_squared - float(right @ step),
+            self.degrees_of_freedom + here.redundancy - there.redundancy,
+            values,
+            spread,
+            common,
+            joint,
+        )
+
+    def covariance(self, cameras: tuple[Camera, ...], mounting: Mounting) -> Floats:
+        """Give the covariance (k, k) with other standard deviations; it is zero for what is held.
+
+        raises IllPosedError: when the equations are singular.
+        """
+        there = _observed(self, self.cameras, self.mounting)
+        here = _observed(self, cameras, mounting)
+        square = np.ix_(here.unknown, here.unknown)
+        covariance = np.zeros_like(self.matrix)
+        try:
+            covariance[square] = np.linalg.inv((self.matrix - there.weight + here.weight)[square])
+        except np.linalg.LinAlgError:
+            raise IllPosedError("the observations do not determine what all images share") from None
+        return covariance
+
+
+def condensed(at: Factored) -> Condensed:
+    """Condense the normal equations of a network in which control or observations fix the datum."""
+    problem, normal, state = at.problem, at.normal, at.state
+    structure = problem.layout.envelope
+    factor = np.tril(structure.panels(normal.matrix)[-1]) if structure.border else np.zeros((0, 0))
+    step = solve(structure, normal.matrix, -normal.gradient)[structure.band :]
+    matrix = factor @ factor.T
+    return Condensed(
+        matrix,
+        matrix @ step,
+        tuple((active, columns - structure.band) for active, columns in problem.layout.camera_columns),
+        np.where(problem.layout.common_columns >= 0, problem.layout.common_columns - structure.band, -1),
+        problem.network.cameras,
+        problem.network.mounting,
+        state.cameras,
+        state.common,
+        normal.chi_squared,
+        degrees_of_freedom(problem, state),
+    )
+
+
+def with_second_camera(whole: Condensed, at: Factored, residuals: Floats, later: Flags) -> Condensed:
+    """Add a camera of its own for some images of a network with one camera.
+
+    whole: of `at`.
+    residuals (rays, 2): at its state, computed minus measured.
+    later (images,): whether an image is of the second camera, which begins as the first one is.
+    """
+    ((active, columns),) = whole.camera_columns
+    band, size = at.problem.layout.envelope.band, len(whole.right)
+    steps = np.zeros((len(columns), at.problem.layout.size))
+    steps[np.arange(len(columns)), band + columns] = 1.0
+    fields = followed_by(at, steps, np.zeros((len(columns), *at.state.points.shape)))
+    fields *= later[at.problem.network.rays.image][None, :, None]
+    beside = score(at, residuals, fields)
+    follow = beside.steps[:, band:]
+    across = whole.matrix @ follow.T
+    added = beside.information + follow @ across
+    matrix = np.block([[whole.matrix, across], [across.T, added]])
+    right = np.concatenate([whole.right, -beside.slope])
+    # The score adds differences to the first camera; unknowns are the second one's own parameters.
+    turn = np.eye(size + len(columns))
+    turn[size + np.arange(len(columns)), columns] = -1.0
+    second = size + np.arange(len(columns))
+    camera = whole.cameras[0]
+    free = replace(camera, prior_sigma=np.full(len(PARAMETERS), np.inf), prior_correlation=None)
+    return replace(
+        whole,
+        matrix=turn.T @ matrix @ turn,
+        right=turn.T @ right,
+        camera_columns=((active, columns), (active, second)),
+        cameras=(camera, free),
+        values=np.repeat(whole.values, 2, axis=0),
+        degrees_of_freedom=whole.degrees_of_freedom - len(columns),
+    )
+
+
+@dataclass(frozen=True)
+class _Observed:
+    """What given values of shared unknowns, as observations, bring to the normal equations.
+
+    weight (k, k), pull (k,): their normal matrix, and that times state less given.
+    unknown (k,): which columns are not held.
+    redundancy: observations less unknowns.
+    """
+
+    weight: Floats
+    pull: Floats
+    unknown: Flags
+    chi_squared: float
+    redundancy: int
+
+
+def _observed(whole: Condensed, cameras: tuple[Camera, ...], mounting: Mounting) -> _Observed:
+    size = len(whole.right)
+    weight, pull = np.zeros((size, size)), np.zeros(size)
+    unknown = np.ones(size, dtype=np.bool_)
+    observations, chi_squared = 0, 0.0
+    for camera, values, (active, columns) in zip(cameras, whole.values, whole.camera_columns, strict=True):
+        unknown[columns] = camera.estimated[active]
+        stated = camera.estimated[active] & np.isfinite(camera.prior_sigma[active])
+        where, sigma = active[stated], camera.prior_sigma[active][stated]
+        covariance = np.outer(sigma, sigma)
+        given = camera.prior_correlation
+        covariance *= np.eye(len(where)) if given is None else given[np.ix_(where, where)]
+        information, off = np.linalg.inv(covariance), (values - camera.values)[where]
+        at = columns[stated]
+        weight[np.ix_(at, at)] += information
+        pull[at] += information @ off
+        chi_squared += float(off @ information @ off)
+        observations += len(where)
+    count = len(mounting.values)
+    columns, sigma = whole.common_columns[:count], mounting.sigma
+    known = columns >= 0
+    unknown[columns[known]] = sigma[known] != 0.0
+    stated = known & np.isfinite(sigma) & (sigma > 0.0)
+    at, information = columns[stated], sigma[stated] ** -2.0
+    off = (whole.common[:count] - mounting.values)[stated]
+    weight[at, at] += information
+    pull[at] += information * off
+    chi_squared += float(np.sum(information * off**2))
+    observations += int(stated.sum())
+    return _Observed(weight, pull, unknown, chi_squared, observations - int(unknown.sum()))

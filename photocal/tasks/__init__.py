@@ -1,1 +1,0 @@
-"""Pieces of work on several processes or machines."""
