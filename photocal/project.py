@@ -18,6 +18,7 @@ from pydantic import (
 
 from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.names import one_line
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma, make_camera
 from photocal.block.rig import HeadKeys
 from photocal.block.setup import BodyAxis, MountingKeys
@@ -49,7 +50,7 @@ ASKED = "?"
 class ProjectKeys(Table):
     """`[project]`: name, the coordinates of results and of the control table, the work folder."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1), AfterValidator(one_line)]
     crs: str
     height: Literal["ellipsoidal", "orthometric", "local"]
     output: Beside

@@ -68,6 +68,6 @@ def lend_kernels(installed: Path) -> None:
 
 
 def surroundings(cache: Path) -> dict[str, str]:
-    """Return the environment variables of a user without the sources, whose cache is a folder."""
+    """Return the environment variables of a user without the sources, with a cache and keys beside it."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    return {**kept, "XDG_CACHE_HOME": str(cache)}
+    return {**kept, "XDG_CACHE_HOME": str(cache), "XDG_CONFIG_HOME": str(cache.with_name("settings"))}

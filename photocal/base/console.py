@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NoReturn
+from unicodedata import category
 
 import typer
 
@@ -53,8 +54,11 @@ Address = Annotated[str, option("HOST:PORT of the page. Beyond this computer the
 
 
 def printable(text: str) -> str:
-    """Return a text from outside without what would steer a terminal: control characters become dots."""
-    return "".join(c if c.isprintable() else "·" for c in text)
+    """Return a text from outside without what would steer a terminal: control characters become dots.
+
+    Blanks of whatever width become blanks.
+    """
+    return "".join(c if c.isprintable() else " " if category(c) == "Zs" else "·" for c in text)
 
 
 def run(app: typer.Typer) -> None:

@@ -114,6 +114,18 @@ class DeviceError(PhotocalError):
     exit_code = 10
 
 
+class NotSignedError(PhotocalError):
+    """A document that is whole in itself, for which nobody answers by a signature."""
+
+    exit_code = 11
+
+
+class UnknownSignerError(PhotocalError):
+    """A document whose signature is right, by a key that is not known here."""
+
+    exit_code = 12
+
+
 def of_system(refusal: OSError, written: Path | None = None) -> PhotocalError:
     """Say in one line what the system refuses, with the file that it names.
 

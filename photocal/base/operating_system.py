@@ -39,7 +39,8 @@ if sys.platform == "win32":
         ctypes.cast(state, ctypes.POINTER(ctypes.c_uint32))[0] = ctypes.sizeof(state)
         return state[2] if ctypes.windll.kernel32.GlobalMemoryStatusEx(state) else None
 
-    def _is_private(_: Path) -> bool:
+    def is_private(_: Path) -> bool:
+        """Say that it is."""
         # A user's profile and temporary folder are closed to others by their access lists.
         return True
 
@@ -76,7 +77,8 @@ else:
             return False
         return True
 
-    def _is_private(path: Path) -> bool:
+    def is_private(path: Path) -> bool:
+        """Whether a file or folder is this user's and closed to all others."""
         state = path.lstat()
         return state.st_uid == os.getuid() and not state.st_mode & 0o077 and not path.is_symlink()
 
@@ -119,7 +121,7 @@ def private_folder(folder: Path) -> Path:
     unwritten = OutputError.at(folder)
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        private = _is_private(folder)
+        private = is_private(folder)
     except OSError as refusal:
         raise unwritten(f"cannot be made ({refusal.strerror})") from refusal
     if not private:

@@ -160,7 +160,7 @@ def certificate(
     from photocal.measurement.image_facts import read_facts, told_conditions
     from photocal.measurement.image_file import list_images
     from photocal.report.issue import FORMS, issue
-    from photocal.report.signing import own_key
+    from photocal.report.keys import own_key
     from photocal.results.origin import CARRIED
     from photocal.run.summary import flown_beside, told_beside
 

@@ -211,7 +211,7 @@ def _leap_seconds(today: dt.date) -> Check:
 
 def _key() -> Check:
     from photocal.base.operating_system import private_folder, settings_folder
-    from photocal.report.signing import own_key
+    from photocal.report.keys import own_key
 
     key = own_key()
     if key is None:

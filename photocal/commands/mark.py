@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from photocal.base.console import Address, answer, argument, option, progress
+from photocal.base.console import Address, answer, argument, option, printable, progress
 from photocal.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _show(scene: Scene, store: MarkStore, address: str, cache: Path | None) -> N
     stop = stopped_by_signals()
     for name, picture in scene.pictures.items():
         if picture.reason:
-            typer.echo(f"{name}: {picture.reason}", err=True)
+            typer.echo(printable(f"{name}: {picture.reason}"), err=True)
     page = application(scene, store, cache or cache_folder())
     with serving(page, read_address(address)) as url:
         typer.echo(f"open {url} (Ctrl-C ends); marks: {store.path}")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from photocal.base.console import AsJson, answer, argument, option, progress
+from photocal.base.console import AsJson, answer, argument, option, printable, progress
 
 if TYPE_CHECKING:
     from photocal.debrief.verdict import Debrief
@@ -133,7 +133,7 @@ def debrief(
         from photocal.debrief.live import follow
 
         def report(so_far: "Debrief") -> None:
-            typer.echo(finding_text(so_far.verdict, say), err=True)
+            typer.echo(printable(finding_text(so_far.verdict, say)), err=True)
 
         made = follow(known, crew, stopped_by_signals(), report, last)
     else:

@@ -4,12 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
 from photocal.base.arrays import as_plain
-from photocal.base.console import answer, argument, option, progress
-from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.console import answer, argument, option, printable, progress
+from photocal.base.errors import InputMalformedError, InputNotFoundError, NotSignedError, UnknownSignerError
 
 if TYPE_CHECKING:
+    from photocal.report.signing import Authenticity
     from photocal.report.verification import Difference
+    from photocal.run.repeated_findings import RepeatedFindings
 
 
 def keys(
@@ -27,21 +31,31 @@ def keys(
     Example: `photocal keys --new "Laboratory for photogrammetry"`
     """
     from photocal.base.operating_system import settings_folder
-    from photocal.report import signing
+    from photocal.report.journal import read_journal
+    from photocal.report.keys import known_keys, new_key, own_key, quoted, revoked_keys
 
     if journal:
-        entries = signing.journal(file)
-        lines = [f"{e['entry']:>5}  {e['signed']}  {e['number']}  {e['sha256']}" for e in entries]
+        entries = read_journal(file)
+        lines = [printable(f"{e['entry']:>5}  {e['signed']}  {e['number']}  {e['sha256']}") for e in entries]
         answer(as_json, lambda: entries, lambda: "\n".join(lines))
         return
     if new is not None:
-        signing.new_key(new, passphrase)
-    key, known = signing.own_key(), signing.known_keys()
+        new_key(new, passphrase)
+    key, known, revoked = own_key(), known_keys(), revoked_keys()
     fingerprint, folder = "" if key is None else key.fingerprint, str(settings_folder())
-    known_lines = [f"{digits}  {name}{'  (own)' * (digits == fingerprint)}" for digits, name in known.items()]
+    known_lines = [
+        f"{digits}  {quoted(name)}{'  (own)' * (digits == fingerprint)}"
+        + (f"  {revoked[digits]}" if digits in revoked else "")
+        for digits, name in known.items()
+    ]
     answer(
         as_json,
-        lambda: {"own": fingerprint or None, "known": known, "folder": folder},
+        lambda: {
+            "own": fingerprint or None,
+            "known": known,
+            "revoked": {digits: str(entry.day) for digits, entry in revoked.items()},
+            "folder": folder,
+        },
         lambda: "\n".join([*(known_lines or ["no key is known"]), f"in {folder}"]),
     )
 
@@ -60,16 +74,22 @@ def sign(
     import datetime as dt
 
     from photocal.report.issue import read_record
+    from photocal.report.keys import quoted
     from photocal.report.signing import SIGNATURE
     from photocal.report.signing import sign as signed
 
     certified, folder = read_record(certificate)
-    key = signed(folder, certified["number"], dt.datetime.now(dt.UTC), passphrase)
-    file = str(folder / SIGNATURE)
+    made = signed(folder, certified["number"], dt.datetime.now(dt.UTC), passphrase)
+    key, file = made.key, str(folder / SIGNATURE)
+    if made.told:
+        typer.echo(printable(f"warning: {made.told}"), err=True)
     answer(
         as_json,
         lambda: {"number": certified["number"], "fingerprint": key.fingerprint, "file": file},
-        lambda: f"certificate {certified['number']} signed by {key.name}: {file}\n  {key.fingerprint}",
+        lambda: (
+            f"certificate {printable(certified['number'])} signed with the key {key.fingerprint} by "
+            f"{quoted(key.name)}: {file}"
+        ),
     )
 
 
@@ -88,6 +108,9 @@ def verify(
     trust: Annotated[
         bool, option("Remember the key, which you have compared, from now on.", "--trust")
     ] = False,
+    revoked: Annotated[
+        Path | None, option("List of revoked keys, `FINGERPRINT YYYY-MM-DD REASON` each, beside your own.")
+    ] = None,
     issued: Annotated[
         Path | None, option("Journal of the issuer that must have this certificate.", "--journal")
     ] = None,
@@ -96,7 +119,11 @@ def verify(
     """Repeat a certificate from its inputs, compare every figure and page, and judge its signature.
 
     Reproducible and authentic are two answers: anybody can make a certificate that can be repeated; only the
-    issuer's key can sign it.
+    issuer's key can sign it. The verdict is judged anew; what no repetition can tell is listed as taken from
+    the issuer.
+
+    Exit code 0: reproducible, and signed by a known key. 11: reproducible, not signed. 12: reproducible, and
+    signed by a key that is not known here. 4: not as it was issued, or signed by a revoked key.
 
     A calibration that another program printed (a TOML file) has no inputs: it is checked against itself.
 
@@ -106,41 +133,57 @@ def verify(
         _printed(certificate, as_json)
         return
     from photocal.block.model import digest
+    from photocal.findings.texts import catalogue, finding_json, finding_text
     from photocal.report.issue import NAME, read_record
-    from photocal.report.signing import SIGNATURE, against_journal, authenticity, journal, known_keys
-    from photocal.report.verification import changed_files
+    from photocal.report.journal import against_journal, read_journal
+    from photocal.report.keys import known_keys, revoked_keys
+    from photocal.report.keys import trust as remember
+    from photocal.report.signing import SIGNATURE, authenticity
+    from photocal.report.verification import changed_files, stated_by_issuer
 
     certified, folder = read_record(certificate)
     files = changed_files(certified, folder)
     changed: list[str] = []
     differences: list[Difference] = []
+    findings: RepeatedFindings | None = None
     if not any(name.endswith(" is a link") for name in files):
-        changed, differences, pages = _repeat(certified, folder, block)
+        changed, differences, pages, findings = _repeat(certified, folder, block)
         files += pages
     responsible = certified["particulars"].get("responsible", {})
     named_key = str(responsible.get("key", "")) if isinstance(responsible, dict) else ""
-    signed = authenticity(folder, named_key, known_keys(keys))
-    if trust and signed.trust == "unknown" and not (changed or files or differences):
-        from photocal.report.signing import trust as remember
-
+    signed = authenticity(folder, named_key, known_keys(keys), revoked_keys(revoked))
+    problems = [*changed, *files, *(f"{d.place} is {d.found}, certified {d.certified}" for d in differences)]
+    problems += findings.false if findings is not None else ()
+    reproducible = not problems
+    if trust and signed.trust == "unknown" and reproducible:
         remember(signed.name, signed.fingerprint)
         signed = replace(signed, trust="trusted")
-    problems = [*changed, *files, *(f"{d.place} is {d.found}, certified {d.certified}" for d in differences)]
-    reproducible = not problems
     problems += signed.problems
-    if signed.trust == "changed":
+    if signed.trust in ("changed", "revoked"):
         problems.append(f"{SIGNATURE}: {signed}")
     if issued is not None:
-        problems += against_journal(journal(issued), certified["number"], digest(folder / NAME))
+        number, noted = certified["number"], signed.noted
+        problems += against_journal(read_journal(issued), number, digest(folder / NAME), noted)
     if keys is not None and signed.trust in ("unsigned", "unknown"):
         problems.append(f"not authentic: {signed}")
     authentic = signed.trust == "trusted"
+    say = catalogue("en")
+    judged, sentence = (None if findings is None else findings.verdict), ""
+    if judged is not None:
+        # What was never told of the flight's processing cannot be missed: nothing is called clean here.
+        clean = "nothing was found in what can be repeated; the rest stands below"
+        sentence = clean if judged.severity == "passed" else printable(finding_text(judged, say))
+    untold = () if findings is None else findings.untold
+    taken = [*stated_by_issuer(certified), *(() if findings is None else findings.taken)]
     answer(
         as_json,
         lambda: {
             "number": certified["number"],
             "verified": not problems,
             "reproducible": reproducible,
+            "verdict": None if judged is None else {**finding_json(judged, say), "text": sentence},
+            "not_told": list(untold),
+            "not_repeated": taken,
             "authentic": authentic,
             "signature": {"trust": signed.trust, "name": signed.name, "fingerprint": signed.fingerprint},
             "changed_inputs": changed,
@@ -150,12 +193,16 @@ def verify(
         },
         lambda: "\n".join(
             [
-                f"certificate {certified['number']}",
-                *(f"  {line}" for line in problems[:20]),
+                f"certificate {printable(certified['number'])}",
+                *(f"  {printable(line)}" for line in problems[:20]),
                 "reproducible: the inputs are the certified ones and give every figure and page again"
                 if reproducible
                 else "not reproducible",
-                f"{'authentic' if authentic else 'not authentic'}: {signed}",
+                *([] if judged is None else [f"judged again: {sentence}"]),
+                *(f"  {printable(line)}" for line in untold),
+                "taken from the issuer, not repeated:",
+                *(f"  {printable(line)}" for line in taken),
+                f"{'authentic' if authentic else 'not authentic'}: {printable(str(signed))}",
             ]
         ),
     )
@@ -165,15 +212,34 @@ def verify(
             "ask the issuer for the certificate as it was issued",
             where=certificate,
         )
+    _refuse_unknown(signed, certificate)
+
+
+def _refuse_unknown(signed: "Authenticity", certificate: Path) -> None:
+    """End with an exit code of its own where nothing is wrong but nobody known answers for it."""
+    if signed.trust == "unsigned":
+        raise NotSignedError(
+            "reproducible, but not signed: anybody may have made it",
+            "ask the issuer for its signature.json",
+            where=certificate,
+        )
+    if signed.trust == "unknown":
+        raise UnknownSignerError(
+            f"reproducible, but {signed}", "or name a list of keys by --keys", where=certificate
+        )
 
 
 def _repeat(
     certified: dict[str, Any], folder: Path, block: Path | None
-) -> "tuple[list[str], list[Difference], list[str]]":
-    """Compute and print a certificate anew: changed inputs, other figures, pages that say something else."""
+) -> "tuple[list[str], list[Difference], list[str], RepeatedFindings | None]":
+    """Compute, print and judge a certificate anew.
+
+    returns: changed inputs, other figures, pages that say something else, and what was found again.
+    """
     from photocal.report import verification
     from photocal.report.issue import certified_result
     from photocal.results.origin import CARRIED, Source, changed_inputs
+    from photocal.run.repeated_findings import repeated_findings
 
     if block is None and not (folder / CARRIED).is_dir():
         raise InputNotFoundError(
@@ -185,15 +251,19 @@ def _repeat(
     source = Source(block or folder / CARRIED, result.block.setup)
     changed = list(changed_inputs(result.inputs, source.folder).values())
     if changed:
-        return changed, [], []
+        return changed, [], [], None
     with progress("repeating", None) as step:
         run = verification.repeated(certified, folder, source, lambda: step(1))
         run = verification.as_certified(run, certified, folder)
         differences = verification.differences(certified, verification.record_of(run, certified))
+        if differences:
+            return [], differences, [], None
         pages: list[str] = []
-        if not differences and all((folder / name).is_file() for name in verification.PAGES):
+        if all((folder / name).is_file() for name in verification.PAGES):
             pages = verification.changed_pages(folder, verification.pages_of(run, certified))
-    return [], differences, pages
+        particulars, _, told = verification.given_by(certified)
+        found = repeated_findings(run, source, told, particulars, lambda: step(1))
+    return [], [], pages, found
 
 
 def _printed(path: Path, as_json: bool) -> None:

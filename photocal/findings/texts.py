@@ -12,6 +12,7 @@ from importlib import resources
 from typing import Any
 
 from photocal.base.arrays import as_plain
+from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.findings.digits import Measured, Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
@@ -112,7 +113,7 @@ def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = 
     figures = {key: _figure(key, value, say, name) for key, value in finding.figures.items()}
     key = f"subject.{finding.subject}"
     figures["subject"] = (
-        say(key) if key in say.messages else _TERM.sub(lambda term: name(term[0]), finding.subject)
+        say(key) if key in say.messages else _TERM.sub(lambda term: name(term[0]), printable(finding.subject))
     )
     try:
         text = say(_head(finding), **figures)
@@ -188,10 +189,12 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
     if key == "group":
         return say(f"group.{value}")
     if isinstance(value, str):
+        value = printable(value)
         return _term(value, say) if key in TERMS else name(value) if key in PARAMETERS else value
     if not isinstance(value, tuple | list):
         return Number(math.nan if value is None else float(value), say.mark)
-    texts = [str(element) for element in value]
+    # Points and pictures have the names that somebody gave them.
+    texts = [printable(str(element)) for element in value]
     if key in PHRASES:
         joint = ", " if PHRASES[key] == "lever" else say("join.and")
         return joint.join(_phrase(PHRASES[key], text, say, name) for text in texts)

@@ -4,14 +4,17 @@ import datetime as dt
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from photocal.base.arrays import as_plain
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_folder
+from photocal.block.model import InputFile
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
 from photocal.report.certificate import certificate, certificate_number, overall
@@ -34,6 +37,40 @@ RESULT_KEYS = (
     *("checks", "snooping", "mounting", "heads", "variance_components"),
 )
 FORMS = ("certificate.html", "certificate.pdf", NAME)
+
+
+@dataclass(frozen=True)
+class _Block:
+    setup: str = ""
+
+
+@dataclass(frozen=True)
+class _Result:
+    inputs: tuple[InputFile, ...]
+    block: _Block
+
+
+@dataclass(frozen=True)
+class _Asked:
+    alpha: Annotated[float, Field(gt=0, lt=1)]
+    correlation_threshold: Annotated[float, Field(ge=0, le=1)]
+    bootstrap_draws: Annotated[int, Field(ge=0, le=10_000)] = 0
+
+
+@dataclass(frozen=True)
+class _Needed:
+    """What a verification needs of a certificate before it computes."""
+
+    number: str
+    date: dt.date
+    language: str
+    particulars: dict[str, Any]
+    warnings: tuple[dict[str, Any], ...]
+    notes: tuple[dict[str, Any], ...]
+    result: _Result
+    analysis: _Asked | None
+    run_files: tuple[InputFile, ...]
+    documents: dict[str, str]
 
 
 def record(
@@ -140,8 +177,8 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
     file = path / NAME if path.is_dir() else path
     if file.is_symlink() or not file.is_file():
         raise InputNotFoundError("no such file", "name certificate.json or its folder", where=file)
-    _, content = read_json(file, SCHEMA, "name the certificate.json of a certificate")
-    _complete(content, file)
+    text, content = read_json(file, SCHEMA, "name the certificate.json of a certificate")
+    _complete(text, file)
     return content, file.parent
 
 
@@ -154,25 +191,18 @@ def certified_result(certificate: dict[str, Any], folder: Path) -> Figures:
     return checked(text, Figures, folder / NAME, remedy, "result")
 
 
-def _complete(content: dict[str, Any], file: Path) -> None:
-    malformed = InputMalformedError.at(file)
-    try:
-        dt.date.fromisoformat(content["date"])
-        names = [(str(entry["path"]), str(entry["sha256"])) for entry in content["result"]["inputs"]]
-        dict(content["documents"]), dict(content["particulars"]), str(content["language"])
-        names += [(str(entry["path"]), str(entry["sha256"])) for entry in content["run_files"]]
-        names.append((str(content["result"]["block"].get("setup", "")), ""))
-        list(content["warnings"]), list(content["notes"])
-    except (KeyError, TypeError, ValueError) as lacking:
-        raise malformed(
-            f"lacks what a verification needs ({lacking})", "make the certificate again"
-        ) from None
-    for name, _ in names:
+def _complete(text: str, file: Path) -> None:
+    """Refuse what lacks or has otherwise what a verification needs, and inputs outside their folder."""
+    needed = checked(text, _Needed, file, "make the certificate again")
+    names = [*(entry.path for entry in needed.result.inputs), *(entry.path for entry in needed.run_files)]
+    for name in (*names, needed.result.block.setup):
         # A certificate comes from elsewhere: it may not reach outside the folder of its inputs.
         path = PurePosixPath(name)
         if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name:
-            raise malformed(
-                f"input {name!r} lies outside the folder of the inputs", "make the certificate again"
+            raise InputMalformedError(
+                f"input {name!r} lies outside the folder of the inputs",
+                "make the certificate again",
+                where=file,
             )
 
 

@@ -1,6 +1,7 @@
 """Whether every figure of a certificate is what its inputs give: comparison of two certificates."""
 
 import datetime as dt
+import json
 import re
 import tempfile
 from collections.abc import Callable, Mapping
@@ -42,6 +43,7 @@ ANALYSIS, ANALYSIS_RELATIVE = "analysis", 1e-4
 # ... and those that may be nearly zero, in millimetres, metres, pixels or as correlations, to this much.
 NEARLY_ZERO = ("c", "change_of_c", "value", "check_rmse_m", "shift_c", "bias", "ground_m", "effect_c")
 ANALYSIS_ABSOLUTE = 1e-6
+LONGEST_SHOWN = 60
 
 
 @dataclass(frozen=True)
@@ -199,15 +201,44 @@ def as_certified(run: Run, certified: dict[str, Any], folder: Path) -> Run:
 
 def record_of(run: Run, certified: dict[str, Any]) -> dict[str, Any]:
     """Make the certificate of a repeated run, comparable by `verification.differences`."""
-    return plain_record(run, *_given_by(certified))
+    return plain_record(run, *given_by(certified))
 
 
 def pages_of(run: Run, certified: dict[str, Any]) -> dict[str, bytes]:
     """Print the certificate of a repeated run."""
-    return printed(certificate(run, *_given_by(certified)), dt.date.fromisoformat(certified["date"]))
+    return printed(certificate(run, *given_by(certified)), dt.date.fromisoformat(certified["date"]))
 
 
-def _given_by(certified: dict[str, Any]) -> tuple[Metadata, Catalogue, tuple[Finding, ...]]:
+def given_by(certified: dict[str, Any]) -> tuple[Metadata, Catalogue, tuple[Finding, ...]]:
+    """What a certificate was made of beside the run: particulars, language, warnings and notes."""
     particulars = given_particulars(certified["particulars"], certified["date"])
     warnings = findings_of([*certified["warnings"], *certified["notes"]], "certificate.json")
     return particulars, catalogue(certified["language"]), warnings
+
+
+def stated_by_issuer(certified: dict[str, Any]) -> list[str]:
+    """Name everything in a certificate that no repetition can tell: what the issuer typed or measured."""
+    stated = [f"date {certified['date']}", f"language {certified['language']}"]
+    for section, keys in certified["particulars"].items():
+        entries = keys if isinstance(keys, dict) else {"": keys}
+        for key, value in entries.items():
+            if value not in (None, "", [], {}):
+                stated.append(f"{section}{'.' * bool(key)}{key} {_shown(value)}")
+    return [*stated, *_choices(certified)]
+
+
+def _choices(certified: dict[str, Any]) -> list[str]:
+    """How the issuer has adjusted and tested: repeated so, though another choice may find more."""
+    result, analysis = certified["result"], certified.get("analysis")
+    chosen = [f"data snooping {result['snooping']}"] if result.get("snooping") else []
+    if result.get("variance_components"):
+        chosen.append("sigmas estimated: variance components")
+    if analysis is None:
+        return [*chosen, "no analysis: nobody has looked for hidden errors"]
+    keys = ("alpha", "correlation_threshold", "bootstrap_draws")
+    return [*chosen, *(f"analysis.{key} {_shown(analysis[key])}" for key in keys if analysis.get(key))]
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."

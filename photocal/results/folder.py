@@ -15,6 +15,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from photocal.base.arrays import Floats, Integers, as_plain
+from photocal.base.checked_json import read_checked_json
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.base.files import write_json
 from photocal.block.folder import IMAGE_SIGMAS
@@ -250,7 +251,7 @@ def read_json(path: Path, schema: str, remedy: str) -> tuple[str, dict[str, Any]
         text = path.read_text(encoding="utf-8")
         if not text.strip():
             raise missing("the file is empty", remedy)
-        content = json.loads(text, parse_constant=_not_a_number)
+        content = read_checked_json(text)
     except UnicodeDecodeError as broken:
         raise InputMalformedError("is not UTF-8 text", remedy, where=f"{path}, byte {broken.start}") from None
     except json.JSONDecodeError as broken:
@@ -295,10 +296,6 @@ def checked(text: str, kind: type[Kind], path: Path, remedy: str, within: str = 
         place = ".".join([*([within] if within else []), *(str(step) for step in first["loc"])])
         raise InputMalformedError(f"{place}: {first['msg']}", remedy, where=path) from None
     return value
-
-
-def _not_a_number(constant: str) -> float:
-    raise ValueError(f"contains {constant} where a number must stand")
 
 
 def _camera(name: str, stored: _Camera, path: Path) -> Camera:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from photocal.base.progress import Progress
 from photocal.project import Project
-from photocal.report.signing import own_key
+from photocal.report.keys import own_key
 from photocal.run.stage import RECORD, Stage
 from photocal.run.summary import gather, read_json
 

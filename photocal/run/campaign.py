@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.progress import Progress, quiet
 from photocal.findings.texts import catalogue, finding_text, plain
@@ -167,7 +168,7 @@ def run_projects(
 def _say(line: str) -> None:
     # A terminal that is gone, or a file on a full disk, ends no run.
     with suppress(OSError):
-        sys.stderr.write(line + "\n")
+        sys.stderr.write(printable(line) + "\n")
 
 
 def _elsewhere(task: Task) -> Outcome:

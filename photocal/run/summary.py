@@ -18,6 +18,7 @@ from photocal.geometry.camera import PARAMETERS
 from photocal.report.stored_analysis import Run, read_run
 from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import changed_inputs
+from photocal.results.result import Result
 from photocal.run.stage import StageResult, is_stage
 
 # With two thirds of the positions fixed, it is they that carry what is found.
@@ -34,12 +35,22 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
     for stage, name, read in _SOURCES:
         path = work / stage / name
         content = read_json(path) if stages is None or stage in stages else None
-        for finding in read(content, path) if content is not None else ():
-            key = finding.code, finding.subject, finding.cause
-            if not any(key == (other.code, other.subject, other.cause) for other in listed):
-                listed.append(replace(finding, stage=stage))
+        if content is not None:
+            add_new(listed, read(content, path), stage)
     ppk = read_json(work / "ppk" / "ppk.json")
     return causes_first(listed, 100.0 if ppk is None else float(ppk["fixed_percent"]))
+
+
+def add_new(listed: list[Finding], findings: Iterable[Finding], stage: str) -> None:
+    """Add the findings of a stage that no earlier one has told."""
+    for finding in findings:
+        if not any(same_matter(finding, other) for other in listed):
+            listed.append(replace(finding, stage=stage))
+
+
+def same_matter(finding: Finding, other: Finding) -> bool:
+    """Whether two findings tell the same, by whatever figures."""
+    return (finding.code, finding.subject, finding.cause) == (other.code, other.subject, other.cause)
 
 
 def told_beside(run: Path) -> tuple[Finding, ...]:
@@ -160,8 +171,11 @@ def _stored(content: dict[str, Any], path: Path) -> Iterator[Finding]:
 
 
 def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
+    yield from calibration_findings(read_result(path.parent))
+
+
+def calibration_findings(result: Result) -> Iterator[Finding]:
     """Shutters that roll, and parameters that left what was known of them: something else went into them."""
-    result = read_result(path.parent)
     for readout in result.readouts:
         if readout.estimated:
             effect_px = readout.effect / result.cameras[readout.camera].pitch[0]
@@ -185,7 +199,12 @@ def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
 
 def _of_analysis(content: dict[str, Any], path: Path) -> Iterator[Finding]:
     """What the other stages cannot see; the rest of the analysis has its own part of the certificate."""
-    yield from (finding for finding in _stored(content, path) if fault(finding.code) and not finding.small)
+    yield from hidden_faults(_stored(content, path))
+
+
+def hidden_faults(findings: Iterable[Finding]) -> Iterator[Finding]:
+    """Give those findings of an analysis that are told with those of the stages."""
+    yield from (finding for finding in findings if fault(finding.code) and not finding.small)
 
 
 _SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any], Path], Iterator[Finding]]], ...] = (

@@ -148,3 +148,24 @@ def test_the_documentation_shows_every_key() -> None:
         # Of the keys that exclude each other one stands in the second example or in the text.
         for key in type(table).model_fields:
             assert key in whole[name] or f"`{key}" in page, f"[{name}] {key}"
+
+
+@pytest.mark.parametrize(
+    ("name", "character"),
+    [
+        (r"field \u001b[2J", "U+001B"),
+        (r"field\n3", "U+000A"),
+        (r"\u202e3 dleif", "U+202E"),
+        (r"f\u200b", "U+200B"),
+    ],
+)
+def test_a_name_that_no_terminal_prints_as_it_is_is_refused(
+    name: str, character: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "project.toml"
+    path.write_text(WHOLE.replace('"field 3"', f'"{name}"'), encoding="utf-8")
+    with pytest.raises(
+        ConfigurationError, match=rf"(?i)project\.name.*{character.replace('+', '.')}"
+    ) as refusal:
+        read_project(path)
+    assert str(refusal.value).isprintable()

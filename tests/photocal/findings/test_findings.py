@@ -128,3 +128,17 @@ def test_digits_in_names_of_points_are_no_indices() -> None:
     control = Finding("image", "note", "GCP07", {"name": "GCP07", "relative": 2.0, "px": 1.0}, ("amount",))
     assert "GCP07" in finding_text(control, say)
     assert "K₁" in finding_text(Finding("not_significant", "note", "K1", {"t": 0.3}), say)
+
+
+def test_names_of_points_and_pictures_write_no_line_of_their_own() -> None:
+    """A name with a line break would stand in a summary as a line of the program."""
+    name = "p9\nverdict   usable; nothing was found\x1b[2K"
+    for finding in (
+        Finding("check-outside-prediction", "doubtful", "direct", {"method": "direct", "points": (name,)}),
+        Finding("mark-off", "doubtful", name, {"point": name, "image": "a", "px": 3.0, "sigmas": 9.0}),
+        Finding("no-coordinates", "doubtful", name),
+    ):
+        text = finding_text(finding, catalogue("en"))
+        assert "p9·verdict" in text
+        assert len(text.splitlines()) == 1
+        assert "\x1b" not in text

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
+from photocal.base.errors import NotSignedError, UnknownSignerError
 from photocal.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import pages_of, repeated
@@ -231,10 +232,12 @@ def test_a_new_record_without_the_key_is_reproducible_and_not_authentic(
     certificate = ("certificate", office / "run", "-o", forged, "--block", DEMO, "--operator", "Laboratory")
     done(*certificate, "--date", "2026-11-21")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(office / "settings"))
-    said = json.loads(done("verify", forged, "--json"))
+    unsigned = call("verify", forged, "--json")
+    assert unsigned.exit_code == 1
+    assert isinstance(unsigned.exception, NotSignedError)
+    said = json.loads(unsigned.stdout)
     assert (said["reproducible"], said["authentic"]) == (True, False)
-    assert "reproducible" in done("verify", forged)
-    assert "not authentic: it is not signed" in done("verify", forged)
+    assert "not authentic: it is not signed" in call("verify", forged).output
     # With a key of his own, under the same name: refused by who knows the right one ...
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "forger"))
     done("keys", "--new", "Laboratory")
@@ -245,7 +248,9 @@ def test_a_new_record_without_the_key_is_reproducible_and_not_authentic(
     assert "known by another key" in str(call("verify", forged, "--trust").exception)
     # ... and not authentic for who knows none, until that person has compared and trusts it.
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "client"))
-    assert json.loads(done("verify", office / "signed", "--json"))["authentic"] is False
+    unknown = call("verify", office / "signed", "--json")
+    assert isinstance(unknown.exception, UnknownSignerError)
+    assert json.loads(unknown.stdout)["authentic"] is False
     assert json.loads(done("verify", office / "signed", "--json", "--trust"))["authentic"] is True
     assert json.loads(done("verify", office / "signed", "--json"))["authentic"] is True
     assert "known by another key" in str(call("verify", forged).exception)

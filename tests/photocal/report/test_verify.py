@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
+from photocal.base.errors import InputMalformedError, NotSignedError
 from photocal.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import as_certified, differences, record_of, repeated
@@ -59,7 +60,7 @@ def elsewhere(issued: Path, tmp_path: Path) -> Path:
 
 def test_it_verifies_elsewhere(elsewhere: Path) -> None:
     answer = call("verify", elsewhere / "certificate.json", "--json")
-    assert answer.exit_code == 0
+    assert isinstance(answer.exception, NotSignedError)
     assert json.loads(answer.stdout)["verified"] is True
 
 
@@ -74,7 +75,7 @@ def test_it_verifies_with_other_arithmetic(elsewhere: Path) -> None:
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == NotSignedError.exit_code, done.stderr
     assert json.loads(done.stdout)["verified"] is True
 
 
@@ -120,7 +121,8 @@ def test_what_the_run_estimated_and_rejected_is_repeated(tmp_path: Path) -> None
     adjust_block(DEMO, tmp_path / "run", "w", wanted=Wanted(components=True))
     assert call("certificate", tmp_path / "run", "-o", tmp_path / "c", "--block", DEMO).exit_code == 0
     answer = call("verify", tmp_path / "c", "--json")
-    assert answer.exit_code == 0, answer.exception
+    assert isinstance(answer.exception, NotSignedError)
+    assert json.loads(answer.stdout)["verified"] is True
     content = json.loads((tmp_path / "c" / "certificate.json").read_text(encoding="utf-8"))
     assert content["result"]["variance_components"]
     assert content["result"]["snooping"] == "w"
@@ -129,7 +131,7 @@ def test_what_the_run_estimated_and_rejected_is_repeated(tmp_path: Path) -> None
 def test_missing_input_is_named(elsewhere: Path) -> None:
     (elsewhere / "inputs" / "points.csv").unlink()
     assert "points.csv is missing" in str(call("verify", elsewhere).exception)
-    assert call("verify", elsewhere, "--block", DEMO).exit_code == 0
+    assert isinstance(call("verify", elsewhere, "--block", DEMO).exception, NotSignedError)
 
 
 def change(folder: Path, *steps: Any, to: Any) -> None:
@@ -220,3 +222,31 @@ def test_tolerances() -> None:
     assert [d.place for d in differences(base, {"c": base["c"], "n": 5})] == ["rms"]
     assert [d.place for d in differences([1, 2], [1, 2, 3], "list")] == ["list"]
     assert [d.place for d in differences({"a": None}, {"a": 0.0})] == ["a"]
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"number": 5},
+        {"number": None},
+        {"language": ["en"]},
+        {"language": {}},
+        {"particulars": []},
+        {"documents": []},
+        {"analysis": 5},
+        {"analysis": {}},
+        {"analysis": {"alpha": 0.1, "correlation_threshold": 0.8, "bootstrap_draws": 10**9}},
+        {"date": "yesterday"},
+        {"warnings": [5]},
+        {"run_files": [{}]},
+        {"result": []},
+        {"result": {"inputs": [], "block": None}},
+    ],
+)
+def test_fields_of_another_kind_are_refused_in_a_line(elsewhere: Path, changed: dict[str, Any]) -> None:
+    for name, to in changed.items():
+        change(elsewhere, name, to=to)
+    answer = call("verify", elsewhere)
+    assert isinstance(answer.exception, InputMalformedError)
+    assert next(iter(changed)) in str(answer.exception)
+    assert "\n" not in str(answer.exception)

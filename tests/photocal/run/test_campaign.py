@@ -80,3 +80,17 @@ def test_one_that_fails_stops_no_other(
     with pytest.raises(InputNotFoundError, match=r"block\.toml"):
         run_projects(paths, DAY, quiet, until="calibration", cluster=address if elsewhere else None)
     assert (tmp_path / "june" / "work" / "calibration" / "result.json").exists()
+
+
+def test_names_of_files_do_not_steer_the_terminal(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A stage tells of a file that somebody has put into its folder, by its name."""
+    project = Path(shutil.copytree(flown / "may", tmp_path / "may")) / "project.toml"
+    run_projects([project], DAY, quiet, until="calibration")
+    (project.parent / "work" / "calibration" / "put \x1b[2Jhere.txt").write_text("mine", encoding="utf-8")
+    capsys.readouterr()
+    run_projects([project], DAY, quiet, until="calibration", again="calibration")
+    said = capsys.readouterr().err
+    assert "put ·[2Jhere.txt" in said
+    assert "\x1b" not in said

@@ -1,0 +1,237 @@
+"""Whose key it is: the own one, those that are known here, and those that were revoked."""
+
+import base64
+import datetime as dt
+import hashlib
+import json
+import os
+import re
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from photocal.base.checked_json import read_checked_json
+from photocal.base.console import printable
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, OutputError
+from photocal.base.files import output_file
+from photocal.base.names import compared, plain_name
+from photocal.base.operating_system import is_private, private_folder, settings_folder
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+_PRIVATE, _OWN, _TRUSTED, _REVOKED = "key.pem", "key.json", "trusted_keys.txt", "revoked_keys.txt"
+_LONGEST = 100
+_FINGERPRINT = re.compile(r"(?:[0-9A-F]{4} ){9}[0-9A-F]{4}")
+# Alphabets whose letters look like those of another.
+_ALIKE = {"LATIN", "CYRILLIC", "GREEK", "ARMENIAN", "CHEROKEE", "COPTIC"}
+
+
+@dataclass(frozen=True)
+class Key:
+    """A public key: who uses it, its 32 bytes, and by what people compare it."""
+
+    name: str
+    public: bytes
+
+    @property
+    def fingerprint(self) -> str:
+        """First 160 bits of its SHA-256, in groups of four digits."""
+        digits = hashlib.sha256(self.public).hexdigest()[:40].upper()
+        return " ".join(digits[k : k + 4] for k in range(0, 40, 4))
+
+
+@dataclass(frozen=True)
+class Revocation:
+    """From when on a key is not to be believed, and what was said about it."""
+
+    day: dt.date
+    reason: str = ""
+
+    def __str__(self) -> str:
+        """Say it, behind "the key"."""
+        return f"revoked on {self.day}" + (f" ({printable(self.reason)})" if self.reason else "")
+
+
+def key_name(name: str) -> str:
+    """Return the one form of a key's name.
+
+    raises ValueError: when it cannot be printed on a line as people read it, is longer than 100 characters,
+        or has a word in letters of two alphabets.
+    """
+    plain = plain_name(name)
+    if len(plain) > _LONGEST:
+        raise ValueError(f"has {len(plain)} characters, {_LONGEST} are allowed")
+    for word in re.split(r"[\W\d_]+", plain):
+        alphabets = {unicodedata.name(letter, "").partition(" ")[0] for letter in word} & _ALIKE
+        if len(alphabets) > 1:
+            raise ValueError(f"has letters of {' and '.join(sorted(alphabets)).title()} in one word")
+    return plain
+
+
+def quoted(name: str) -> str:
+    """Return a name between quotes, where it cannot pass for words of ours."""
+    return '"' + printable(name[:_LONGEST]).replace('"', "'") + '"'
+
+
+def new_key(name: str, passphrase: str = "") -> Key:
+    """Make the key of this user; one that exists is never replaced.
+
+    raises ConfigurationError: for a name that is none, see `key_name`.
+    raises OutputError: when there is a key, or it cannot be written.
+    """
+    from cryptography.hazmat.primitives import serialization
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    try:
+        name = key_name(name)
+    except ValueError as wrong:
+        raise ConfigurationError(f"the name {wrong}", "write it as people read it", where="--new") from None
+    path = private_folder(settings_folder()) / _PRIVATE
+    if path.exists():
+        raise OutputError("there is a key already", "keep it, or move it away yourself", where=path)
+    private = Ed25519PrivateKey.generate()
+    sealed = (
+        serialization.BestAvailableEncryption(passphrase.encode())
+        if passphrase
+        else serialization.NoEncryption()
+    )
+    text = private.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, sealed)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "wb") as stream:
+        stream.write(text)
+    key = Key(name, private.public_key().public_bytes_raw())
+    public = base64.b64encode(key.public).decode()
+    with output_file(path.with_name(_OWN)) as aside:
+        aside.write_text(json.dumps({"name": name, "public": public}), encoding="utf-8")
+    return key
+
+
+def own_key() -> Key | None:
+    """Give the public key of this user, if there is one."""
+    path = settings_folder() / _OWN
+    if not path.is_file():
+        return None
+    content = read_object(path)
+    try:
+        return Key(key_name(str(content["name"])), base64.b64decode(str(content["public"]), validate=True))
+    except (KeyError, ValueError) as wrong:
+        raise InputMalformedError(
+            f"is no key: name or key {wrong}", "correct the name, or restore the file", where=path
+        ) from None
+
+
+def private_key(passphrase: str) -> "Ed25519PrivateKey":
+    """Open the private key of this user.
+
+    raises ConfigurationError: with a wrong passphrase, or when others can read it.
+    """
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    path = settings_folder() / _PRIVATE
+    if not path.is_file():
+        raise InputNotFoundError("there is no key", "run: photocal keys --new NAME", where=path)
+    wrong = ConfigurationError.at(path)
+    if not is_private(path):
+        raise wrong(
+            "the key is open to others, or another user's",
+            f"run: chmod 600 {path}; if anybody may have read it, publish that it is revoked, make another",
+        )
+    try:
+        key = load_pem_private_key(path.read_bytes(), passphrase.encode() or None)
+    except (TypeError, ValueError) as refusal:
+        raise wrong(f"the key cannot be opened ({refusal})", "give its passphrase") from None
+    if not isinstance(key, Ed25519PrivateKey):
+        raise wrong("is no Ed25519 key", "run: photocal keys --new NAME")
+    return key
+
+
+def known_keys(path: Path | None = None) -> dict[str, str]:
+    """Read names by fingerprint, a line `FINGERPRINT NAME` each; without a file this user's."""
+    source = path or settings_folder() / _TRUSTED
+    own = {key.fingerprint: key.name for key in (own_key(),) if key and path is None}
+    if path is None and not source.is_file():
+        return own
+    listed: dict[str, str] = {}
+    for where, fingerprint, name in _lines(source, "write ten groups of four, and the name"):
+        malformed = InputMalformedError.at(where)
+        if fingerprint in listed:
+            raise malformed("has a key that stands above already", "remove one of the two lines")
+        try:
+            listed[fingerprint] = key_name(name) if name else ""
+        except ValueError as wrong:
+            raise malformed(f"the name {wrong}", "ask the issuer, then remove the line") from None
+    return own | listed
+
+
+def revoked_keys(path: Path | None = None) -> dict[str, Revocation]:
+    """Read the revoked keys, a line `FINGERPRINT YYYY-MM-DD REASON` each: this user's list, and another."""
+    own, revoked = settings_folder() / _REVOKED, dict[str, Revocation]()
+    for source in [*([own] if own.is_file() else []), *([path] if path is not None else [])]:
+        for where, fingerprint, rest in _lines(source, "write ten groups of four, the day, and the reason"):
+            day, _, reason = rest.partition(" ")
+            try:
+                revoked.setdefault(fingerprint, Revocation(dt.date.fromisoformat(day), reason.strip()))
+            except ValueError:
+                raise InputMalformedError(
+                    f"{day!r} is no day", "write YYYY-MM-DD behind the key", where=where
+                ) from None
+    return revoked
+
+
+def _lines(source: Path, remedy: str) -> Iterator[tuple[str, str, str]]:
+    """Lines of a list of keys: where it stands, the fingerprint, and what follows."""
+    if not source.is_file():
+        raise InputNotFoundError("no such file", "name a list of keys", where=source)
+    try:
+        text = source.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as broken:
+        raise InputMalformedError(
+            "is not UTF-8 text", remedy, where=f"{source}, byte {broken.start}"
+        ) from None
+    # Only a line feed ends a line: what else Python takes for an end may hide a second entry in a name.
+    for number, line in enumerate(text.split("\n"), start=1):
+        if line.strip() and not line.startswith("#"):
+            words = line.split()
+            fingerprint = " ".join(words[:10]).upper()
+            if len(words) < 11 or not _FINGERPRINT.fullmatch(fingerprint):
+                raise InputMalformedError("is no key", remedy, where=f"{source}, line {number}")
+            rest = line.strip(" \t\r").split(maxsplit=10)[10]
+            yield f"{source}, line {number}", fingerprint, rest
+
+
+def trust(name: str, fingerprint: str) -> None:
+    """Remember a key, by one line more; a name that is known by another one is refused."""
+    known, path = known_keys(), settings_folder() / _TRUSTED
+    if any(is_name_of(name, other) for key, other in known.items() if key != fingerprint):
+        raise ConfigurationError(
+            f"{quoted(name)} is known by another key",
+            "ask the issuer, then remove the old line yourself",
+            where=path,
+        )
+    if fingerprint in known:
+        return
+    private_folder(settings_folder())
+    before = path.read_text(encoding="utf-8").rstrip("\n") if path.is_file() else ""
+    with output_file(path) as aside:
+        lines = [*([before] if before else []), f"{fingerprint} {key_name(name)}"]
+        aside.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def is_name_of(name: str, other: str) -> bool:
+    """Whether people would take two names for the same."""
+    return compared(name) == compared(other)
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """Read a file of one JSON object; raises InputMalformedError for anything else."""
+    try:
+        content = read_checked_json(path.read_bytes().decode())
+    except (OSError, ValueError, RecursionError) as broken:
+        raise InputMalformedError(f"cannot be read ({broken})", "restore it", where=path) from None
+    if not isinstance(content, dict):
+        raise InputMalformedError("is no JSON object", "restore it", where=path)
+    return content
