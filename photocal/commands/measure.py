@@ -63,11 +63,11 @@ def measure(
 
         pictures, name = list_images(images), images.resolve().name
         if options.field:
-            from photocal.measurement.field_block import measure_field
+            from photocal.measurement.target_block import measure_field
 
             work = partial(measure_field, pictures, options.field, options.distances, name, lens, progress)
         elif options.board:
-            from photocal.measurement.board_block import measure_board
+            from photocal.measurement.target_block import measure_board
             from photocal.measurement.boards import parse_board
 
             board = parse_board(options.board, options.square_m, options.charuco)
