@@ -13,6 +13,8 @@ Content = TypeVar("Content", bound=BaseModel)
 
 
 _MOST_PARTS = 100
+# An unknown key, in a table and in a dataclass of options.
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 class Table(BaseModel):
@@ -76,7 +78,7 @@ def checked_tables(
         return model.model_validate(content, context=context)
     except ValidationError as failure:
         # A misspelt key is both unknown and missing: the first says more.
-        unknown = [error for error in failure.errors() if error["type"] == "extra_forbidden"]
+        unknown = [error for error in failure.errors() if error["type"] in _UNKNOWN]
         raise _complaint(where, (unknown or failure.errors())[0]) from failure
 
 
@@ -93,7 +95,7 @@ def _complaint(path: object, error: Any) -> ConfigurationError:
     # What stands in angle brackets is the name of a variant, not of a key.
     parts = (str(part + 1) if isinstance(part, int) else part for part in error["loc"])
     key = ".".join(part for part in parts if not part.startswith("<"))
-    if error["type"] == "extra_forbidden":
+    if error["type"] in _UNKNOWN:
         return ConfigurationError(f"unknown key {key}", "correct its spelling or remove it", where=path)
     if error["type"] == "missing":
         return ConfigurationError(f"key {key} is missing", "add it", where=path)

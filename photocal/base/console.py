@@ -2,14 +2,17 @@
 
 import atexit
 import gc
+import inspect
 import json
 import math
 import sys
 import time
+import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NoReturn
+from dataclasses import MISSING, dataclass, fields
+from functools import wraps
+from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 from unicodedata import category
 
 import typer
@@ -21,6 +24,7 @@ from photocal.base.errors import (
     ProgramMissingError,
     of_system,
 )
+from photocal.base.options import Option, Options
 
 # Into a file, or to a program that reads along, a line of progress is written so often.
 LINE_EVERY_S = 10.0
@@ -47,6 +51,55 @@ def option(text: str, *names: str, **settings: Any) -> Any:
 def argument(text: str, **settings: Any) -> Any:
     """Describe an argument of a command by its help."""
     return typer.Argument(help=text, **settings)
+
+
+def spread(command: Callable[..., None]) -> Callable[..., None]:
+    """Make a command of a function that takes `Options`: each of their fields becomes an option of its own.
+
+    The other parameters are described as for typer (`option`, `argument`); the help lists all in their order.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    taken: dict[str, Any] = {
+        name: hint for name, hint in hints.items() if isinstance(hint, type) and issubclass(hint, Options)
+    }
+    parameters = list[inspect.Parameter]()
+    for own in inspect.signature(command).parameters.values():
+        spread_out = _parameters(taken[own.name]) if own.name in taken else [own]
+        parameters += [
+            one.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints.get(one.name, one.annotation))
+            for one in spread_out
+        ]
+
+    @wraps(command)
+    def called(**given: Any) -> None:
+        for name, kind in taken.items():
+            values = {field.name: given.pop(field.name) for field in fields(kind)}
+            # typer knows lists, frozen options hold tuples.
+            listed = {key: tuple(value) for key, value in values.items() if isinstance(value, list)}
+            given[name] = kind(**values | listed)
+        command(**given)
+
+    called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    called.__annotations__ = {one.name: one.annotation for one in parameters}
+    return called
+
+
+def _parameters(kind: type[Any]) -> list[inspect.Parameter]:
+    hints, parameters = get_type_hints(kind, include_extras=True), list[inspect.Parameter]()
+    for field in fields(kind):
+        value_type: Any
+        value_type, *described = get_args(hints[field.name])
+        help_of = next(part for part in described if isinstance(part, Option))
+        default: Any = inspect.Parameter.empty if field.default is MISSING else field.default
+        if get_origin(value_type) is tuple and get_args(value_type)[1:] == (Ellipsis,):
+            value_type, default = types.GenericAlias(list, get_args(value_type)[:1]), list(default)
+        annotation = Annotated[value_type, option(help_of.text, *help_of.names)]
+        parameters.append(
+            inspect.Parameter(
+                field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+            )
+        )
+    return parameters
 
 
 AsJson = Annotated[bool, option("Print the figures as JSON.", "--json")]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from photocal.base.console import answer, argument, numbers_of, option, progress
+from photocal.base.console import answer, argument, numbers_of, option, progress, spread
 from photocal.base.errors import ConfigurationError
+from photocal.measurement.options import MeasureOptions
 
 if TYPE_CHECKING:
     from photocal.base.workers import Workers
@@ -21,48 +22,15 @@ Work: TypeAlias = "Callable[[], Measured]"
 WEAK = 0.005
 
 
+@spread
 def measure(
     output: Annotated[Path, option("Block folder to write.", "-o", "--output")],
+    *,
     project: Annotated[
         Path | None, argument("Project file: pictures, camera, control, marks and targets.")
     ] = None,
     images: Annotated[Path | None, option("Folder with the images.")] = None,
-    gcp: Annotated[
-        Path | None,
-        option("Marked control points: gcp_list.txt, Metashape's markers (.xml), OpenSfM's (.json)."),
-    ] = None,
-    marks: Annotated[
-        list[Path] | None,
-        option("Marks for a project: of Pix4D (.csv, .txt), Metashape (.xml, .csv), OpenSfM, gcp_list.txt."),
-    ] = None,
-    height: Annotated[str, option("What the control points' heights are: ellipsoidal or orthometric.")] = "",
-    crs: Annotated[str, option("System of the control points where their file does not say it right.")] = "",
-    gcp_sigma: Annotated[
-        str, option("Sigma of control points, horizontal,vertical, m, where their file has none.")
-    ] = "0.02,0.03",
-    board: Annotated[str, option("Calibration board: squares in a row and in a column, such as 10x7.")] = "",
-    square_m: Annotated[
-        float, option("Side of a square of the board, m; without it the unit is one square.")
-    ] = 1.0,
-    charuco: Annotated[
-        str, option("Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
-    ] = "",
-    field: Annotated[
-        str, option("Field of coded targets without coordinates: their dictionary, such as 4x4_250.")
-    ] = "",
-    distances: Annotated[
-        Path | None, option("Tape distances in a field: CSV from, to, value, sigma (m) between corners 17.1.")
-    ] = None,
-    run: Annotated[Path | None, option("With --field: adjust the block, too, into this folder.")] = None,
-    c_px: Annotated[float, option("Principal distance, px, in place of what the pictures state.")] = 0.0,
-    focal_mm: Annotated[float, option("Focal length, mm, in place of what the pictures state.")] = 0.0,
-    workers: Annotated[int, option("Processes; 0 for one on each core.")] = 0,
-    cluster: Annotated[
-        str, option("Dask scheduler whose workers share images and cache, such as tcp://HOST:8786.")
-    ] = "",
-    cache: Annotated[
-        Path | None, option("Folder for features and matches; ~/.cache/photocal when not given.")
-    ] = None,
+    options: MeasureOptions,
     as_json: Annotated[bool, option("Print measurement.json.", "--json")] = False,
 ) -> None:
     """Measure images, a project, a calibration board or tie points, as a block folder for `photocal adjust`.
@@ -77,50 +45,49 @@ def measure(
 
     if (project is None) == (images is None):
         raise ConfigurationError("what to measure is not clear", "give PROJECT.toml or --images FOLDER")
-    if charuco and not board:
-        raise ConfigurationError("--charuco needs a board", "give --board COLUMNSxROWS")
-    if marks and project is None:
+    if options.marks and project is None:
         raise ConfigurationError(
             "--marks has no coordinates of its points",
             "give PROJECT.toml, whose control table has them, or --gcp with both",
         )
-    crew, lens = _crew(workers, cluster), GivenLens(c_px, focal_mm)
-    if cluster:
+    crew, lens = _crew(options), GivenLens(options.c_px, options.focal_mm)
+    if options.cluster:
         # Workers have working folders of their own.
         project, images = (path and path.absolute() for path in (project, images))
     if images is None:
-        if board or gcp is not None:
+        if options.board or options.gcp is not None:
             raise ConfigurationError("a project names its own control", "give --images with --board or --gcp")
-        work = _project(project or Path(), marks or [], crew, cache)
+        work = _project(project or Path(), options.marks, crew, options.cache)
     else:
         from photocal.measurement.image_file import list_images
 
         pictures, name = list_images(images), images.resolve().name
-        if field:
-            from photocal.measurement.field_block import measure_field
+        if options.field:
+            from photocal.measurement.target_block import measure_field
 
-            work = partial(measure_field, pictures, field, distances, name, lens, progress)
-        elif board:
-            from photocal.measurement.board_block import measure_board
+            work = partial(measure_field, pictures, options.field, options.distances, name, lens, progress)
+        elif options.board:
             from photocal.measurement.boards import parse_board
+            from photocal.measurement.target_block import measure_board
 
-            work = partial(measure_board, pictures, parse_board(board, square_m, charuco), name, progress)
+            board = parse_board(options.board, options.square_m, options.charuco)
+            work = partial(measure_board, pictures, board, name, progress)
         else:
             from photocal.measurement.image_block import measure_images
 
-            control = None if gcp is None else _control(gcp, gcp_sigma, crs, height)
-            plan = _plan(crew, cache, images)
+            control = None if options.gcp is None else _control(options.gcp, options)
+            plan = _plan(crew, options.cache, images)
             work = partial(measure_images, pictures, name, plan, progress, lens, control)
     record = _written(work, output)
     adjusted = []
-    if run is not None and field:
+    if options.run is not None and options.field:
         from photocal.results.adjusted import adjust_block
 
-        adjusted = [repr(adjust_block(output, run))]
+        adjusted = [repr(adjust_block(output, options.run))]
     answer(as_json, lambda: record, lambda: "\n".join([*_text(record, output), *adjusted]))
 
 
-def _project(path: Path, marks: list[Path], crew: Workers, cache: Path | None) -> Work:
+def _project(path: Path, marks: Sequence[Path], crew: Workers, cache: Path | None) -> Work:
     from photocal.measurement.orientation import of_exposures
     from photocal.measurement.project_block import measure_project
     from photocal.project import read_project
@@ -133,26 +100,22 @@ def _project(path: Path, marks: list[Path], crew: Workers, cache: Path | None) -
     return partial(measure_project, project, exposures, plan, progress, marks)
 
 
-def _control(gcp: Path, sigma: str, crs: str, height: str) -> GivenControl:
+def _control(gcp: Path, options: MeasureOptions) -> GivenControl:
     from photocal.measurement.image_block import GivenControl
 
     form = "HORIZONTAL,VERTICAL: metres, such as 0.02,0.03"
-    horizontal, vertical = numbers_of(sigma, "--gcp-sigma", form)
+    horizontal, vertical = numbers_of(options.gcp_sigma, "--gcp-sigma", form)
     if not (horizontal > 0 and vertical > 0):
-        raise ConfigurationError(f"--gcp-sigma {sigma} is not positive", f"give {form}")
-    return GivenControl(gcp, (horizontal, vertical), crs, height)
+        raise ConfigurationError(f"--gcp-sigma {options.gcp_sigma} is not positive", f"give {form}")
+    return GivenControl(gcp, (horizontal, vertical), options.crs, options.height)
 
 
-def _crew(workers: int, cluster: str) -> Workers:
+def _crew(options: MeasureOptions) -> Workers:
     import os
 
     from photocal.base.workers import Cluster
 
-    if cluster and workers:
-        raise ConfigurationError(
-            "--workers and --cluster are both given", "choose processes here or a cluster"
-        )
-    return Cluster(cluster) if cluster else workers or os.cpu_count() or 1
+    return Cluster(options.cluster) if options.cluster else options.workers or os.cpu_count() or 1
 
 
 def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:

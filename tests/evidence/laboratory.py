@@ -22,9 +22,9 @@ from photocal.base.arrays import Floats
 from photocal.base.progress import quiet
 from photocal.geometry.camera import PARAMETERS
 from photocal.measurement.block_files import write_block
-from photocal.measurement.field_block import measure_field
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import GivenLens
+from photocal.measurement.target_block import measure_field
 from photocal.results.adjusted import adjust_block
 from tests.photocal.measurement.laboratory import (
     ESTIMATED,

@@ -1,0 +1,59 @@
+"""Options of `photocal measure`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from photocal.base.errors import ConfigurationError
+from photocal.base.options import Option, Options
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasureOptions(Options):
+    """What is measured in the pictures, what is known of their control and lens, and with which means."""
+
+    gcp: Annotated[
+        Path | None,
+        Option("Marked control points: gcp_list.txt, Metashape's markers (.xml), OpenSfM's (.json)."),
+    ] = None
+    marks: Annotated[
+        tuple[Path, ...],
+        Option("Marks for a project: of Pix4D (.csv, .txt), Metashape (.xml, .csv), OpenSfM, gcp_list.txt."),
+    ] = ()
+    height: Annotated[str, Option("What the control points' heights are: ellipsoidal or orthometric.")] = ""
+    crs: Annotated[str, Option("System of the control points where their file does not say it right.")] = ""
+    gcp_sigma: Annotated[
+        str, Option("Sigma of control points, horizontal,vertical, m, where their file has none.")
+    ] = "0.02,0.03"
+    board: Annotated[str, Option("Calibration board: squares in a row and in a column, such as 10x7.")] = ""
+    square_m: Annotated[
+        float, Option("Side of a square of the board, m; without it the unit is one square.")
+    ] = 1.0
+    charuco: Annotated[
+        str, Option("Marker dictionary of a ChArUco board, such as 4x4_50 or apriltag_36h11.")
+    ] = ""
+    field: Annotated[
+        str, Option("Field of coded targets without coordinates: their dictionary, such as 4x4_250.")
+    ] = ""
+    distances: Annotated[
+        Path | None, Option("Tape distances in a field: CSV from, to, value, sigma (m) between corners 17.1.")
+    ] = None
+    run: Annotated[Path | None, Option("With --field: adjust the block, too, into this folder.")] = None
+    c_px: Annotated[float, Option("Principal distance, px, in place of what the pictures state.")] = 0.0
+    focal_mm: Annotated[float, Option("Focal length, mm, in place of what the pictures state.")] = 0.0
+    workers: Annotated[int, Option("Processes; 0 for one on each core.")] = 0
+    cluster: Annotated[
+        str, Option("Dask scheduler whose workers share images and cache, such as tcp://HOST:8786.")
+    ] = ""
+    cache: Annotated[
+        Path | None, Option("Folder for features and matches; ~/.cache/photocal when not given.")
+    ] = None
+
+    def __post_init__(self) -> None:
+        """Refuse options that contradict each other."""
+        if self.charuco and not self.board:
+            raise ConfigurationError("--charuco needs a board", "give --board COLUMNSxROWS")
+        if self.cluster and self.workers:
+            raise ConfigurationError(
+                "--workers and --cluster are both given", "choose processes here or a cluster"
+            )

@@ -1,0 +1,242 @@
+"""From pictures of a calibration board or a field of coded targets to a block that calibrates the camera."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photocal.adjustment.adjust import adjust
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError, InputNotFoundError
+from photocal.base.progress import Progress
+from photocal.block.folder import read_relations
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
+from photocal.block.network import assemble
+from photocal.geometry.camera import pixel_to_plane
+from photocal.geometry.resection import resection
+from photocal.geometry.rotation import angles_from_matrix
+from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA, Measured
+from photocal.measurement.boards import Board, find_board
+from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_file import each_picture, read_grey
+from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
+from photocal.measurement.markers import dictionary, find_markers
+
+ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
+# Of fewer pictures of a board, or of fewer pictures or targets of a field, no camera is calibrated.
+FEWEST_VIEWS = 3
+FEWEST_PICTURES, FEWEST_TARGETS = 4, 8
+
+
+@dataclass(frozen=True)
+class View:
+    """Points that a picture shows.
+
+    point (n,): numbers of the points.
+    pixels (n, 2).
+    sigma (n, 2): what the grey values give, px.
+    """
+
+    facts: ImageFacts
+    point: Integers
+    pixels: Floats
+    sigma: Floats
+
+    def some(self, points: Integers) -> "View":
+        """Keep what is seen of these points."""
+        kept = np.isin(self.point, points)
+        return replace(self, point=self.point[kept], pixels=self.pixels[kept], sigma=self.sigma[kept])
+
+
+def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Progress) -> Measured:
+    """Measure a board in pictures and make the block that calibrates the camera; the board's points are held.
+
+    raises InputNotFoundError: when too few pictures show the board.
+    raises PhotocalError: when the views do not determine the camera.
+    """
+
+    def measure(path: Path) -> View:
+        facts, view = read_facts(path), find_board(read_grey(path), board)
+        if view is None:
+            raise InputNotFoundError("the board was not found", where=path)
+        return View(facts, view.corners, view.pixels, view.sigmas)
+
+    with progress("measuring the board", len(paths)) as done:
+        views, left_out = each_picture(paths, measure, done)
+    across, down = board.inner
+    if len(views) < FEWEST_VIEWS:
+        raise InputNotFoundError(
+            f"{len(views)} of {len(paths)} images show a board of {board.columns} x {board.rows} squares "
+            f"({across} x {down} inner corners), {FEWEST_VIEWS} are needed",
+            "count the squares, not the corners, and see that the whole board is visible",
+            where=paths[0].parent,
+        )
+    xyz = board.points()
+    used = np.unique(np.concatenate([view.point for view in views]))
+    points = ObjectPoints(
+        tuple(f"r{k // across + 1}c{k % across + 1}" for k in used),
+        xyz[used],
+        np.zeros((len(used), 3)),
+        np.full(len(used), ROLES.index("control")),
+    )
+    block, record = _measured(_block(views, used, points, name), views, left_out)
+    given = {"squares": [board.columns, board.rows], "square_m": board.square_m, "kind": board.kind}
+    return Measured(block, {"schema": SCHEMA, "kind": "board", "board": given, **record})
+
+
+def measure_field(
+    paths: Sequence[Path],
+    dictionary_name: str,
+    distances: Path | None,
+    name: str,
+    lens: GivenLens,
+    progress: Progress,
+) -> Measured:
+    """Measure the corners of coded targets without coordinates and make the block that calibrates the camera.
+
+    distances: CSV with the columns from, to, value, sigma (m) between corners; without, the unit is free.
+    raises InputNotFoundError: when too few pictures show too few targets.
+    raises PhotocalError: when the pictures do not determine the camera.
+    """
+    dictionary(dictionary_name)
+
+    def measure(path: Path) -> View:
+        markers = find_markers(read_grey(path), dictionary_name)
+        # Two edges make a corner, each about as good as the centre that four of them make.
+        sigma = np.array([2.0 * np.hypot(*m.centre.sigma) / np.sqrt(2.0) for m in markers])
+        corner = np.array([[4 * m.identity + k for k in range(4)] for m in markers], dtype=np.int64).ravel()
+        pixels = np.array([m.corners for m in markers]).reshape(-1, 2)
+        return View(lens.of(read_facts(path)), corner, pixels, np.repeat(sigma, 4)[:, None].repeat(2, axis=1))
+
+    with progress("measuring the targets", len(paths)) as done:
+        views, left_out = each_picture(paths, measure, done)
+    seen = [corner for view in views for corner in view.point.tolist()]
+    corners, shown = np.unique(np.array(seen, dtype=np.int64), return_counts=True)
+    corners = corners[shown > 1]
+    least = 4 * (FEWEST_TARGETS // 2)
+    used = [view for view in views if np.isin(corners, view.point).sum() >= least]
+    left_out += [
+        {"image": view.facts.name, "reason": f"{len(view.point) // 4} targets only"}
+        for view in views
+        if not np.isin(corners, view.point).sum() >= least
+    ]
+    targets = len(corners) // 4
+    if len(used) < FEWEST_PICTURES or targets < FEWEST_TARGETS:
+        raise InputNotFoundError(
+            f"{len(used)} of {len(paths)} pictures show {targets} targets of {dictionary_name} twice or "
+            f"more; {FEWEST_PICTURES} pictures and {FEWEST_TARGETS} targets are needed",
+            "look at the dictionary and at the size of the targets in the pictures",
+            where=paths[0].parent,
+        )
+    # 17.1 is the target's own first corner, then clockwise as it is printed.
+    names = tuple(f"{corner // 4}.{corner % 4 + 1}" for corner in corners)
+    points = ObjectPoints(names, np.full((len(names), 3), np.nan))
+    block = _block([view.some(corners) for view in used], corners, points, name)
+    if distances is not None:
+        block = replace(block, relations=read_relations(distances, "distance", names, "the pictures"))
+    block, record = _measured(block, used, left_out)
+    # Sigmas from the residuals are not tested with them.
+    block = replace(block, global_test=(0.95, "none"))
+    given = {"dictionary": dictionary_name, "targets": targets, "distances": len(block.relations.values)}
+    return Measured(block, {"schema": SCHEMA, "kind": "field of coded targets", **given, **record})
+
+
+def _block(views: Sequence[View], numbers: Integers, points: ObjectPoints, name: str) -> Block:
+    """Block of the views of points with these numbers; of a flat board with coordinates, oriented to it."""
+    facts = [view.facts for view in views]
+    names, member = group_cameras(facts)
+    rows = [np.searchsorted(numbers, view.point) for view in views]
+    held = bool(points.of_role("control").any())
+    cameras, poses = [], np.full((len(views), 6), np.nan)
+    for k, camera_name in enumerate(names):
+        members = np.flatnonzero(member == k).tolist()
+        first = facts[members[0]]
+        c: float | None = None
+        if held:
+            planes = [pixel_to_plane(first.size_px, (1.0, 1.0), views[j].pixels) for j in members]
+            c = plane_principal_distance([points.values[rows[j], :2] for j in members], planes)
+        c = c or principal_distance_px(first)[0]
+        cameras.append(start_camera(camera_name, first, c, ESTIMATE))
+        for j, plane in zip(members, planes if held else (), strict=held):
+            pose = resection(points.values[rows[j]], plane / c)
+            if pose is None:
+                raise IllPosedError(
+                    "its orientation to the board cannot be found",
+                    "take it out",
+                    where=f"image {facts[j].name}",
+                )
+            poses[j] = np.concatenate([angles_from_matrix(pose.rotation), pose.centre])
+    return Block(
+        name,
+        "local",
+        "local",
+        "control" if held else "free",
+        tuple(cameras),
+        Images(tuple(f.name for f in facts), member, poses),
+        points,
+        Observations(
+            "px",
+            "pixel",
+            np.repeat(np.arange(len(views)), [len(seen) for seen in rows]),
+            np.concatenate(rows).astype(np.int64),
+            np.concatenate([view.pixels for view in views]),
+            np.concatenate([view.sigma for view in views]),
+        ),
+    )
+
+
+def _measured(
+    block: Block, views: Sequence[View], left_out: list[dict[str, str]]
+) -> tuple[Block, dict[str, Any]]:
+    """The block with the sigmas that its residuals tell, and what the record of both kinds says."""
+    block, figures = with_common_sigma(block)
+    corners = np.bincount(block.observations.image)
+    images = [
+        {"image": view.facts.name, "corners": int(n), "grey_value_sigma_px": float(view.sigma.mean())}
+        for view, n in zip(views, corners, strict=True)
+    ]
+    return block, {"images": images, "left_out": left_out, **figures, "pixel_origin": PIXEL_ORIGIN}
+
+
+def plane_principal_distance(flat: Sequence[Floats], planes: Sequence[Floats]) -> float | None:
+    """Principal distance from views of a flat object, the principal point in the middle."""
+    # Each homography H of the plane gives two linear equations in 1/c^2: its first two columns are images of
+    # orthogonal unit vectors (Zhang 2000, eq. 3 and 4).
+    import cv2
+
+    rows, right = [], []
+    for xy, plane in zip(flat, planes, strict=True):
+        homography: Any = cv2.findHomography(xy, plane)
+        matrix = homography[0]
+        if matrix is None:
+            continue
+        h = matrix / np.linalg.norm(matrix[:, :2])
+        a, b = h[:, 0], h[:, 1]
+        rows += [a[:2] @ b[:2], a[:2] @ a[:2] - b[:2] @ b[:2]]
+        right += [-a[2] * b[2], b[2] ** 2 - a[2] ** 2]
+    left = np.array(rows)
+    inverse_square = float(left @ np.array(right) / max(left @ left, 1e-300))
+    return 1 / np.sqrt(inverse_square) if inverse_square > 0 else None
+
+
+def with_common_sigma(block: Block) -> tuple[Block, dict[str, Any]]:
+    """Add to the sigmas what makes the residuals as large as they claim (uniform over the images).
+
+    Cameras and images start from its adjustment. Also tells how well each camera's principal distance is
+    determined: its sigma over its value.
+    """
+    seen = block.observations
+    fit_variance = seen.sigma**2
+    level = np.sqrt(fit_variance.mean())
+    equal = replace(block, observations=replace(seen, sigma=np.full_like(seen.sigma, level)))
+    solution = adjust(assemble(equal).network)
+    factor = max(solution.variance_factor, 0.0)
+    common = float(np.sqrt(max(factor * level**2 - fit_variance.mean(), 0.0)))
+    ratio = np.sqrt(factor * solution.camera_covariance[:, 0, 0]) / solution.cameras[:, 0]
+    sigma = np.sqrt(fit_variance + common**2)
+    cameras = tuple(camera.with_values(v) for camera, v in zip(block.cameras, solution.cameras, strict=True))
+    images = replace(block.images, values=solution.exposures)
+    block = replace(block, cameras=cameras, images=images, observations=replace(seen, sigma=sigma))
+    return block, {"common_sigma_px": common, "principal_distance_sigma_ratio": ratio.tolist()}
