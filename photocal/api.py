@@ -137,9 +137,9 @@ def analyse(
     block: Block, result: Result | None = None, *, alpha: float = 0.10, threshold: float = 0.8
 ) -> Outcome:
     """Look for what an adjustment hides: systematic errors, insignificant and correlated parameters."""
+    from photocal.analysis.analyse_run import checks_of
     from photocal.analysis.outcome import analyse_network
     from photocal.block.network import assemble
-    from photocal.report.analysis_record import checks_of
     from photocal.results.adjusted import network_of
 
     assembly = assemble(block) if result is None else network_of(block, result)

@@ -36,7 +36,7 @@ _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rot
 SEED = 1
 # Findings of terms that a lens model lacks.
 _TERMS = ("radial", "decentring")
-SCHEMA = "photocal.analysis/2"
+SCHEMA, ANALYSIS = "photocal.analysis/2", "analysis.json"
 
 
 @dataclass(frozen=True)

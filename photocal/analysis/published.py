@@ -2,15 +2,18 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from photocal.analysis.components import Components, principal_components
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
 from photocal.analysis.estimates import GROUPS, Estimates, FTest, f_test, from_sigmas
+from photocal.base.arrays import as_plain
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.table import read_columns, read_table, read_wider_table
 
+SCHEMA = "photocal.published/1"
 # What the studies call the parameters of ours.
 _ALSO = {"f": "c", "xo": "x0", "yo": "y0", "A": "B1", "B": "B2"}
 _SIGMAS = ("std_dev", "sigma")
@@ -138,3 +141,19 @@ def _matrix(path: Path) -> Estimates:
         raise malformed("has a variance that is not positive", "leave out what was held fixed")
     sigma = np.sqrt(np.diag(matrix))
     return from_sigmas(names, [0.0] * len(names), sigma.tolist(), matrix / np.outer(sigma, sigma))
+
+
+def published_record(sets: tuple[PublishedSet, ...]) -> dict[str, Any]:
+    """Give sets as plain values, ready for JSON; what is not known is null."""
+    return {"schema": SCHEMA, "sets": [_record(published) for published in sets]}
+
+
+def _record(published: PublishedSet) -> dict[str, Any]:
+    shown = ("eigenvalues", "percent", "cumulative_percent", "loadings")
+    return {
+        "set": published.name or None,
+        "parameters": list(published.estimates.names),
+        **{key: as_plain(getattr(published, key)) for key in ("degrees_of_freedom", "tests", "correlations")},
+        "components": published.components
+        and {key: as_plain(getattr(published.components, key)) for key in shown},
+    }

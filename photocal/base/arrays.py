@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
+from operator import attrgetter
 from types import NoneType, UnionType
 from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
@@ -55,6 +56,12 @@ def as_plain(value: Any, beside: Callable[[Any], dict[str, Any]] = lambda _: {})
     if isinstance(value, list | tuple):
         return [as_plain(each, beside) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def picked(value: Any, *names: str, **renamed: str) -> dict[str, Any]:
+    """Give some attributes of an object as plain values, others by another name; their paths have dots."""
+    wanted = {**{name: name for name in names}, **renamed}
+    return {key: as_plain(attrgetter(path)(value)) for key, path in wanted.items()}
 
 
 def from_plain(kind: Any, value: Any, place: str = "") -> Any:

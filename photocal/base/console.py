@@ -165,7 +165,9 @@ def numbers_of(text: str, option: str, form: str) -> list[float]:
 def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> None:
     """Print an answer for a program or for a person."""
     if as_json:
-        typer.echo(json.dumps(figures(), indent=2, allow_nan=False))
+        from photocal.base.arrays import as_plain
+
+        typer.echo(json.dumps(as_plain(figures()), indent=2, allow_nan=False))
     else:
         typer.echo("\n".join(map(printable, text().split("\n"))))
 

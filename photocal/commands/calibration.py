@@ -113,21 +113,22 @@ def analyse(
     Example: `photocal adjust my-block -o run && photocal analyse run`, or
     `photocal analyse iop.csv --matrix correlations.csv --degrees-of-freedom 2470`
     """
+    from photocal.analysis.analyse_run import analyse_run, analysis_record
+    from photocal.findings.document import text
     from photocal.findings.texts import catalogue
-    from photocal.report.analysis_record import analyse_run, analysis_record
-    from photocal.report.analysis_text import analysis_text
+    from photocal.report.analysis_sections import analysed, published
+    from photocal.report.stored_analysis import read_run
 
     say = catalogue(language)
     if run.is_file():
-        from photocal.analysis.published import analyse_published
-        from photocal.report.analysis_text import published_record, published_text
+        from photocal.analysis.published import analyse_published, published_record
 
         sets = analyse_published(run, matrix, set_name, degrees_of_freedom, alpha, correlation)
-        answer(as_json, lambda: published_record(sets), lambda: published_text(sets, say))
+        answer(as_json, lambda: published_record(sets), lambda: text(published(sets, correlation, say)))
         return
     with progress("adjusting again", 1.0) as advance:
         outcome = analyse_run(run, block, alpha, correlation, advance, say, bootstrap)
-    answer(as_json, lambda: analysis_record(outcome, say), lambda: analysis_text(outcome, say))
+    answer(as_json, lambda: analysis_record(outcome, say), lambda: text(analysed(read_run(run), say)))
 
 
 def certificate(

@@ -34,12 +34,13 @@ def judge_product(
     """Judge a table of discrepancies, or what an orthomosaic and a terrain model say at the check points."""
     from photocal.accuracy.assessment import assess
     from photocal.accuracy.discrepancies import Discrepancies
-    from photocal.accuracy.output import finite, to_json, to_text
+    from photocal.accuracy.output import to_json, to_text
+    from photocal.base.arrays import as_plain
 
     more: dict[str, object] = {}
     remarks: tuple[str, ...] = ()
     if not isinstance(product, Discrepancies):
-        likeness, remarks = [finite(v) for v in product.likeness.tolist()], product.remarks
+        likeness, remarks = as_plain(product.likeness), product.remarks
         more, product = {"likeness": likeness, "remarks": list(remarks)}, product.discrepancies
     result = assess(product, standards, question)
     if figures is not None:

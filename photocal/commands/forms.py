@@ -25,8 +25,8 @@ def forms(
     import datetime as dt
 
     from photocal.base.files import output_file
+    from photocal.findings.document import pdf
     from photocal.findings.texts import catalogue
-    from photocal.report.document import pdf
     from photocal.report.forms import field_forms, planned_places
 
     places = () if plan is None else planned_places(plan)

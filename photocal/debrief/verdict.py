@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.base.arrays import Flags, Floats, Integers, as_plain
+from photocal.base.arrays import Flags, Floats, Integers, picked
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
@@ -277,10 +277,7 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
         "verdict": finding_json(made.verdict, say),
         "summary": _summary(made, say),
         "findings": [finding_json(finding, say) for finding in made.findings],
-        "pictures": [
-            {"image": look.path.name, **{name: as_plain(getattr(look, name)) for name in pictures.MEASURED}}
-            for look in made.looks
-        ],
+        "pictures": [{"image": look.path.name, **picked(look, *pictures.MEASURED)} for look in made.looks],
         "exposures": [] if made.exposures is None else _exposures(made.exposures, made.together.flown),
         "coverage": None,
         "quick": None,

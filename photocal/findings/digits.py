@@ -7,7 +7,8 @@ MINUS = "\u2212"
 SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
-SUBSCRIPTS = str.maketrans("0123456789", "\u2080\u2081\u2082\u2083\u2084\u2085\u2086\u2087\u2088\u2089")
+_LOWERED = "\u2080\u2081\u2082\u2083\u2084\u2085\u2086\u2087\u2088\u2089"
+SUBSCRIPTS, PLAIN = str.maketrans("0123456789", _LOWERED), str.maketrans(_LOWERED, "0123456789")
 
 # Values outside this range of magnitude are printed with a power of ten in the unit.
 SMALL, LARGE = 1e-3, 1e7

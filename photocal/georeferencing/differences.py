@@ -167,8 +167,3 @@ def differences(block: Block, result: Georeferenced, role: Role) -> Differences:
         ellipses(product, policy.CONFIDENCE),
         joint,
     )
-
-
-def cells(values: Floats, form: str = "9.4f", between: str = "") -> str:
-    """Write figures side by side, as tables for people have them."""
-    return between.join(f"{value:{form}}" for value in values.tolist())

@@ -1,5 +1,6 @@
 """Results of an experiment: JSON, text, tables and plots of the RMSE at the check points."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -7,9 +8,11 @@ import numpy as np
 
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import save_figures
-from photocal.base.arrays import as_plain
+from photocal.accuracy.output import table
+from photocal.base.arrays import as_plain, picked
 from photocal.base.files import output_folder, rows_text, write_json
-from photocal.georeferencing.differences import Differences, cells, rms
+from photocal.findings.document import Section, text
+from photocal.georeferencing.differences import Differences, rms
 from photocal.georeferencing.experiment import LeftOut, Outcome, Pair, Run
 
 if TYPE_CHECKING:
@@ -97,35 +100,42 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
 
 def to_text(outcome: Outcome) -> str:
     """Write an experiment's results for people."""
-    lines = [
-        f"check points, {SIGN}; RMSE and predicted sigma in m, t of the mean (* biased)",
-        f"{'run':<40}{'control':>8}{'check':>6}{'X':>9}{'Y':>9}{'Z':>9}   {'sX':>8}{'sY':>8}{'sZ':>8}   t",
-    ]
+    heads = ("run", "control", "check", "X", "Y", "Z", "sX", "sY", "sZ", "t<")
+    heads_of_poses = ("run", "residuals x", "y", "X", "Y", "Z", "omega", "phi", "kappa")
+    runs, poses = [], []
     for run in outcome.runs:
         if run.check is None:
-            lines.append(f"{run.name:<40}{run.control:>8}  failed: {run.failure}")
+            runs.append((run.name, str(run.control), *[""] * 7, f"failed: {run.failure}"))
             continue
         t = " ".join(f"{b.t:.2f}{'*' if b.significant else ''}" for b in run.bias)
-        left = f"{run.name:<40}{run.control:>8}{len(run.check.names):>6}{cells(run.check.rmse)}"
-        lines.append(f"{left}   {cells(run.check.predicted, '8.4f')}   {t}")
-    lines += ["", f"{'run':<40}{'image residuals px':>20}   exterior orientation, RMSE in m and deg"]
-    for run in (run for run in outcome.runs if run.check):
-        x, y = run.residuals_px.tolist()
+        figures = _cells((*run.check.rmse, *run.check.predicted), ".4f")
+        runs.append((run.name, str(run.control), str(len(run.check.names)), *figures, t))
         turned = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
-        lines.append(f"{run.name:<40}{x:11.3f}{y:9.3f}   {cells(turned[3:])}{cells(np.degrees(turned[:3]))}")
-    if outcome.pairs:
-        lines += ["", "pair by pair: RMSE of the differences at check points, m"]
-    for pair in outcome.pairs:
-        lines.append(f"{pair.first.name} - {pair.second.name:<28}{cells(pair.check)}")
-    if outcome.left_out:
-        lines += ["", "leave one out: d, w"]
-    for case in outcome.left_out:
-        if case.failure:
-            lines.append(f"  {case.method:<12}{case.point:<12}{case.failure}")
-            continue
-        values, tested = cells(case.d, "+.4f", " "), cells(case.w, ".2f", " ")
-        lines.append(f"  {case.method:<12}{case.point:<12}{values}   {tested}")
-    return "\n".join(lines)
+        exterior = _cells((*turned[3:], *np.degrees(turned[:3])), ".4f")
+        poses.append((run.name, *_cells(run.residuals_px, ".3f"), *exterior))
+    pairs = [
+        (f"{pair.first.name} - {pair.second.name}", *_cells(pair.check, ".4f")) for pair in outcome.pairs
+    ]
+    left = [
+        (case.method, case.point, *([*[""] * 6, case.failure] if case.failure else _left_cells(case)))
+        for case in outcome.left_out
+    ]
+    of_left = ("method", "point", "dX", "dY", "dZ", "w X", "w Y", "w Z", "<")
+    tables = (
+        table(f"check points, {SIGN}; RMSE and predicted sigma in m, t of the mean (* biased)", heads, runs),
+        table("image residuals px; exterior orientation, RMSE in m and deg", heads_of_poses, poses),
+        table("pair by pair: RMSE of the differences at check points, m", ("", "X", "Y", "Z"), pairs),
+        table("leave one out: d, w", of_left, left),
+    )
+    return text([Section("", tuple(made for made in tables if made.rows))])
+
+
+def _cells(values: Iterable[float], form: str) -> list[str]:
+    return [f"{value:{form}}" for value in values]
+
+
+def _left_cells(case: LeftOut) -> list[str]:
+    return [*_cells(case.d, "+.4f"), *_cells(case.w, ".2f"), ""]
 
 
 def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
@@ -157,46 +167,35 @@ def _run(run: Run) -> dict[str, Any]:
 
 
 def _flat(run: Run) -> dict[str, Any]:
-    none = np.full(3, np.nan)
-    rmse, sigma = (none, none) if run.check is None else (run.check.rmse, run.check.predicted)
-    row: dict[str, Any] = {
-        "interior": run.interior,
-        "use": run.use,
-        "pattern": run.pattern,
-        "method": run.method,
-        "control": run.control,
-        "check": 0 if run.check is None else len(run.check.names),
-    }
-    row |= {f"rmse_{axis}_m": v for axis, v in zip(_AXES, rmse, strict=True)}
-    row |= {"rmse_plane_m": np.hypot(*rmse[:2]), "rmse_3d_m": np.sqrt(np.sum(rmse**2))}
-    row |= {f"predicted_{axis}_m": v for axis, v in zip(_AXES, sigma, strict=True)}
-    for k, axis in enumerate(_AXES):
-        bias = run.bias[k] if run.bias else None
-        row[f"t_{axis}"] = None if bias is None else bias.t
-        row[f"biased_{axis}"] = None if bias is None else bias.significant
-        row[f"rmse_without_trend_{axis}_m"] = run.without_trend[k] if run.without_trend else None
-    row |= {f"residual_{a}_px": v for a, v in zip(_AXES, run.residuals_px, strict=False)}
+    check, none = run.check, [None] * 3
+    rmse, sigma = (np.full((2, 3), np.nan)) if check is None else (check.rmse, check.predicted)
     poses = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
-    row |= {f"exterior_rmse_{a}_m": v for a, v in zip(_AXES, poses[3:], strict=True)}
-    angles = zip(("omega", "phi", "kappa"), np.degrees(poses[:3]), strict=True)
-    row |= {f"exterior_rmse_{a}_deg": v for a, v in angles}
-    row["errors_over_prediction"] = None if run.check is None else run.check.ratio
-    return row | {"variance_factor": run.variance_factor, "failure": run.failure}
+    row = picked(run, "interior", "use", "pattern", "method", "control")
+    row |= {"check": 0 if check is None else len(check.names), **_by_axis("rmse_{}_m", rmse)}
+    row |= {"rmse_plane_m": np.hypot(*rmse[:2]), "rmse_3d_m": np.sqrt(np.sum(rmse**2))}
+    row |= _by_axis("predicted_{}_m", sigma)
+    for axis, bias, left in zip(_AXES, run.bias or none, run.without_trend or none, strict=True):
+        row |= {f"t_{axis}": bias and bias.t, f"biased_{axis}": bias and bias.significant}
+        row[f"rmse_without_trend_{axis}_m"] = left
+    row |= _by_axis("residual_{}_px", run.residuals_px) | _by_axis("exterior_rmse_{}_m", poses[3:])
+    row |= _by_axis("exterior_rmse_{}_deg", np.degrees(poses[:3]), ("omega", "phi", "kappa"))
+    row["errors_over_prediction"] = check and check.ratio
+    return row | picked(run, "variance_factor", "failure")
+
+
+def _by_axis(name: str, values: Iterable[float], axes: tuple[str, ...] = _AXES) -> dict[str, Any]:
+    return {name.format(axis): value for axis, value in zip(axes, values, strict=False)}
 
 
 def _pair(pair: Pair) -> dict[str, Any]:
-    row: dict[str, Any] = {name: getattr(pair.first, name) for name in ("use", "pattern", "method")}
-    row |= {"first": pair.first.interior, "second": pair.second.interior}
-    for part, values in (("check", pair.check), ("all", pair.all)):
-        row |= {f"{part}_rmse_{a}_m": v for a, v in zip(_AXES, values, strict=True)}
-    return row
+    row = picked(pair.first, "use", "pattern", "method", first="interior")
+    row["second"] = pair.second.interior
+    return row | _by_axis("check_rmse_{}_m", pair.check) | _by_axis("all_rmse_{}_m", pair.all)
 
 
 def _left(case: LeftOut) -> dict[str, Any]:
-    row: dict[str, Any] = {"method": case.method, "point": case.point}
-    for prefix, values, unit in (("d", case.d, "_m"), ("s", case.sigma, "_m"), ("w", case.w, "")):
-        row |= {f"{prefix}{a}{unit}": v for a, v in zip(_AXES, values, strict=True)}
-    return row | {"failure": case.failure}
+    figures = _by_axis("d{}_m", case.d) | _by_axis("s{}_m", case.sigma) | _by_axis("w{}", case.w)
+    return {**picked(case, "method", "point"), **figures, "failure": case.failure}
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:

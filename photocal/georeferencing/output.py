@@ -1,4 +1,4 @@
-"""A block's check as JSON (schema `photocal.block-check/2`), as text, and as files."""
+"""A block's check as JSON (schema `photocal.block-check/2`), as a document, and as files."""
 
 import math
 from pathlib import Path
@@ -10,60 +10,63 @@ from photocal.accuracy.assessment import ComponentResult
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
-from photocal.accuracy.output import findings_text, finite
+from photocal.accuracy.output import remarks, table
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
 from photocal.base import policy
-from photocal.base.arrays import Floats, as_plain
+from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.base.geopackage import ReferenceSystem
+from photocal.findings.document import Paragraph, Piece, Remarks, Section, Table, markdown, text
 from photocal.findings.finding import verdict
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 from photocal.georeferencing.comparison import BlockCheck, Judged
-from photocal.georeferencing.differences import CRITICAL_W, Differences, cells
+from photocal.georeferencing.differences import CRITICAL_W, Differences
 from photocal.georeferencing.findings import block_findings, estimate_text
 from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
 
 SCHEMA = "photocal.block-check/2"
+_TITLE = "Georeferencing of {}, judged at the ground points"
 _AXES = ("X", "Y", "Z")
 _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 
 
-def standards_rows(check: BlockCheck) -> list[list[str]]:
+def _standards(check: BlockCheck) -> list[Table]:
     """Give one row for each statement, one column for each method that has check points."""
     judged = [(entry.result.method, entry.assessment) for entry in check.judged]
     known = [(method, assessment) for method, assessment in judged if assessment is not None]
     if not known:
         return []
-    rows = [["", *(method for method, _ in known)]]
+    heads = ["", *(f"{method}<" for method, _ in known)]
+    rows: list[tuple[str, ...]] = []
     for k, component in enumerate(known[0][1].components):
         means = [_mean(assessment.components[k]) for _, assessment in known]
-        rows.append([f"mean d{component.name}", *means])
-    for k, table in enumerate(known[0][1].tables):
-        name, basis = f"{table.standard_id} {table.table.product}", table.table.basis
+        rows.append((f"mean d{component.name}", *means))
+    for k, judged_by in enumerate(known[0][1].tables):
+        name, basis = f"{judged_by.standard_id} {judged_by.table.product}", judged_by.table.basis
         results = [assessment.tables[k] for _, assessment in known]
-        if table.size is not None:
-            asked = size_text(basis, table.size)
+        if judged_by.size is not None:
+            asked = size_text(basis, judged_by.size)
             cells = [
                 f"precision {result.precision_class or 'none'}, accuracy {result.accuracy_class or 'none'}"
                 for result in results
             ]
-            rows.append([f"{name} at {asked}", *cells])
-        best = table.admitted[0].name
+            rows.append((f"{name} at {asked}", *cells))
+        best = judged_by.admitted[0].name
         smallest = [result.admitted[0] for result in results]
         cells = [
             f"precision {_size(basis, admitted.precision)}, accuracy {_size(basis, admitted.accuracy)}"
             for admitted in smallest
         ]
-        rows.append([f"{name}, class {best} from", *cells])
+        rows.append((f"{name}, class {best} from", *cells))
     for k, value in enumerate(known[0][1].values):
         reached = [assessment.values[k] for _, assessment in known]
         cells = [
             f"{_class(least.horizontal_m)} horizontal, {_class(least.vertical_m)} vertical"
             for least in reached
         ]
-        rows.append([f"{value.standard.id}, class reached", *cells])
-    return rows
+        rows.append((f"{value.standard.id}, class reached", *cells))
+    return [table("", heads, rows)]
 
 
 def _mean(component: ComponentResult) -> str:
@@ -93,24 +96,15 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
         "sign": SIGN,
         "methods": {judged.result.method: _method(check, judged) for judged in check.judged},
         "refused": [{"method": method, "reason": reason} for method, reason in check.refused],
-        "exposures_direct_less_indirect": None
-        if exposures is None
-        else {
+        "exposures_direct_less_indirect": exposures
+        and {
             "images": exposures.images,
             "mean": dict(zip(_POSE, exposures.mean * scale, strict=True)),
             "rmse": dict(zip(_POSE, exposures.rmse * scale, strict=True)),
         },
-        "systematic_errors": None if check.systematic is None else _systematic(check.systematic),
-        "separation": None
-        if apart is None
-        else {
-            **{key: getattr(apart, key) for key in ("names", "sigma", "correlation")},
-            "not_separated": apart.groups,
-        },
-        "mistyped": [
-            {"point": mistyped.point, "d_m": mistyped.d, "sigma_m": mistyped.sigma, "slips": mistyped.slips}
-            for mistyped in check.mistyped
-        ],
+        "systematic_errors": check.systematic and _systematic(check.systematic),
+        "separation": apart and picked(apart, "names", "sigma", "correlation", not_separated="groups"),
+        "mistyped": [picked(one, "point", "slips", d_m="d", sigma_m="sigma") for one in check.mistyped],
         "verdict": finding_json(verdict(findings), say),
         "findings": [finding_json(finding, say) for finding in findings],
     }
@@ -120,10 +114,7 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
 def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
     result, seen = judged.result, judged.result.images
     return {
-        "label": result.label,
-        "chi_squared": result.chi_squared,
-        "degrees_of_freedom": result.degrees_of_freedom,
-        "global_test": result.test,
+        **picked(result, "label", "chi_squared", "degrees_of_freedom", global_test="test"),
         "control": _differences(judged.control),
         "check": _differences(judged.check),
         "images": [
@@ -132,7 +123,7 @@ def _method(check: BlockCheck, judged: Judged) -> dict[str, Any]:
                 check.block.images.names, seen.rays, seen.rms, seen.largest, strict=True
             )
         ],
-        "assessment": None if judged.assessment is None else assessment_json(judged.assessment),
+        "assessment": judged.assessment and assessment_json(judged.assessment),
     }
 
 
@@ -145,9 +136,8 @@ def _differences(differences: Differences) -> dict[str, Any]:
         "errors_over_prediction": differences.ratio,
         "critical_w": CRITICAL_W,
         "ellipse_probability": policy.CONFIDENCE,
-        "joint": None
-        if joint is None
-        else {**as_plain(joint), "mean": _by_axis(joint.mean), "mean_sigma": _by_axis(joint.mean_sigma)},
+        "joint": joint
+        and {**as_plain(joint), "mean": _by_axis(joint.mean), "mean_sigma": _by_axis(joint.mean_sigma)},
         "points": [_point(differences, k) for k in range(len(differences.names))],
     }
 
@@ -164,13 +154,13 @@ def _point(differences: Differences, k: int) -> dict[str, Any]:
             f"s{axis}_m": differences.product_sigma[k, a],
             f"w{axis}": differences.w[k, a],
         }
-    major, minor = differences.ellipses.semi_axes[k]
-    ellipse = {"semi_major_m": major, "semi_minor_m": minor}
-    keyed |= {
+    axes = dict(zip(("semi_major_m", "semi_minor_m"), differences.ellipses.semi_axes[k], strict=True))
+    return {
+        **keyed,
         "chi_squared": differences.distance[k],
         "covariance_m2": differences.covariance[k][np.tril_indices(3)],
+        "ellipse": axes | {"azimuth_deg": math.degrees(differences.ellipses.azimuth[k])},
     }
-    return {**keyed, "ellipse": ellipse | {"azimuth_deg": math.degrees(differences.ellipses.azimuth[k])}}
 
 
 def _systematic(errors: SystematicErrors) -> dict[str, Any]:
@@ -180,10 +170,7 @@ def _systematic(errors: SystematicErrors) -> dict[str, Any]:
             {**_hypothesis(error.hypothesis), "not_separated_from": [_name(code) for code in error.same]}
             for error in errors.errors
         ],
-        "together": errors.estimates,
-        "untested": errors.untested,
-        "stated_sigmas": errors.sigmas,
-        "free_in_block": errors.free_in_block,
+        **picked(errors, "untested", "free_in_block", together="estimates", stated_sigmas="sigmas"),
     }
 
 
@@ -196,47 +183,59 @@ def _hypothesis(hypothesis: Hypothesis) -> dict[str, Any]:
     return {**as_plain(hypothesis), "name": _name(hypothesis.name)}
 
 
+def sections(check: BlockCheck) -> list[Section]:
+    """Say what is known of a block: figures in m."""
+    heads = ["method", "points", "n", "RMSE X", "Y", "Z", "sigma X", "Y", "Z", "error/sigma"]
+    rows = [_row(judged, group) for judged in check.judged for group in judged.differences]
+    labels = Remarks(tuple(map(_label, check.judged)))
+    intro = Paragraph(f"Differences are {SIGN}, in metres; sigma is predicted, a priori.")
+    found, points = block_findings(check), [piece for judged in check.judged for piece in _points(judged)]
+    listed = [
+        Section("", (intro, table("", heads, rows), labels)),
+        Section("Bias and classes", tuple(_standards(check))),
+        Section("Ground points", tuple(points)),
+        Section("Orientations and systematic errors", tuple(_errors(check))),
+        Section("Findings", (remarks(found), Paragraph(finding_text(verdict(found), catalogue("en"))))),
+    ]
+    return [section for section in listed if section.pieces]
+
+
 def to_text(check: BlockCheck) -> str:
-    """Write a block's check for people: several lines, figures in m."""
-    lines = [f"{check.block.name}: differences are {SIGN}, in metres; sigma is predicted, a priori."]
-    lines.append(
-        f"{'method':<12}{'points':<9}{'n':>4}  {'RMSE X':>9}{'Y':>9}{'Z':>9}   {'sigma X':>9}{'Y':>9}{'Z':>9}"
-        f"   {'error/sigma':>11}"
-    )
-    for judged in check.judged:
-        lines += [_row(judged, group) for group in judged.differences]
-    lines += ["", *map(_label, check.judged), ""]
-    rows = standards_rows(check)
-    widths = [max(map(len, column)) + 3 for column in zip(*rows, strict=True)]
-    lines += ["".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    lines.append("")
-    for judged in check.judged:
-        lines += _points(judged)
+    """Write a block's check for people."""
+    return f"{check.block.name}\n{text(sections(check))}"
+
+
+def _errors(check: BlockCheck) -> list[Piece]:
+    pieces: list[Piece] = []
     if check.exposures is not None:
         e = check.exposures
-        angles, places = cells(np.degrees(e.rmse[:3]), ".4f", " "), cells(e.rmse[3:], ".3f", " ")
-        lines.append(
-            f"orientation, direct less indirect, RMSE over {e.images} images: "
-            f"omega phi kappa {angles} deg, X Y Z {places} m\n"
-        )
+        angles = " ".join(f"{v:.4f}" for v in np.degrees(e.rmse[:3]))
+        places = " ".join(f"{v:.3f}" for v in e.rmse[3:])
+        said = f"orientation, direct less indirect, RMSE over {e.images} images: "
+        pieces.append(Paragraph(f"{said}omega phi kappa {angles} deg, X Y Z {places} m"))
     if check.systematic is not None:
-        lines += ["systematic errors, each freed alone:"]
-        for tested in check.systematic.tested:
-            outcome = "significant" if tested.significant else "not significant"
-            figures = ", ".join(estimate_text(e) for e in tested.estimates[:3])
-            limit = f"limit {tested.critical:.1f}"
-            lines.append(f"  {tested.name}: F {tested.f:.1f} ({limit}), {outcome}; {figures}")
-        lines += [f"  {text}" for text in check.systematic.untested] + [""]
-    if check.systematic is not None and check.systematic.free_in_block:
-        free_in_block = [
-            f"  {estimate_text(e)}, {'significant' if e.significant else 'not significant'}"
-            for e in check.systematic.free_in_block
+        rows = [
+            (
+                tested.name,
+                f"{tested.f:.1f}",
+                f"{tested.critical:.1f}",
+                _significant(tested.significant),
+                ", ".join(estimate_text(e) for e in tested.estimates[:3]),
+            )
+            for tested in check.systematic.tested
         ]
-        lines += ["left free in block.toml, estimated by the integrated method:", *free_in_block, ""]
-    lines += [f"{method}: not possible: {reason}" for method, reason in check.refused]
-    findings = block_findings(check)
-    lines += [findings_text(findings), finding_text(verdict(findings), catalogue("en"))]
-    return "\n".join(lines)
+        note = "\n".join(check.systematic.untested)
+        heads = ("freed", "F", "limit", "<", "estimates<")
+        pieces.append(table("systematic errors, each freed alone", heads, rows, note))
+        left = [f"{estimate_text(e)}, {_significant(e.significant)}" for e in check.systematic.free_in_block]
+        title = "left free in block.toml, estimated by the integrated method:"
+        pieces += [Paragraph("\n".join([title, *left]))] if left else []
+    refused = [f"{method}: not possible: {reason}" for method, reason in check.refused]
+    return [*pieces, Paragraph("\n".join(refused))] if refused else pieces
+
+
+def _significant(decision: bool) -> str:
+    return "significant" if decision else "not significant"
 
 
 def _label(judged: Judged) -> str:
@@ -251,29 +250,38 @@ def _label(judged: Judged) -> str:
     )
 
 
-def _row(judged: Judged, differences: Differences) -> str:
-    ratio = "-" if math.isnan(differences.ratio) else f"{differences.ratio:.2f}"
-    which = f"{judged.result.method:<12}{differences.role:<9}{len(differences.names):>4}"
-    return f"{which}  {cells(differences.rmse)}   {cells(differences.predicted)}   {ratio:>11}"
+def _row(judged: Judged, group: Differences) -> tuple[str, ...]:
+    ratio = "-" if math.isnan(group.ratio) else f"{group.ratio:.2f}"
+    figures = (f"{v:.4f}" for v in (*group.rmse, *group.predicted))
+    return (judged.result.method, group.role, str(len(group.names)), *figures, ratio)
 
 
-def _points(judged: Judged) -> list[str]:
-    lines = []
+def _points(judged: Judged) -> list[Piece]:
+    pieces: list[Piece] = []
     for group in judged.differences:
-        if group.joint is not None:
-            joint = group.joint
+        method, joint = judged.result.method, group.joint
+        note = ""
+        if joint is not None:
             pairs = zip("XYZ", joint.mean, joint.mean_sigma, strict=True)
             means = ", ".join(f"{axis} {mean:+.4f} +- {sigma:.4f}" for axis, mean, sigma in pairs)
-            lines.append(
-                f"{judged.result.method}, check points jointly: d' C^-1 d {joint.chi_squared:.1f} over "
+            note = (
+                f"{method}, check points jointly: d' C^-1 d {joint.chi_squared:.1f} over "
                 f"{joint.degrees_of_freedom} (p {joint.p_value:.3f}); mean {means} "
                 f"(p {joint.mean_p_value:.3f})"
             )
-        lines.append(f"{judged.result.method}, {group.role} points: d, predicted sigma of the point, w")
-        for name, d, s, w in zip(group.names, group.d, group.product_sigma, group.w, strict=True):
-            tested = " ".join("     -" if math.isnan(x) else f"{x:6.2f}" for x in w.tolist())
-            lines.append(f"  {name:<12}{cells(d, '+9.4f', ' ')}   {cells(s, '8.4f', ' ')}   {tested}")
-    return [*lines, ""] if lines else []
+        heads = ["point", *(f"{what}{axis}" for what in ("d", "sigma ", "w ") for axis in "XYZ")]
+        rows = [
+            (
+                name,
+                *(f"{x:+.4f}" for x in d),
+                *(f"{x:.4f}" for x in s),
+                *("-" if math.isnan(x) else f"{x:.2f}" for x in w),
+            )
+            for name, d, s, w in zip(group.names, group.d, group.product_sigma, group.w, strict=True)
+        ]
+        title = f"{method}, {group.role} points: d, predicted sigma of the point, w"
+        pieces.append(table(title, heads, rows, note))
+    return pieces
 
 
 def write_check(
@@ -285,12 +293,12 @@ def write_check(
     raises OutputError: when the folder cannot be written; nothing is then left half-written.
     """
     texts = {
-        "ground_points.csv": _ground_points(check),
+        "ground_points.csv": _ground_points(content["methods"]),
         "images.csv": _images(check),
-        "report.md": _report(check),
+        "report.md": markdown(_TITLE.format(check.block.name), sections(check)),
     }
     if check.systematic is not None:
-        texts["systematic_errors.csv"] = _systematic_csv(check)
+        texts["systematic_errors.csv"] = _systematic_csv(check.systematic)
     names = ["check.json", *texts]
     with output_folder(folder) as aside:
         write_json(aside / "check.json", content)
@@ -309,22 +317,17 @@ def write_check(
     return tuple(names)
 
 
-def _ground_points(check: BlockCheck) -> str:
-    header = ["method", "role", "point"]
-    header += [
-        f"{what}{axis}{unit}" for what, unit in (("d", "_m"), ("s", "_m"), ("w", "")) for axis in "XYZ"
-    ]
-    header += ["chi_squared", "ellipse_major_m", "ellipse_minor_m", "ellipse_azimuth_deg"]
+def _ground_points(methods: dict[str, Any]) -> str:
+    named = [f"{what}{axis}{unit}" for what, unit in (("d", "_m"), ("s", "_m"), ("w", "")) for axis in _AXES]
+    ellipse = ["ellipse_major_m", "ellipse_minor_m", "ellipse_azimuth_deg"]
     rows: list[list[object]] = []
-    for judged in check.judged:
-        for group in judged.differences:
-            axes, azimuth = group.ellipses.semi_axes, np.degrees(group.ellipses.azimuth)
-            figures = np.column_stack([group.d, group.product_sigma, group.w, group.distance, axes, azimuth])
-            rows += [
-                [judged.result.method, group.role, name, *(finite(round(float(v), 6)) for v in values)]
-                for name, values in zip(group.names, figures, strict=True)
-            ]
-    return rows_text(header, rows)
+    for method, judged in methods.items():
+        for role in ("check", "control"):
+            for point in judged[role]["points"]:
+                figures = (*(point[key] for key in (*named, "chi_squared")), *point["ellipse"].values())
+                cut = (v if v is None else round(v, 6) for v in figures)
+                rows.append([method, role, point["point"], *cut])
+    return rows_text(["method", "role", "point", *named, "chi_squared", *ellipse], rows)
 
 
 def _images(check: BlockCheck) -> str:
@@ -338,37 +341,10 @@ def _images(check: BlockCheck) -> str:
     return rows_text(header, [list(row) for row in zip(*columns, strict=True)])
 
 
-def _systematic_csv(check: BlockCheck) -> str:
+def _systematic_csv(systematic: SystematicErrors) -> str:
     header = ["group", "name", "unit", "correction", "value", "sigma", "t", "f", "critical", "significant"]
     rows: list[list[object]] = []
-    for tested in check.systematic.tested if check.systematic else ():
+    for tested in systematic.tested:
         judged = (tested.f, tested.critical, tested.significant)
         rows += [[tested.name, *(getattr(e, key) for key in header[1:7]), *judged] for e in tested.estimates]
     return rows_text(header, rows)
-
-
-def _report(check: BlockCheck) -> str:
-    """Section of the technical report."""
-    lines = [
-        f"# Georeferencing of {check.block.name}, judged at the ground points",
-        "",
-        f"Differences are {SIGN}, in metres; predicted standard deviations are a priori.",
-        "",
-        "| method | points | n | RMSE X | Y | Z | sigma X | Y | Z | error/sigma |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for judged in check.judged:
-        for group in judged.differences:
-            figures = " | ".join(f"{v:.4f}" for v in (*group.rmse, *group.predicted))
-            head = f"| {judged.result.method} | {group.role} | {len(group.names)}"
-            lines.append(f"{head} | {figures} | {group.ratio:.2f} |")
-    lines += ["", *(f"- {_label(judged)}" for judged in check.judged), ""]
-    rows = standards_rows(check)
-    if rows:
-        lines += ["## Bias and classes", "", *(f"| {' | '.join(row)} |" for row in rows[:1])]
-        lines += ["|---" * len(rows[0]) + "|", *(f"| {' | '.join(row)} |" for row in rows[1:]), ""]
-    lines += ["## Findings", ""]
-    say = catalogue("en")
-    findings = block_findings(check)
-    lines += [f"- {finding_text(finding, say)}" for finding in findings] or ["- Nothing to remark."]
-    return "\n".join(lines) + "\n"

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.base.arrays import Floats, as_plain
+from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.geodesy import geodetic
 from photocal.navigation.engine_output import (
     PER_METRE,
@@ -60,12 +60,10 @@ class CommonErrors:
 
     def as_json(self) -> dict[str, Any]:
         """Give them as a JSON value, which `photocal.base.arrays.from_plain` reads back."""
-        derived = {
-            "shift_sigma_m": self.shift_sigma_m,
-            "zenith_scale_sigma": self.zenith_scale_sigma,
-            "correction_per_metre": self.correction_per_metre,
+        return {
+            **as_plain(self),
+            **picked(self, "shift_sigma_m", "zenith_scale_sigma", "correction_per_metre"),
         }
-        return dict(as_plain({**vars(self), **derived}))
 
     def corrected(self, trajectory: Trajectory) -> Trajectory:
         """Return a trajectory with the expected effect of the air between base and rover taken out.

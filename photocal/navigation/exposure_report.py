@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.base.arrays import as_plain
+from photocal.base.arrays import Floats, as_plain, picked
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text
@@ -28,36 +28,43 @@ def exposure_figures(
     ppk: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """Return the figures of a run, ready for JSON; `findings` are the warnings among them."""
-    placed = exposures.placed
+    placed, say = exposures.placed, catalogue("en")
     status = placed.status[placed.placed]
     failed = [check for check in checks if not check.small]
     findings = (*failed, *_unmatched(cameras, events), *_missing(exposures))
-    return {
-        "schema": "photocal.exposures/1",
-        "events": len(events),
-        "events_from": events.source,
-        "remarks": [*events.remarks, *clock_sentences(clocks)],
-        "placed": int(placed.placed.sum()),
-        **{name: int((status == name).sum()) for name in ("fixed", "float", "single")},
-        "not_placed": [
-            {"event": int(exposures.number[i]), "time_gps": exposures.time[[i]].iso()[0],
-             "reason": exposures.reason(i)}
-            for i in np.flatnonzero(~placed.placed).tolist()
-        ],
-        "with_attitude": int(exposures.attitude.known.sum()),
-        "height": exposures.height_kind,
-        "heights": _heights(exposures),
-        "sigma": _sigmas(exposures),
-        "cameras": as_plain([_camera(camera, events) for camera in cameras]),
-        "clocks": [clock.figures() for clock in clocks],
-        "checks": [
-            finding_json(check, catalogue("en")) | {"verdict": _VERDICTS.get(check.severity, "failed")}
-            for check in checks
-        ],
-        "findings": [finding_json(finding, catalogue("en")) for finding in findings],
-        "common": None if ppk is None else ppk.get("common"),
-        "ppk": ppk,
-    }  # fmt: skip
+    missing = np.flatnonzero(~placed.placed).tolist()
+    figures: dict[str, Any] = as_plain(
+        {
+            "schema": "photocal.exposures/1",
+            "events": len(events),
+            "events_from": events.source,
+            "remarks": [*events.remarks, *clock_sentences(clocks)],
+            "placed": placed.placed.sum(),
+            **{name: (status == name).sum() for name in ("fixed", "float", "single")},
+            "not_placed": [
+                {
+                    "event": exposures.number[i],
+                    "time_gps": exposures.time[[i]].iso()[0],
+                    "reason": exposures.reason(i),
+                }
+                for i in missing
+            ],
+            "with_attitude": exposures.attitude.known.sum(),
+            "height": exposures.height_kind,
+            "heights": _heights(exposures),
+            "sigma": _sigmas(exposures),
+            "cameras": [_camera(camera, events) for camera in cameras],
+            "clocks": [clock.figures() for clock in clocks],
+            "checks": [
+                finding_json(check, say) | {"verdict": _VERDICTS.get(check.severity, "failed")}
+                for check in checks
+            ],
+            "findings": [finding_json(finding, say) for finding in findings],
+            "common": None if ppk is None else ppk.get("common"),
+            "ppk": ppk,
+        }
+    )
+    return figures
 
 
 def _heights(exposures: Exposures) -> dict[str, Any]:
@@ -66,7 +73,7 @@ def _heights(exposures: Exposures) -> dict[str, Any]:
     if exposures.above_take_off_m is not None:
         kinds["above the take-off, as the images state it"] = exposures.above_take_off_m
     return {
-        kind: {"lowest_m": float(np.min(v)), "highest_m": float(np.max(v))}
+        kind: {"lowest_m": np.min(v), "highest_m": np.max(v)}
         for kind, values in kinds.items()
         if len(v := values[np.isfinite(values)])
     }
@@ -80,9 +87,9 @@ def _sigmas(exposures: Exposures) -> dict[str, Any]:
     return {"position_enu_m": _medians(position), "roll_pitch_yaw_deg": _medians(angles)}
 
 
-def _medians(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[float] | None:
+def _medians(values: Floats) -> Floats | None:
     known = values[np.isfinite(values).all(axis=1)]
-    return [float(v) for v in np.median(known, axis=0)] if len(known) else None
+    return np.median(known, axis=0) if len(known) else None
 
 
 def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
@@ -92,12 +99,10 @@ def _camera(camera: CameraMatch, events: Events) -> dict[str, Any]:
         "matched": len(m.image),
         "unmatched_images": [camera.names[i] for i in m.unmatched_images.tolist()],
         "ambiguous_images": [camera.names[i] for i in m.ambiguous_images.tolist()],
-        "unmatched_events": [int(events.number[i]) for i in m.unmatched_events.tolist()],
-        "clock_offset_s": m.offset_s,
-        "clock_offset_sigma_s": m.offset_sigma_s,
+        "unmatched_events": events.number[m.unmatched_events],
+        **picked(m, clock_offset_s="offset_s", clock_offset_sigma_s="offset_sigma_s", residual_s="scatter_s"),
         "clock_drift_ppm": m.drift * 1e6,
         "clock_drift_sigma_ppm": m.drift_sigma * 1e6,
-        "residual_s": m.scatter_s,
     }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import output_picture, write_json
 from photocal.base.geodesy import geodetic
 from photocal.findings.finding import Finding
@@ -52,26 +52,22 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     trajectory = result.trajectory
     first, last = max(rover.ns[0], base.ns[0]), min(rover.ns[-1], base.ns[-1])
     counts = {name: int((trajectory.status == name).sum()) for name in ("fixed", "float", "single")}
-    say = catalogue("en")
+    say, options = catalogue("en"), result.options
+    of_options = ("systems", "elevation_deg", "rover_antenna_m", "base_antenna_m")
     figures: dict[str, Any] = {
         "schema": "photocal.ppk/1",
-        "engine": result.engine,
-        "mode": result.mode,
+        **picked(result, "engine", "mode"),
         "options": {
-            "systems": result.options.systems,
-            "frequencies": "L1+L2" if result.options.two_frequencies else "L1",
-            "elevation_deg": result.options.elevation_deg,
-            "least_ratio": result.options.ratio,
-            "rover_antenna_m": result.options.rover_antenna_m,
-            "base_antenna_m": result.options.base_antenna_m,
+            **picked(options, *of_options, least_ratio="ratio"),
+            "frequencies": "L1+L2" if options.two_frequencies else "L1",
         },
         "rover": _span(result.inputs.rover),
         "base": {
             **_span(result.inputs.base),
             **_place(geodetic(result.inputs.base_m)),
             "position_from": result.inputs.base_source,
-            "off_code_solution_m": float(np.linalg.norm(result.base_off_code_m)),
-            "up_off_code_solution_m": float(result.base_off_code_m[2]),
+            "off_code_solution_m": np.linalg.norm(result.base_off_code_m),
+            "up_off_code_solution_m": result.base_off_code_m[2],
             "gaps": len(result.base_gaps_s),
             "longest_gaps": [
                 {"from_gps": t.iso()[0], "seconds": s} for t, s in result.base_gaps_s[:_LISTED_GAPS]
@@ -91,11 +87,12 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
         figures["common"] = result.common.as_json()
     if result.mode == "static":
         figures["position"] = _place(trajectory.place[0])
-    return figures
+    plain: dict[str, Any] = as_plain(figures)
+    return plain
 
 
-def _place(values: Iterable[Any]) -> dict[str, float]:
-    return dict(zip(("lat_deg", "lon_deg", "height_m"), map(float, values), strict=True))
+def _place(values: Iterable[Any]) -> dict[str, Any]:
+    return dict(zip(("lat_deg", "lon_deg", "height_m"), values, strict=True))
 
 
 def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
@@ -128,10 +125,10 @@ def _validation(result: PpkResult, judgement: Judgement) -> dict[str, Any]:
     apart = judgement.separation_m
     known = np.isfinite(apart).all(axis=1)
     return {
-        "fixed_by_the_engine": int((result.combined.quality == 1).sum()),
-        "demoted": {reason: int(rows.sum()) for reason, rows in judgement.demoted.items()},
-        "median_ratio_of_fixes": float(np.median(result.combined.ratio[fixed])) if fixed.any() else None,
-        "float_sigma_factor_enu": [float(v) for v in judgement.float_factor],
+        "fixed_by_the_engine": (result.combined.quality == 1).sum(),
+        "demoted": {reason: rows.sum() for reason, rows in judgement.demoted.items()},
+        "median_ratio_of_fixes": np.median(result.combined.ratio[fixed]) if fixed.any() else None,
+        "float_sigma_factor_enu": judgement.float_factor,
         "combinations_replaced": result.replaced,
         "directions_apart": _directions_apart(judgement),
         "doppler_velocity_sigma_m_s": judgement.velocity_sigma_m_s,
@@ -156,15 +153,15 @@ def _directions_apart(judgement: Judgement) -> list[dict[str, Any]]:
                 "from_gps": time[place[:1]].iso()[0],
                 "to_gps": time[place[-1:]].iso()[0],
                 "epochs": len(place),
-                "largest_m": float(apart[place].max()),
+                "largest_m": apart[place].max(),
                 "taken": "forward" if fixed[0] else "backward" if fixed[1] else "by turns",
             }
         )
     return places
 
 
-def _rms(values: Floats) -> list[float] | None:
-    return [float(v) for v in np.sqrt(np.mean(values**2, axis=0))] if len(values) else None
+def _rms(values: Floats) -> Floats | None:
+    return np.sqrt(np.mean(values**2, axis=0)) if len(values) else None
 
 
 def ppk_text(figures: dict[str, Any]) -> str:

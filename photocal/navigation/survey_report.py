@@ -7,7 +7,7 @@ import numpy as np
 
 from photocal.adjustment.ellipses import ellipses
 from photocal.base import policy
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
 from photocal.navigation.baseline_network import NetworkSolution
@@ -19,59 +19,53 @@ COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role"
 
 def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the figures of a survey, ready for JSON."""
-    sigma0 = solution.sigma0_squared
-    test = solution.test
-    return {
-        "schema": "photocal.survey/1",
-        "marks": _marks(solution),
-        "sessions": sessions,
-        "degrees_of_freedom": solution.degrees_of_freedom,
-        "sigma0_squared": sigma0 if np.isfinite(sigma0) else None,
-        "global_test": None if test is None else dict(vars(test)),
-        "blunders": [vars(blunder) for blunder in solution.blunders],
-        "baselines": [
-            {
-                "name": b.name,
-                "residual_enu_m": solution.residuals_m[i].tolist(),
-                "redundancy_enu": solution.redundancy[i].tolist(),
-                "detectable_enu_m": _finite(solution.detectable_m[i]),
-                "external_reliability_enu": _finite(solution.distortion[i]),
-                "effects_of_detectable": _effects(solution, i),
-            }
-            for i, b in enumerate(solution.used)
-        ],
+    per_baseline = {
+        "residual_enu_m": solution.residuals_m,
+        "redundancy_enu": solution.redundancy,
+        "detectable_enu_m": solution.detectable_m,
+        "external_reliability_enu": solution.distortion,
     }
+    figures: dict[str, Any] = as_plain(
+        {
+            "schema": "photocal.survey/1",
+            "marks": _marks(solution),
+            "sessions": sessions,
+            **picked(solution, "degrees_of_freedom", "sigma0_squared", "blunders", global_test="test"),
+            "baselines": [
+                {
+                    "name": baseline.name,
+                    **{key: values[i] for key, values in per_baseline.items()},
+                    "effects_of_detectable": _effects(solution, i),
+                }
+                for i, baseline in enumerate(solution.used)
+            ],
+        }
+    )
+    return figures
 
 
 def _effects(solution: NetworkSolution, row: int) -> list[dict[str, Any]]:
     """Return what undetected errors of a baseline do to the marks, the mark that moves most first."""
     effects = []
-    for component, name in enumerate(("east", "north", "up")):
-        shifts = solution.effects_m[row, component]
-        if not np.isfinite(shifts).all():
-            continue
-        order = np.argsort(-np.linalg.norm(shifts, axis=1), kind="stable")
-        marks = {solution.names[k]: shifts[k].tolist() for k in order.tolist()}
-        effects.append({"error_of": name, "marks_move_enu_m": marks})
+    for name, shifts in zip(("east", "north", "up"), solution.effects_m[row], strict=True):
+        if np.isfinite(shifts).all():
+            order = np.argsort(-np.linalg.norm(shifts, axis=1), kind="stable").tolist()
+            marks = {solution.names[k]: shifts[k] for k in order}
+            effects.append({"error_of": name, "marks_move_enu_m": marks})
     return effects
 
 
 def _marks(solution: NetworkSolution) -> list[dict[str, Any]]:
-    lat, lon, height = geodetic(solution.xyz_m)
     local = _local_covariances(solution)
-    confidence, sigma = ellipses(local, policy.CONFIDENCE), _sigma(local)
-    return [
-        {
-            "name": name,
-            "lat_deg": float(lat[i]),
-            "lon_deg": float(lon[i]),
-            "height_m": float(height[i]),
-            "sigma_enu_m": sigma[i].tolist(),
-            "ellipse_95_m": confidence.semi_axes[i].tolist(),
-            "ellipse_azimuth_deg": float(np.degrees(confidence.azimuth[i])),
-        }
-        for i, name in enumerate(solution.names)
-    ]
+    confidence = ellipses(local, policy.CONFIDENCE)
+    columns = {
+        "name": solution.names,
+        **dict(zip(("lat_deg", "lon_deg", "height_m"), geodetic(solution.xyz_m), strict=True)),
+        "sigma_enu_m": _sigma(local),
+        "ellipse_95_m": confidence.semi_axes,
+        "ellipse_azimuth_deg": np.degrees(confidence.azimuth),
+    }
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _local_covariances(solution: NetworkSolution) -> Floats:
@@ -82,10 +76,6 @@ def _local_covariances(solution: NetworkSolution) -> Floats:
 
 def _sigma(covariance: Floats) -> Floats:
     return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
-
-
-def _finite(values: Floats) -> list[float | None]:
-    return [v if np.isfinite(v) else None for v in values.tolist()]
 
 
 def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict[str, Any]:

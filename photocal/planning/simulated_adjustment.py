@@ -11,7 +11,7 @@ import numpy as np
 
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
@@ -179,17 +179,10 @@ def _rays(poses: Floats, xyz: Floats, frame: Frame) -> tuple[Integers, Integers,
 def to_json(result: SimulatedPrecision, survey: Survey) -> dict[str, object]:
     """Give a simulated adjustment as a JSON value."""
     axes = ("x", "y", "z")
+    given = {"image_sigma_px": "image_px", "control_sigma_m": "control_m", "gnss_sigma_m": "gnss_m"}
     return {
-        "method": result.method,
-        "image_sigma_px": survey.image_px,
-        "control_sigma_m": list(survey.control_m),
-        "gnss_sigma_m": None if survey.gnss_m is None else list(survey.gnss_m),
-        "self_calibration": survey.self_calibration,
-        "relief_m": survey.relief_m,
-        "images": result.images,
-        "points": result.points,
-        "rays": result.rays,
-        "check_points": result.check,
+        **picked(result, "method", "images", "points", "rays", check_points="check"),
+        **picked(survey, "self_calibration", "relief_m", **given),
         "sigma_m": dict(zip(axes, result.mean_m, strict=False)) or None,
         "worst_sigma_m": dict(zip(axes, result.worst_m, strict=False)) or None,
         "camera_sigma_px": result.camera_px or None,

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from photocal.accuracy.standard import ScaleStandard, Standard
+from photocal.base.arrays import picked
 from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json, finding_text
@@ -66,9 +67,7 @@ def to_json(flight: Flight, targets: tuple[Target, ...], findings: tuple[Finding
         "azimuth_deg": math.degrees(flight.azimuth_rad) % 180.0,
         "levels": [_level(level) for level in flight.levels],
         "strips": len(flight.strips),
-        "exposures": flight.exposures,
-        "distance_m": flight.distance_m,
-        "duration_s": flight.duration_s,
+        **picked(flight, "exposures", "distance_m", "duration_s"),
         "error_budget_m": {target.name: error_budget(target.ep_m) for target in targets},
         "findings": [finding_json(finding, catalogue("en")) for finding in findings],
     }
@@ -140,10 +139,6 @@ def to_text(flight: Flight, targets: tuple[Target, ...], findings: tuple[Finding
 
 
 def _level(level: LevelGeometry) -> dict[str, Any]:
-    sigma = level.precision
-    keys = ("height_m", "scale_denominator", "gsd_m", "footprint_m", "base_m", "strip_spacing_m")
-    return {
-        **{name: getattr(level, name) for name in (*keys, "exposure_interval_s")},
-        "sigma_m": {"x": sigma.x_m, "y": sigma.y_m, "z": sigma.z_m, "plane": sigma.plane_m},
-        "dz_m": level.dz_m,
-    }
+    keys = ("height_m", "scale_denominator", "gsd_m", "footprint_m", "base_m", "strip_spacing_m", "dz_m")
+    sigma = {axis: f"{axis}_m" for axis in ("x", "y", "z", "plane")}
+    return picked(level, *keys, "exposure_interval_s") | {"sigma_m": picked(level.precision, **sigma)}

@@ -1,14 +1,20 @@
 """Sections of a certificate about the analysis: hidden errors, significance, correlations, method."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
-from photocal.analysis.outcome import Analysis, CameraAnalysis, Opinions
-from photocal.findings.digits import symbol
+from photocal.analysis.components import Components
+from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
+from photocal.analysis.estimates import FTest
+from photocal.analysis.outcome import Analysis, CameraAnalysis, Effect, Opinions
+from photocal.analysis.published import PublishedSet
+from photocal.base.arrays import Floats
+from photocal.findings.digits import Number, symbol
+from photocal.findings.document import Column, Paragraph, Piece, Section, Statement, Table, columns
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words
 from photocal.geometry.camera import Camera
-from photocal.report.document import Column, Paragraph, Piece, Section, Statement, Table, columns
 from photocal.report.stored_analysis import Run
 
 
@@ -48,8 +54,14 @@ def parameters(title: str, camera_id: str, run: Run, analysis: Analysis, say: Ca
     record, camera = analysis.cameras[camera_id], run.result.cameras[camera_id]
     if record is None:
         return Section(title, (Paragraph(say("analysis.none_found")),))
-    pieces: list[Piece] = [_tests(record, analysis.alpha, say)]
-    pieces += _correlations(record, say)
+    effects = {effect.parameters: effect for effect in record.effects}
+    caption = say("analysis.parameters_table", alpha=say.significant(analysis.alpha, 2))
+    note = say("analysis.parameters_note", factor=say.significant(record.variance_factor_of_tests, 4))
+    tests = _tests(record.significance, effects, say)
+    pieces: list[Piece] = [replace(tests, caption=caption, note=note, dense=True)]
+    pairs: list[StrongCorrelation | ExteriorCorrelation] = [*record.correlations]
+    pairs += record.correlations_with_exterior
+    pieces += _correlations(pairs, analysis.correlation_threshold, say)
     pieces += _components(record, say)
     if record.left_out:
         pieces.append(_left_out(record, camera, say))
@@ -59,43 +71,44 @@ def parameters(title: str, camera_id: str, run: Run, analysis: Analysis, say: Ca
     return Section(title, tuple(pieces))
 
 
-def _tests(record: CameraAnalysis, alpha: float, say: Catalogue) -> Table:
-    heads = ("tested<", "kind<", "statistic", "critical", "significant=", "effect [px]", "remaining [px]")
-    effects = {effect.parameters: effect for effect in record.effects}
+def _tests(tests: Iterable[FTest], effects: Mapping[tuple[str, ...], Effect], say: Catalogue) -> Table:
+    heads = ["tested<", "kind<", "statistic", "critical", "significant="]
+    heads += ["effect [px]", "remaining [px]"] if effects else []
     rows = []
-    for test in record.significance:
+    for test in tests:
+        row = [
+            " ".join(symbol(name) for name in test.parameters),
+            say(f"test.{test.kind}"),
+            say.significant(test.statistic, 4) if math.isfinite(test.statistic) else "∞",
+            say.fixed(test.critical, 2),
+            say("word.yes" if test.significant else "word.no"),
+        ]
         # What a group of one says was said by the single test.
         effect = None if test.kind == "cumulative" else effects.get(test.parameters)
-        px = (effect.largest_px, effect.remaining_largest_px) if effect else (math.nan,) * 2
-        blank = say("word.none") if effect else ""
-        rows.append(
-            (
-                " ".join(symbol(name) for name in test.parameters),
-                say(f"test.{test.kind}"),
-                say.significant(test.statistic, 4) if math.isfinite(test.statistic) else "∞",
-                say.fixed(test.critical, 2),
-                say("word.yes" if test.significant else "word.no"),
-                *(say.fixed(v, 2) if math.isfinite(v) else blank for v in px),
-            )
-        )
-    title = say("analysis.parameters_table", alpha=say.significant(alpha, 2))
-    note = say("analysis.parameters_note", factor=say.significant(record.variance_factor_of_tests, 4))
-    return Table(title, columns(say, "analysis", *heads), tuple(rows), note, dense=True)
+        if effects:
+            px = (effect.largest_px, effect.remaining_largest_px) if effect else (math.nan,) * 2
+            blank = say("word.none") if effect else ""
+            row += [say.fixed(v, 2) if math.isfinite(v) else blank for v in px]
+        rows.append(tuple(row))
+    return Table("", columns(say, "analysis", *heads), tuple(rows))
 
 
-def _correlations(record: CameraAnalysis, say: Catalogue) -> list[Table]:
-    rows = [
-        (f"{symbol(p.first)}–{symbol(p.second)}", say.fixed(p.value, 2), say(f"cause.{p.cause}"))
-        for p in record.correlations
-    ]
-    for p in record.correlations_with_exterior:
-        where = say("console.in_images", image=p.image, images=p.images)
-        pair = f"{symbol(p.parameter)}–{symbol(p.element)}"
-        rows.append((pair, say.fixed(p.value, 2), f"{where}: {say(f'cause.{p.cause}')}"))
+def _correlations(
+    pairs: Iterable[StrongCorrelation | ExteriorCorrelation], threshold: float, say: Catalogue
+) -> list[Table]:
+    rows = []
+    for p in pairs:
+        if isinstance(p, StrongCorrelation):
+            pair, where = f"{symbol(p.first)}–{symbol(p.second)}", ""
+        else:
+            pair = f"{symbol(p.parameter)}–{symbol(p.element)}"
+            where = say("console.in_images", image=p.image, images=p.images) + ": "
+        rows.append((pair, say.fixed(p.value, 3), where + say(f"cause.{p.cause}")))
     if not rows:
         return []
     heads = columns(say, "analysis", "pair<", "value", "cause<")
-    return [Table(say("analysis.causes"), heads, tuple(rows), widths=(0.12, 0.1, 0.78))]
+    caption = say("analysis.causes", threshold=say.as_given(threshold))
+    return [Table(caption, heads, tuple(rows), widths=(0.12, 0.1, 0.78))]
 
 
 def _components(record: CameraAnalysis, say: Catalogue) -> list[Piece]:
@@ -122,13 +135,15 @@ def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> Table:
             say.significant(left.c, 7),
             say.significant(left.change_of_c, 3),
             say.significant(left.sigma0_squared, 4) if math.isfinite(left.sigma0_squared) else none,
-            none
-            if left.check_rmse_m is None
-            else "; ".join(say.fixed(1e3 * v, 1) for v in left.check_rmse_m),
+            _checks(left.check_rmse_m, say),
         )
         for left in record.left_out
     )
     return Table(say("analysis.left_out"), (first, Column("c", camera.unit), *others), rows)
+
+
+def _checks(rmse_m: Floats | tuple[float, ...] | None, say: Catalogue) -> str:
+    return say("word.none") if rmse_m is None else "; ".join(say.fixed(1e3 * v, 1) for v in rmse_m)
 
 
 def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> Table:
@@ -169,10 +184,98 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
     table = Table(
         say("analysis.method_table"), heads, tuple(rows), widths=(0.17, 0.27, 0.22, 0.24, 0.1), dense=True
     )
-    pieces: list[Piece] = [Paragraph(say("analysis.method_text")), table]
+    kept = {True: say("analysis.satisfied"), False: say("analysis.not_satisfied")}
+    named = ((say(f"calibration_method.{method.method}"), kept[method.met]) for method in analysis.methods)
+    methods = "; ".join(": ".join(pair) for pair in named)
+    pieces: list[Piece] = [Paragraph(say("analysis.method_text")), table, Paragraph(methods)]
     if advice:
         pieces.append(Paragraph(say("analysis.advice", advice="; ".join(advice))))
     return Section(say("analysis.method"), tuple(pieces))
+
+
+def analysed(run: Run, say: Catalogue) -> list[Section]:
+    """Everything that is known of a run by its analysis."""
+    sections, analysis = [hidden_errors(run, say)], run.analysis
+    if analysis is None:
+        return sections
+    for name, camera in run.result.cameras.items():
+        if analysis.cameras[name] is not None:
+            section = parameters(f"{say('analysis.parameters')}: {name}", name, run, analysis, say)
+            more = (*_lenses(camera, analysis, say), *_within(camera, analysis, say))
+            sections.append(replace(section, pieces=(*section.pieces, *more)))
+    return [*sections, method_check(analysis, say)]
+
+
+def _lenses(camera: Camera, analysis: Analysis, say: Catalogue) -> list[Table]:
+    """Models of the lens that were compared."""
+    heads = (
+        "lens_model<",
+        "terms<",
+        "chi_squared",
+        "left_out_sigma",
+        f"change_of_c [{camera.unit}]",
+        "rmse [mm]",
+    )
+    rows = tuple(
+        (
+            fit.model,
+            " ".join(map(symbol, fit.terms)),
+            say.fixed(fit.chi_squared, 1),
+            say.fixed(fit.left_out, 3),
+            say.significant(fit.change_of_c, 4),
+            _checks(fit.check_rmse_m, say),
+        )
+        for fit in analysis.lens_models[camera.id]
+    )
+    return [Table(say("analysis.lenses"), columns(say, "analysis", *heads), rows)] if len(rows) > 1 else []
+
+
+def _within(camera: Camera, analysis: Analysis, say: Catalogue) -> list[Table]:
+    """c, x0 and y0 in the thirds of the flight, against the first one."""
+    judged = analysis.cameras[camera.id]
+
+    def change(amount: float, sigma: float) -> str:
+        return f"{Number(amount, say.mark):+.3g} ± {Number(sigma, say.mark):.2g}"
+
+    rows = tuple(
+        (
+            symbol(parameter.parameter),
+            *(change(amount, sigma) for amount, sigma in parameter.parts[1:]),
+            f"{Number(parameter.p_value, say.mark):.2g}",
+            "; ".join(
+                f"{say(f'course.{key}')} {change(amount, sigma)}"
+                for key, (amount, sigma, _) in parameter.drifts.items()
+            ),
+        )
+        for parameter in (judged.within_flight if judged else ())
+    )
+    heads = columns(say, "analysis", "parameter<", "second", "third", "p_value", "course<")
+    return [Table(say("analysis.within", unit=camera.unit), heads, rows)] if rows else []
+
+
+def published(sets: Iterable[PublishedSet], threshold: float, say: Catalogue) -> list[Section]:
+    """Tests, strong correlations and principal components of published sets."""
+    sections = []
+    for one in sets:
+        tables = [_tests(one.tests, {}, say)] if one.tests else []
+        tables += _correlations(one.correlations, threshold, say)
+        if one.components is not None:
+            tables.append(_loadings(one.components, say))
+        sections.append(Section(say("published.set", name=one.name) if one.name else "", tuple(tables)))
+    return sections
+
+
+def _loadings(components: Components, say: Catalogue) -> Table:
+    """Eigenvalues, their shares, and the correlation of each parameter with each component (MCCP)."""
+    heads = (Column("", align="left"), *(Column(f"Y{k + 1}") for k in range(len(components.names))))
+    rows = (
+        (say("published.eigenvalue"), components.eigenvalues, 4),
+        (say("published.percent"), components.percent, 2),
+        (say("published.cumulative"), components.cumulative_percent, 2),
+        *((symbol(name), row, 2) for name, row in zip(components.names, components.loadings, strict=True)),
+    )
+    texts = tuple((label, *(say.fixed(v, digits) for v in values)) for label, values, digits in rows)
+    return Table(say("analysis.components"), heads, texts)
 
 
 def warned(findings: Iterable[Finding], title: str, text: str, say: Catalogue) -> list[Statement]:

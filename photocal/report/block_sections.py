@@ -8,8 +8,8 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.block.model import InputFile
 from photocal.findings.digits import decimals_of, probability, symbol
+from photocal.findings.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table, columns
 from photocal.findings.texts import Catalogue
-from photocal.report.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table, columns
 from photocal.report.figures import difference_histograms, difference_map
 from photocal.report.sensor import RADIAL
 from photocal.report.stored_analysis import Run

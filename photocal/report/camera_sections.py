@@ -4,10 +4,7 @@ import numpy as np
 
 from photocal.adjustment.readout import Readout
 from photocal.findings.digits import power_of_ten, symbol, unit_power
-from photocal.findings.texts import Catalogue
-from photocal.geometry.camera import Camera
-from photocal.report import sensor
-from photocal.report.document import (
+from photocal.findings.document import (
     Column,
     Figure,
     KeyValues,
@@ -18,6 +15,9 @@ from photocal.report.document import (
     Table,
     columns,
 )
+from photocal.findings.texts import Catalogue
+from photocal.geometry.camera import Camera
+from photocal.report import sensor
 from photocal.report.figures import correlation_picture, natural_width, radial_curve, residual_map
 from photocal.report.stored_analysis import Run
 

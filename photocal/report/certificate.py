@@ -5,13 +5,13 @@ import math
 
 from photocal.base.errors import InputMalformedError
 from photocal.findings.digits import relation
+from photocal.findings.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.texts import Catalogue, finding_text, identity
 from photocal.report import analysis_sections, block_sections, camera_sections, required_sections
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.derived_figures import verdict as keeps
-from photocal.report.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
 from photocal.report.ministry_rows import Context
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import Run

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.findings.document import Column, Document, Figure, KeyValues, Paragraph, Piece, Section, Table
 from photocal.findings.texts import Catalogue
-from photocal.report.document import Column, Document, Figure, KeyValues, Paragraph, Piece, Section, Table
 
 # Sheets by what they are for; their words stand in the catalogue under forms.NAME, lines with bars between.
 FORMS = ("station", "flight", "targets", "laboratory")

@@ -15,12 +15,12 @@ from photocal.base.arrays import as_plain
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_folder
 from photocal.block.model import InputFile
+from photocal.findings.document import Document, html, pdf
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
 from photocal.report.certificate import certificate, certificate_number, overall
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import DerivedFigures, derived_figures, verdict
-from photocal.report.document import Document, html, pdf
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.stored_analysis import Run, certified_analysis, read_run

@@ -4,12 +4,7 @@ import math
 from typing import get_args
 
 from photocal.findings.digits import decimals_of
-from photocal.findings.finding import Finding
-from photocal.findings.texts import Catalogue, finding_text
-from photocal.report.camera_sections import critical_t
-from photocal.report.certificate_metadata import FlownCount, Metadata, Source
-from photocal.report.derived_figures import DerivedFigures, verdict
-from photocal.report.document import (
+from photocal.findings.document import (
     Column,
     KeyValues,
     Paragraph,
@@ -21,6 +16,11 @@ from photocal.report.document import (
     Tone,
     columns,
 )
+from photocal.findings.finding import Finding
+from photocal.findings.texts import Catalogue, finding_text
+from photocal.report.camera_sections import critical_t
+from photocal.report.certificate_metadata import FlownCount, Metadata, Source
+from photocal.report.derived_figures import DerivedFigures, verdict
 from photocal.report.ministry_rows import Context, corners, entries, read_layout
 from photocal.report.stored_analysis import Run
 

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from photocal.analysis.outcome import SCHEMA, Analysis
+from photocal.analysis.outcome import ANALYSIS, SCHEMA, Analysis
 from photocal.base.arrays import as_plain, from_plain
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import InputFile, fingerprint
 from photocal.results.folder import RESULT, read_json, read_result
 from photocal.results.result import Result
 
-ANALYSIS = "analysis.json"
 _AGAIN = "run `photocal analyse` again"
 # What a certificate repeats of an analysis, and of the parts of its parts; empty: all of it.
 _SCHEMA_CERTIFIED = "photocal.analysis/1"

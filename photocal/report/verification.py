@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from photocal.analysis.analyse_run import analyse_run
 from photocal.block.model import InputFile, digest
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, findings_of
-from photocal.report.analysis_record import analyse_run
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, given_particulars
 from photocal.report.issue import FORMS, NAME, certified_result, plain_record, printed

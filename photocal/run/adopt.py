@@ -81,8 +81,8 @@ def adopt(
 
     raises PhotocalError: for a project that cannot be read or adjusted.
     """
+    from photocal.analysis.analyse_run import analyse_run
     from photocal.findings.texts import catalogue, finding_text, plain
-    from photocal.report.analysis_record import analyse_run
     from photocal.report.issue import issue
 
     with progress("reading the project", None):

@@ -27,7 +27,7 @@ def analysis_stage(block: Path, calibration: Path) -> Stage:
     """Describe the stage that looks for hidden errors; its folder is the run with `analysis.json`."""
 
     def make(folder: Path, show: Progress) -> None:
-        from photocal.report.analysis_record import analyse_run
+        from photocal.analysis.analyse_run import analyse_run
 
         shutil.copytree(
             calibration, folder, dirs_exist_ok=True, ignore=lambda *_: [RECORD], copy_function=shutil.copyfile

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from photocal.analysis.analyse_run import analyse_run
 from photocal.analysis.estimates import without
 from photocal.analysis.outcome import Analysis
 from photocal.analysis.systematic_errors.refit import Checks, fit, left_out
@@ -21,7 +22,6 @@ from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.geometry.camera import PARAMETERS
-from photocal.report.analysis_record import analyse_run
 from photocal.report.stored_analysis import read_run
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
@@ -56,8 +56,10 @@ def test_json(made: Path) -> None:
 def test_words(made: Path) -> None:
     done = CliRunner().invoke(app, ["analyse", str(made / "run")])
     assert done.exit_code == 0, done.output
-    assert done.stdout.startswith("Hidden errors, worst first\n  1. Camera dcs460: y scale factor 0.9980")
-    for words in ("K1 K2 K3", "x0-P1 +0.87", "adjusted anew without", "convergent cameras: satisfied"):
+    head, first = done.stdout.split("\n\n")[:2]
+    assert head.startswith("Hidden systematic errors\n")
+    assert "\nlarge   Camera dcs460: y scale factor 0.9980" in first
+    for words in ("K1 K2 K3", "x0–P1   0.869", "Adjusted anew without", "convergent cameras: satisfied"):
         assert words in done.stdout
 
 

@@ -10,10 +10,10 @@ from types import ModuleType
 
 import pytest
 
+from photocal.findings.document import Document
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
-from photocal.report.document import Document
 from photocal.report.stored_analysis import Run, read_run
 
 DAY = dt.date(2026, 11, 21)

@@ -9,14 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from photocal.analysis.analyse_run import analyse_run, exterior_difference
 from photocal.block.folder import read_block
+from photocal.findings.document import (
+    Document,
+    KeyValues,
+    Paragraph,
+    Remarks,
+    Signature,
+    Statement,
+    Table,
+    html,
+)
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue
-from photocal.report.analysis_record import analyse_run, exterior_difference
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
 from photocal.report.derived_figures import derived_figures
-from photocal.report.document import Document, KeyValues, Paragraph, Signature, Statement, Table, html
 from photocal.report.issue import record
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.stored_analysis import Run, read_run
@@ -47,6 +56,8 @@ def words(document: Document) -> str:
             elif isinstance(piece, Table):
                 said += [cell for row in piece.rows for cell in row]
                 assert all(len(row) == len(piece.columns) for row in piece.rows), piece.caption
+            elif isinstance(piece, Remarks):
+                said += piece.texts
             elif isinstance(piece, KeyValues):
                 said += [f"{label} {value}" for label, value in piece.rows]
             elif not isinstance(piece, Signature):

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from photocal.findings.document import html
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata
-from photocal.report.document import html
 from photocal.report.stored_analysis import Run
 
 if TYPE_CHECKING:

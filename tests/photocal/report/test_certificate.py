@@ -22,11 +22,11 @@ from typer.testing import CliRunner
 
 from photocal.base.errors import InputMalformedError
 from photocal.cli import app
+from photocal.findings.document import Document, Figure, KeyValues, Table, html, pdf
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
-from photocal.report.document import Document, Figure, KeyValues, Table, html, pdf
 from photocal.report.stored_analysis import Run, read_run
 from tests.photocal.findings.test_findings import every_finding, fragments
 

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.cli import app
+from photocal.findings.document import Figure, KeyValues, Table
 from photocal.findings.texts import catalogue
-from photocal.report.document import Figure, KeyValues, Table
 from photocal.report.forms import FORMS, ROLLS_DEG, field_forms, planned_places
 
 

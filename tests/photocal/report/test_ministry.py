@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.findings.document import Signature, Table
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import derived_figures
-from photocal.report.document import Signature, Table
 from photocal.report.ministry_rows import Context, corners, entries, read_layout
 from photocal.report.stored_analysis import Run
 

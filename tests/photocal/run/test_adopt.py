@@ -88,7 +88,7 @@ def quiet(*_: Any) -> Any:
 def adopted(folder: Path, monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Any]:
     """Adopt without analysis and certificate, which have tests of their own."""
     outcome = SimpleNamespace(findings=())
-    monkeypatch.setattr("photocal.report.analysis_record.analyse_run", lambda *_: outcome)
+    monkeypatch.setattr("photocal.analysis.analyse_run.analyse_run", lambda *_: outcome)
     monkeypatch.setattr("photocal.report.issue.issue", lambda *_, **__: None)
     return module.adopt(folder, folder / "adopted", dt.date(2026, 1, 1), quiet, **changes)
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from photocal.analysis.analyse_run import analyse_run
 from photocal.base.progress import quiet
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.project import Project, read_project
-from photocal.report.analysis_record import analyse_run
 from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from photocal.run.calibration import certificate_stage

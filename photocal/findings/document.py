@@ -1,21 +1,25 @@
-"""What a report consists of, and its pages: HTML, and PDF set by typst."""
+"""What a document consists of, and its renderers: terminal, Markdown, HTML, and PDF set by typst."""
 
 import dataclasses
 import datetime as dt
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
+from textwrap import TextWrapper
 from typing import Any, Literal
 
 from photocal.base.errors import OutputError
+from photocal.findings.digits import PLAIN
 from photocal.findings.texts import Catalogue
 
 Align = Literal["left", "right", "center"]
 Tone = Literal["good", "bad", "note"]
-HTML_TEMPLATE = "certificate.html.j2"
-HTML_STYLE = "certificate.css"
-TEMPLATE = "certificate.typ"
+HTML_TEMPLATE = "document.html.j2"
+HTML_STYLE = "document.css"
+TEMPLATE = "document.typ"
+_WRAPPED = TextWrapper(118, initial_indent="* ", subsequent_indent="  ")
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,13 @@ class Statement:
     tone: Tone
     title: str
     text: str
+
+
+@dataclass(frozen=True)
+class Remarks:
+    """Sentences that each stand for themselves."""
+
+    texts: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -103,7 +114,7 @@ class Signature:
     lines: tuple[str, ...]
 
 
-Piece = Paragraph | Statement | KeyValues | Table | Figure | Signature
+Piece = Paragraph | Statement | Remarks | KeyValues | Table | Figure | Signature
 
 
 @dataclass(frozen=True)
@@ -142,6 +153,62 @@ class Document:
     sections: tuple[Section, ...]
     words: dict[str, str]
     sheets: bool = False
+
+
+def text(sections: Sequence[Section]) -> str:
+    """Render sections for a terminal, parameters as programs write them: pictures are left out."""
+    blocks = ("\n\n".join(filter(None, map(_lines, section.pieces))) for section in sections)
+    titled = (
+        f"{section.title}\n{block}".strip("\n") for section, block in zip(sections, blocks, strict=True)
+    )
+    return "\n\n".join(titled).translate(PLAIN)
+
+
+def _lines(piece: Piece) -> str:
+    match piece:
+        case Table():
+            return "\n".join(filter(None, (piece.caption, aligned(piece.columns, piece.rows), piece.note)))
+        case KeyValues(rows):
+            return aligned((Column("", align="left"),) * 2, rows)
+        case Remarks(texts):
+            return "\n".join(map(_WRAPPED.fill, texts))
+        case Statement():
+            return f"{piece.title}: {piece.text}"
+        case Signature(lines):
+            return "\n".join(lines)
+        case Figure():
+            return ""
+    return piece.text
+
+
+def aligned(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> str:
+    """Set a table in columns of one width, below their heads where there are any."""
+    table = [row for row in (_heads(columns), *rows) if any(row)]
+    widths = [max(map(len, cells)) for cells in zip(*table, strict=True)]
+    signs = {"left": "<", "right": ">", "center": "^"}
+    forms = [f"{{:{signs[c.align]}{width}}}" for c, width in zip(columns, widths, strict=True)]
+    return "\n".join("  ".join(forms).format(*row).rstrip() for row in table)
+
+
+def _heads(columns: Sequence[Column]) -> list[str]:
+    return [f"{column.head} [{column.unit}]" if column.unit else column.head for column in columns]
+
+
+def markdown(title: str, sections: Sequence[Section]) -> str:
+    """Render sections as Markdown: pictures are left out."""
+    blocks = [f"# {title}"]
+    for section in sections:
+        blocks += [f"## {section.title}"] if section.title else []
+        for piece in section.pieces:
+            if isinstance(piece, Table):
+                table = [_heads(piece.columns), ["---"] * len(piece.columns), *piece.rows]
+                lines = "\n".join(f"| {' | '.join(row)} |" for row in table)
+                blocks += [part for part in (piece.caption, lines, piece.note) if part]
+            elif isinstance(piece, Remarks):
+                blocks.append("\n".join(f"- {remark}" for remark in piece.texts))
+            else:
+                blocks.append(_lines(piece))
+    return "\n\n".join(blocks) + "\n"
 
 
 def html(document: Document) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
-from photocal.analysis.outcome import Analysis, ExteriorDifference, Outcome, analyse_network
+from photocal.analysis.outcome import ANALYSIS, Analysis, ExteriorDifference, Outcome, analyse_network
 from photocal.analysis.systematic_errors.refit import Checks
 from photocal.base.arrays import as_plain
 from photocal.base.files import output_file, write_json
@@ -22,7 +22,6 @@ from photocal.geometry.rotation import angles_from_matrix
 from photocal.georeferencing.differences import exposure_difference
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.local import in_local_frame
-from photocal.report.stored_analysis import ANALYSIS
 from photocal.results.adjusted import network_of, state_of
 from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import block_of_run
