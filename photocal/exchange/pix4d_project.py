@@ -8,14 +8,16 @@ were Cartesian; so does the block. Source: layouts of real projects, of one full
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError, InputNotFoundError
-from photocal.block.model import Block, Images, Observations, Role
+from photocal.block.model import Block, Images, Observations
 from photocal.exchange.parts import PointEntry, distinct, object_points
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import (
@@ -35,6 +37,17 @@ HEAD = "Pix4D camera calibration file"
 CAMERAS = "calibrated_camera_parameters.txt"
 BINGO = "tp_bingo.txt"
 _ERRORS = "calibrated_external_camera_parameters_error.txt"
+_MEASURED_ESTIMATED = "measured_estimated_gcps_position.txt"
+_ERROR_COLUMNS = (
+    "imageName",
+    *(f"{axis}_{kind}" for kind in ("gps", "acc", "uncertainty") for axis in "XYZ"),
+    *(f"{angle}_uncertainty" for angle in ("Omega", "Phi", "Kappa")),
+)
+_GROUND_COLUMNS = (
+    "GCP label",
+    "GCP weight",
+    *(f"GCP {kind} {axis}" for kind in ("measured", "estimated") for axis in "XYZ"),
+)
 # Whatever the project says of its measurements, they are weighted alike first.
 UNIT_SIGMA_PX = 1.0
 # Positions farther from the adjusted ones are in another system.
@@ -95,13 +108,15 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
     poses = from_vision(np.array(rotation), -np.einsum("nij,nj->ni", rotation, local))
     poses[:, 3:] += offset
     heads, exposure = of_poses(cameras, np.array(member), poses)
-    control, adjusted, remarks = _control(folder)
-    rows, unknown = _measurements(bingo, image_names, member, cameras, set(control))
+    ground = _ground(folder)
+    control, remarks = ground.control, ground.remarks
+    rows, unknown = _measurements(bingo, image_names, member, cameras, ground.manual.union(control))
     if unknown:
         remarks.append(f"{unknown} images of {bingo.name} are not calibrated: left out")
     points = sorted({row[1] for row in rows})
     entries = [
-        PointEntry(name, *control[name]) if name in control else PointEntry(name, "tie") for name in points
+        PointEntry(name, "control", *control[name]) if name in control else PointEntry(name)
+        for name in points
     ]
     place = {name: k for k, name in enumerate(points)}
     observations = Observations(
@@ -143,7 +158,9 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
             f"positions lie {np.nanmedian(away):.0f} m from the adjusted ones: of another system, left out"
         )
         position, sigma = np.full_like(position, np.nan), np.full_like(sigma, np.nan)
-    return ForeignProject("Pix4D", block, position, sigma, pose_sigma, adjusted, remarks=tuple(remarks))
+    return ForeignProject(
+        "Pix4D", block, position, sigma, pose_sigma, ground.adjusted, remarks=tuple(remarks)
+    )
 
 
 def _file(folder: Path, ending: str) -> Path | None:
@@ -191,58 +208,97 @@ def _camera(lens: tuple[float, ...], name: str, path: Path) -> Camera:
     return from_pinhole(Pinhole(size, fx, fy, cx - 0.5, cy - 0.5, k1, k2, k3, t1, t2), name, path)
 
 
-def _table(path: Path | None) -> dict[str, list[float]]:
-    """Rows of a name and numbers, between commas or blanks; "none" and what is no number are NaN."""
+def _rows(path: Path | None, columns: Sequence[str]) -> Iterator[list[str]]:
+    """Cells of some columns, by the head of a table that is cut at commas only: names have blanks."""
+    head: list[str] | None = None
+    for line in read_lines(path) if path is not None else ():
+        cells = [cell.strip().strip('"') for cell in line.text.split(",")]
+        if head is None:
+            head = [cell.casefold() for cell in cells]
+            lost = [column for column in columns if column.casefold() not in head]
+            if lost:
+                raise line.malformed(
+                    f"is no head with a column {lost[0]}", "export the file again, with its first line"
+                )
+        elif len(cells) != len(head):
+            raise line.malformed(
+                f"has {len(cells)} cells where the head has {len(head)}", "was it written completely?"
+            )
+        else:
+            yield [cells[head.index(column.casefold())] for column in columns]
+
+
+def _named(path: Path | None) -> dict[str, list[float]]:
+    """Rows of a name and three numbers or more, between commas or blanks."""
     rows = {}
     for line in read_lines(path) if path is not None else ():
-        split = re.split(r"\s*[,;\t]\s*", line.text.strip()) if re.search(r"[,;\t]", line.text) else None
-        cells = split or line.text.split()
+        cells = re.split(r"[,;\t]", line.text) if re.search(r"[,;\t]", line.text) else line.text.split()
         values = [_value(cell) for cell in cells[1:]]
-        if np.isfinite(values).any() or any(cell.lower() == "none" for cell in cells[1:]):
-            rows[cells[0].strip('"')] = values
+        if len(values) >= 3 and np.isfinite(values[:3]).all():
+            rows[cells[0].strip().strip('"')] = values
     return rows
 
 
 def _value(cell: str) -> float:
+    """A number; NaN for "none" and what is no number."""
     try:
         return float(cell)
     except ValueError:
         return float("nan")
 
 
-def _control(
-    folder: Path,
-) -> tuple[dict[str, tuple[Role, list[float], list[float]]], dict[str, Floats], list[str]]:
-    """Surveyed points as measured, the same as adjusted, and what was assumed of them."""
-    measured = _table(_file(folder, "measured_gcps_position.txt"))
-    estimated = _table(_file(folder, "estimated_gcps_position.txt"))
-    for name, values in _table(_file(folder, "measured_estimated_gcps_position.txt")).items():
-        measured.setdefault(name, values[:3])
-        estimated.setdefault(name, values[3:6])
-    control: dict[str, tuple[Role, list[float], list[float]]] = {}
-    bare = []
-    for name, values in measured.items():
-        if len(values) < 3 or not np.isfinite(values[:3]).all():
-            continue
-        sigma = values[3:6]
-        # Weight and number of images may stand there: accuracies are three, below a metre.
-        stated = len(values) == 6 and all(0 < accuracy < 1 for accuracy in sigma)
-        bare += [] if stated else [name]
-        control[name] = ("control", values[:3], sigma if stated else list(ASSUMED_M))
+@dataclass(frozen=True)
+class _Ground:
+    """Points that a person has marked.
+
+    control: surveyed coordinates and their sigmas (m).
+    manual: manual tie points, which stand among control with a weight of 1.
+    adjusted: coordinates as the program adjusted them.
+    """
+
+    control: dict[str, tuple[list[float], list[float]]]
+    manual: frozenset[str]
+    adjusted: dict[str, Floats]
+    remarks: list[str]
+
+
+def _ground(folder: Path) -> _Ground:
+    """Surveyed and other marked points, and what was assumed of them."""
+    both, measured = _file(folder, _MEASURED_ESTIMATED), _file(folder, "measured_gcps_position.txt")
+    surveyed, adjusted = _named(measured), _named(_file(folder, "estimated_gcps_position.txt"))
     remarks = []
-    manual = sorted(set(estimated) - set(control))
+    if measured is not None and both is None and not surveyed:
+        remarks.append(
+            f"{measured.name} has no names of points: no control without ..._{_MEASURED_ESTIMATED}"
+        )
+    manual = set[str]()
+    for name, weight, *cells in _rows(both, _GROUND_COLUMNS):
+        values = [_value(cell) for cell in cells]
+        # Weights of surveyed points come near to 1 and are never exactly it.
+        if np.isfinite(_value(weight)) and Decimal(weight) == 1:
+            manual.add(name)
+        elif np.isfinite(values[:3]).all():
+            surveyed.setdefault(name, values[:3])
+        if np.isfinite(values[3:]).all():
+            adjusted.setdefault(name, values[3:])
+    control, bare = {}, 0
+    for name, values in surveyed.items():
+        if name not in manual:
+            # Weight and number of images may stand there: accuracies are three, below a metre.
+            stated = len(values) == 6 and all(0 < accuracy < 1 for accuracy in values[3:])
+            bare += not stated
+            control[name] = values[:3], values[3:] if stated else list(ASSUMED_M)
+    manual |= set(adjusted) - set(control)
     if manual:
         remarks.append(f"{len(manual)} points have marks but were not surveyed: tie points")
     if bare:
-        remarks.append(
-            f"{len(bare)} control points have no accuracy: {ASSUMED_M[0]} and {ASSUMED_M[2]} m assumed"
-        )
-    adjusted = {name: np.array(v[:3]) for name, v in estimated.items() if np.isfinite(v[:3]).all()}
-    return control, adjusted, remarks
+        remarks.append(f"{bare} control points have no accuracy: {ASSUMED_M[0]} and {ASSUMED_M[2]} m assumed")
+    places = {name: np.array(adjusted[name][:3]) for name in control if name in adjusted}
+    return _Ground(control, frozenset(manual), places, remarks)
 
 
 def _measurements(
-    path: Path, names: Sequence[str], member: Sequence[int], cameras: Sequence[Camera], control: set[str]
+    path: Path, names: Sequence[str], member: Sequence[int], cameras: Sequence[Camera], marked: frozenset[str]
 ) -> tuple[list[tuple[int, str, float, float]], int]:
     """Rays (image, point, column, row) of BINGO's table, and how many of its images are not known."""
     image_of = _in_order(names)
@@ -261,9 +317,9 @@ def _measurements(
             if image < 0:
                 continue
             name = " ".join(cells[:-2])
-            # Control has a prefix that no other table has.
+            # Points with marks have a prefix that no other table has.
             bare = name.removeprefix("GCP_")
-            name = bare if bare in control and name not in control else name
+            name = bare if bare in marked and name not in marked else name
             x, y = number(cells[-2], line.place, "x"), number(cells[-1], line.place, "y")
             rays.setdefault((image, name), (middle[0] + x / pitch[0], middle[1] - y / pitch[1]))
         else:
@@ -321,27 +377,11 @@ def _is_number(cell: str) -> bool:
 
 def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floats]:
     """Positions by GNSS, their accuracies as stated, and the sigmas that the program promises."""
-    count = len(names)
-    given, stated = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
-    promised = np.full((count, 6), np.nan)
-    image_of = _in_order(names)
-    path = _file(folder, _ERRORS)
-    for line in read_lines(path) if path is not None else ():
-        cells = re.split(r"[,;\s]+", line.text.strip())
-        # Index, name, X Y Z adjusted and given, two or three accuracies, three angles, six uncertainties, one
-        # probability; names may have blanks.
-        ways = ((3, 1), (2, 1), (3, 0), (2, 0))
-        titles = ((" ".join(cells[j : len(cells) - 16 - n]), n) for n, j in ways)
-        k, accuracies = next(((k, n) for title, n in titles if (k := image_of(title)) >= 0), (-1, 0))
-        if k < 0:
-            if any(image_of(cell) >= 0 for cell in cells[:2]):
-                raise line.malformed(f"has {len(cells)} cells where 20 or 21 were expected")
-            continue
-        values = [_value(cell) for cell in cells[-16 - accuracies :]]
-        sigma = values[6 : 6 + accuracies]
-        given[k], stated[k] = values[3:6], sigma if accuracies == 3 else [sigma[0], sigma[0], sigma[1]]
-        tail = values[6 + accuracies + 3 :]
-        promised[k] = [*np.radians(tail[3:6]), *tail[:3]]
-    unknown = ~(stated > 0).all(axis=1)
-    given[unknown], stated[unknown] = np.nan, np.nan
-    return given, stated, promised
+    table, image_of = np.full((len(names), len(_ERROR_COLUMNS) - 1), np.nan), _in_order(names)
+    for name, *cells in _rows(_file(folder, _ERRORS), _ERROR_COLUMNS):
+        k = image_of(name)
+        if k >= 0:
+            table[k] = [_value(cell) for cell in cells]
+    given, stated, places, angles = table[:, :3], table[:, 3:6], table[:, 6:9], table[:, 9:]
+    given[~(stated > 0).all(axis=1)], stated[~(stated > 0).all(axis=1)] = np.nan, np.nan
+    return given, stated, np.hstack([np.radians(angles), places])

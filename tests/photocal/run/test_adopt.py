@@ -111,43 +111,64 @@ def test_the_same_camera(
     assert "theirs" in adoption_text(figures)
 
 
+ERRORS_HEAD = (
+    "imageName, cameraIndex, cameraName, X_opt, Y_opt, Z_opt, X_gps, Y_gps, Z_gps, X_acc, Y_acc, Z_acc, "
+    "Omega, Phi, Kappa, X_uncertainty, Y_uncertainty, Z_uncertainty, Omega_uncertainty, Phi_uncertainty, "
+    "Kappa_uncertainty, inlierProb"
+)
+GROUND_HEAD = (
+    "GCP label, GCP measured X, GCP measured Y, GCP measured Z, GCP estimated X, GCP estimated Y, "
+    "GCP estimated Z, GCP weight, GCP visible in # images"
+)
+
+
+def digits(values: Any) -> list[str]:
+    """Numbers as Pix4Dmapper writes them."""
+    return [f"{float(value):.20f}" for value in values]
+
+
 def pix4d(folder: Path, given: Reconstruction) -> None:
-    """Write a params folder as its description has it."""
+    """Write a params folder as its description has it; its first two tie points are manual ones."""
     own = given.cameras[0]
     pinhole, _ = to_pinhole(own, "Pix4D")
     rotation, _ = to_vision(given.poses)
     width, height = own.size_px
-    head = "fileName imageWidth imageHeight\n" + "a line of the head\n" * 6 + "\n"
-    blocks, errors, bingo = [], [], []
+    head = "fileName imageWidth imageHeight \n" + "a line of the head\n" * 6 + "\n"
+    blocks, errors, bingo = [], [ERRORS_HEAD], []
+    manual = [k for k, role in enumerate(given.roles) if role == "tie"][:2]
+    marked = [k for k, role in enumerate(given.roles) if role == "control"] + manual
     for k, name in enumerate(given.image_names):
         place = given.poses[k, 3:]
         rows: list[Any] = [[pinhole.fx, 0, pinhole.cx + 0.5], [0, pinhole.fy, pinhole.cy + 0.5], [0, 0, 1]]
         rows += [[pinhole.k1, pinhole.k2, pinhole.k3], [pinhole.p1, pinhole.p2], place, *rotation[k].tolist()]
-        lines = [f"{name} {width} {height}", *(" ".join(repr(float(v)) for v in row) for row in rows)]
-        blocks.append("\n".join(lines))
-        there = (place + OFFSET).tolist()
+        blocks.append("\n".join([f"{name} {width} {height}", *(" ".join(digits(row)) for row in rows)]))
+        there = place + OFFSET
         # All positions lie too low, by 2 cm as the user typed.
-        gnss = [*there[:2], there[2] - SHIFT_M]
-        angles = np.degrees(given.poses[k, :3]).tolist()
-        cells = [0, name, *there, *gnss, 0.02, 0.02, 0.02, *angles, *([0.004] * 6), 0.99]
-        errors.append(" ".join(str(cell) for cell in cells))
+        cells = [*there, *(there - [0, 0, SHIFT_M]), 0.02, 0.02, 0.02, *np.degrees(given.poses[k, :3])]
+        cells += [0.004] * 3 + [0.002] * 3 + [0.99]
+        errors.append(", ".join([name, "0", "Own Camera_20.0_4608x3456 (RGB)(1)", *digits(cells)]))
         bingo.append(f"{Path(name).stem} H_{width * own.pitch[0]}_{height * own.pitch[1]}")
         for ray in np.flatnonzero(given.image == k):
-            x = float(given.pixels[ray, 0] - (width - 1) / 2) * own.pitch[0]
-            y = float((height - 1) / 2 - given.pixels[ray, 1]) * own.pitch[1]
-            point = given.point_names[given.point[ray]]
-            bingo.append(f"{'GCP_' if given.roles[given.point[ray]] == 'control' else ''}{point} {x!r} {y!r}")
+            x = (given.pixels[ray, 0] - (width - 1) / 2) * own.pitch[0]
+            y = ((height - 1) / 2 - given.pixels[ray, 1]) * own.pitch[1]
+            point = given.point[ray]
+            prefix = "GCP_" if point in marked else ""
+            bingo.append(" ".join([f"{prefix}{given.point_names[point]}", *digits([x, y])]))
         bingo.append("-99")
-    control = [k for k, role in enumerate(given.roles) if role == "control"]
-    measured = [
-        ",".join([given.point_names[k], *(repr(float(v)) for v in given.xyz[k] + OFFSET), "0.02,0.02,0.03"])
-        for k in control
-    ]
+    ground = [GROUND_HEAD]
+    for k in marked:
+        there = given.xyz[k] + OFFSET
+        # Of manual tie points one has zeros, the other what the program computed in an earlier state.
+        earlier = {manual[0]: np.zeros(3), manual[1]: there - np.array([0, 0, 0.28])}
+        measured = earlier.get(k, there)
+        weight = 1.0 if k in manual else 0.9999997
+        ground.append(", ".join([given.point_names[k], *digits([*measured, *there, weight]), "4"]))
     for ending, text in (
         ("calibrated_camera_parameters.txt", head + "\n".join(blocks)),
         ("calibrated_external_camera_parameters_error.txt", "\n".join(errors)),
-        ("offset.xyz", " ".join(map(str, OFFSET))),
-        ("measured_gcps_position.txt", "\n".join([*measured, "mtp1,none,none,none"])),
+        ("offset.xyz", " ".join(digits(OFFSET))),
+        ("measured_estimated_gcps_position.txt", "\n".join(ground)),
+        ("measured_gcps_position.txt", "\n".join(" ".join(digits(given.xyz[k] + OFFSET)) for k in marked)),
         ("tp_bingo.txt", "\n".join(bingo)),
     ):
         (folder / f"field 3_{ending}").write_text(text + "\n")
@@ -170,22 +191,52 @@ def test_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction, monkeypatch: 
     assert largest(figures) < 0.1
 
 
+def test_manual_tie_points_are_no_control(tmp_path: Path, adjusted: Reconstruction) -> None:
+    pix4d(tmp_path, adjusted)
+    foreign = read_foreign_project(tmp_path)
+    points = foreign.block.points
+    manual = [name for name, role in zip(adjusted.point_names, adjusted.roles, strict=True) if role == "tie"][
+        :2
+    ]
+    assert [ROLES[points.role[points.names.index(name)]] for name in manual] == ["tie", "tie"]
+    assert np.isnan(points.values[[points.names.index(name) for name in manual]]).all()
+    assert "2 points have marks but were not surveyed: tie points" in foreign.remarks
+    control = {
+        name for name, role in zip(adjusted.point_names, adjusted.roles, strict=True) if role == "control"
+    }
+    assert {points.names[k] for k in np.flatnonzero(points.of_role("control"))} == control
+    assert set(foreign.adjusted) == control
+
+
 def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -> None:
     pix4d(tmp_path, adjusted)
-    table = next(tmp_path.glob("*measured_gcps_position.txt"))
-    # Weights and numbers of images in place of accuracies, blanks in place of commas.
-    text = table.read_text().replace("0.02,0.02,0.03", "1.0,4").replace(",", " ")
-    table.write_bytes(text.replace("\n", "\r\n").encode())
-    errors = next(tmp_path.glob("*_error.txt"))
-    errors.write_text("# a line of heads\n" + errors.read_text().replace(" 0.02 0.02 0.02 ", " 0.05 0.07 "))
     foreign = read_foreign_project(tmp_path)
     assert any("have no accuracy" in remark for remark in foreign.remarks)
-    assert foreign.position_sigma[0].tolist() == [0.05, 0.05, 0.07]
+    assert foreign.position_sigma[0].tolist() == [0.02, 0.02, 0.02]
+    assert foreign.pose_sigma[0] == pytest.approx([*np.radians([0.002] * 3), *[0.004] * 3])
+    # A table of its own with accuracies, line ends of another system, a comment and blank lines; an image
+    # without a position.
+    control = [k for k, role in enumerate(adjusted.roles) if role == "control"]
+    rows = [
+        ", ".join([adjusted.point_names[k], *digits([*adjusted.xyz[k] + OFFSET, 0.05, 0.05, 0.07])])
+        for k in control
+    ]
+    table = next(tmp_path.glob("*3_measured_gcps_position.txt"))
+    table.write_bytes("\r\n\r\n".join(["# label, X, Y, Z, accuracies", *rows]).encode())
+    errors = next(tmp_path.glob("*_error.txt"))
+    lines = errors.read_text().splitlines()
+    cells = lines[1].split(", ")
+    lines[1] = ", ".join([*cells[:6], "none", "none", "none", *cells[9:]])
+    errors.write_bytes("\r\n".join(lines).encode())
+    again = read_foreign_project(tmp_path)
+    assert again.block.points.sigma[again.block.points.of_role("control")][0].tolist() == [0.05, 0.05, 0.07]
+    assert np.isnan(again.position[0]).all()
+    assert np.isfinite(again.position[1:]).all()
     bingo = next(tmp_path.glob("*tp_bingo.txt"))
     bingo.write_text(bingo.read_text().replace("_23.04_17.28", "_RGB"))
-    line = "#Focal Length mm assuming a sensor width of 23.04x17.28mm\n"
+    line = "#Focal Length mm assuming a sensor width of 23.03999999999999914735x17.28000000000000113687mm\n"
     stated = tmp_path / "field 3_calibrated_internal_camera_parameters.cam"
-    for text in ("", line.replace("23.04", "23.03.04")):
+    for text in ("", line.replace("23.03", "23.03.04")):
         stated.write_text(text)
         with pytest.raises(InputMalformedError, match="no sensor width in mm"):
             read_foreign_project(tmp_path)
@@ -195,13 +246,40 @@ def test_variants_of_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction) -
     )
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("imageName, ", "name, ", "line 1: is no head with a column imageName"),
+        (", 0.98999999999999999112", "", "line 2: has 21 cells where the head has 22"),
+    ],
+)
+def test_a_table_of_errors_without_its_head_is_refused(
+    tmp_path: Path, adjusted: Reconstruction, old: str, new: str, message: str
+) -> None:
+    pix4d(tmp_path, adjusted)
+    errors = next(tmp_path.glob("*_error.txt"))
+    errors.write_text(errors.read_text().replace(old, new, 1))
+    with pytest.raises(InputMalformedError, match=message):
+        read_pix4d_project(tmp_path)
+
+
+def test_surveyed_points_without_names_are_told(tmp_path: Path, adjusted: Reconstruction) -> None:
+    pix4d(tmp_path, adjusted)
+    next(tmp_path.glob("*measured_estimated*")).unlink()
+    foreign = read_foreign_project(tmp_path)
+    assert foreign.block.points.of_role("tie").all()
+    assert any("has no names of points: no control" in remark for remark in foreign.remarks)
+
+
 @pytest.mark.parametrize("cut", [False, True])
 def test_a_damaged_pix4d_project_is_refused(tmp_path: Path, adjusted: Reconstruction, cut: bool) -> None:
     pix4d(tmp_path, adjusted)
     cameras = next(tmp_path.glob("*calibrated_camera_parameters.txt"))
     text = cameras.read_text()
     # A word in a matrix; and the last row of the last rotation cut within.
-    cameras.write_text(text.rsplit(" ", 1)[0] if cut else text.replace("0.0 0.0 1.0", "0.0 x 1.0"))
+    bottom = " ".join(digits([0, 0, 1]))
+    assert bottom in text
+    cameras.write_text(text.rsplit(" ", 1)[0] if cut else text.replace(bottom, bottom.replace(" 0", " x", 1)))
     with pytest.raises(InputMalformedError):
         read_pix4d_project(tmp_path)
 
