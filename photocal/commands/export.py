@@ -17,7 +17,7 @@ FORMATS = ", ".join(exported())
 def export(
     run: Annotated[Path, argument("Run folder that photocal adjust wrote.")],
     output: Annotated[Path, option("Folder for the files.", "-o", "--output")],
-    form: Annotated[str, option(f"One of {FORMATS}.", "--format")],
+    form: Annotated[str, option(f"One of {FORMATS}; or of another package.", "--format")],
     angle_unit: Annotated[
         str, option("Unit of omega, phi, kappa for patb: deg or gon.", "--angle-unit")
     ] = "",
@@ -31,7 +31,6 @@ def export(
     Example: `photocal export run --format colmap -o colmap`
     """
     from photocal.base.files import output_folder
-    from photocal.exchange.formats import export as write
     from photocal.exchange.formats import named
     from photocal.exchange.reconstruction import Choices, Origin, middle, of_result
     from photocal.results.folder import read_result
@@ -47,7 +46,7 @@ def export(
     adjusted = read_result(run)
     given = of_result(adjusted)
     with output_folder(output) as aside:
-        conversions = write(chosen, aside, given, choices)
+        conversions = chosen.write(aside, given, choices)
         files = sorted(str(path.relative_to(aside)) for path in aside.rglob("*") if path.is_file())
     cartesian = chosen.space == "cartesian"
     place = None

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError
-from photocal.block.model import Block
-from photocal.exchange.parts import digits, require_no_blanks, whole_numbers
+from photocal.block.model import Block, Images, ObjectPoints
+from photocal.exchange.foreign_project import ForeignProject
+from photocal.exchange.parts import block, digits, pixels, require_no_blanks, whole_numbers
 from photocal.exchange.pinhole import (
     LARGEST,
     Pinhole,
@@ -30,7 +31,7 @@ from photocal.exchange.pinhole import (
     to_pinhole,
     to_vision,
 )
-from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.rigs import Frame, Rig, Sensor, of_colmap, sensor_of
 from photocal.exchange.source import Line, image_size, numbers, read_lines, read_text, require_readable, whole
 from photocal.geometry.camera import PARAMETERS, Camera, Model
@@ -350,10 +351,15 @@ def write_text_model(
             out.write(f"{key} {digits(xyz)} 128 128 128 {error!r} {pairs}\n")
 
 
-def read_colmap(folder: Path) -> Reconstruction:
+def read(path: Path) -> ForeignProject:
+    """Read a model by one of its files."""
+    return ForeignProject("COLMAP", read_colmap(path.parent))
+
+
+def read_colmap(folder: Path) -> Block:
     """Read a model folder; binary files where there are any."""
     binary = (folder / "cameras.bin").exists()
-    first, second, third = (folder / f"{name}.{'bin' if binary else 'txt'}" for name in FILES)
+    first, second, third = files = [folder / f"{name}.{'bin' if binary else 'txt'}" for name in FILES]
     lenses = list((_lenses if binary else _text_lenses)(first))
     shots = list((_shots if binary else _text_shots)(second))
     points = list((_points if binary else _text_points)(third))
@@ -380,17 +386,18 @@ def read_colmap(folder: Path) -> Reconstruction:
     xyz = np.array([place for _, place, _, _ in points], dtype=float).reshape(-1, 3)
     if not max(np.abs(translation).max(initial=0), np.abs(xyz).max(initial=0)) < LARGEST:
         raise InputMalformedError("has coordinates beyond 1e9 m", "is it damaged?", where=folder)
-    given = Reconstruction(
-        tuple(cameras.values()),
+    image = np.repeat(np.arange(len(seen)), [int(use.sum()) for use in seen])
+    point = np.array(
+        [position[key] for shot, use in uses for key in shot.points[use].tolist()], dtype=np.int64
+    )
+    marks = np.vstack([np.empty((0, 2)), *(shot.marks[use] for shot, use in uses)]) - 0.5
+    images = Images(
         tuple(shot.name for shot in shots),
         np.array([order[shot.lens] for shot in shots], dtype=np.int64),
         from_vision(rotation, translation),
-        tuple(str(key) for key in position),
-        xyz,
-        np.repeat(np.arange(len(seen)), [int(use.sum()) for use in seen]),
-        np.array([position[key] for shot, use in uses for key in shot.points[use].tolist()], dtype=np.int64),
-        np.vstack([np.empty((0, 2)), *(shot.marks[use] for shot, use in uses)]) - 0.5,
     )
+    listed, rays = ObjectPoints(tuple(map(str, position)), xyz), pixels(image, point, marks)
+    given = block(folder.name, tuple(cameras.values()), images, listed, rays, files)
     keys = {shot.key: shot.name for shot in shots}
     suffix = "bin" if binary else "txt"
     paths = folder / f"rigs.{suffix}", folder / f"frames.{suffix}"
@@ -400,9 +407,17 @@ def read_colmap(folder: Path) -> Reconstruction:
     return of_colmap(given, folder, keys, read[0](paths[0]), read[1](paths[1]))
 
 
-def write_colmap(
-    folder: Path, given: Reconstruction, _: Choices | None = None, *, binary: bool = False
-) -> tuple[Conversion, ...]:
+def write_text(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """cameras.txt, images.txt, points3D.txt."""
+    return write_colmap(folder, given)
+
+
+def write_binary(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """cameras.bin, images.bin, points3D.bin."""
+    return write_colmap(folder, given, binary=True)
+
+
+def write_colmap(folder: Path, given: Reconstruction, *, binary: bool = False) -> tuple[Conversion, ...]:
     """Write a model folder."""
     made = [to_pinhole(camera, "COLMAP", _OTHERS) for camera in given.cameras]
     lenses = []
@@ -414,21 +429,15 @@ def write_colmap(
     rotation, translation = to_vision(given.poses)
     quaternion = quaternion_from_rotation(rotation)
     keys = np.array([int(name) for name in whole_numbers(given.point_names)], dtype=np.int64)
-    order = np.argsort(given.image, kind="stable")
-    bounds = np.searchsorted(given.image[order], np.arange(len(given.image_names) + 1))
-    place = np.empty(len(order), dtype=np.int64)
-    place[order] = np.arange(len(order)) - bounds[given.image[order]]
+    place = np.empty(len(given.image), dtype=np.int64)
     shots = []
-    for k, name in enumerate(given.image_names):
-        rays = order[bounds[k] : bounds[k + 1]]
+    for k, (name, rays) in enumerate(zip(given.image_names, given.rays_of_images, strict=True)):
+        place[rays] = np.arange(len(rays))
         pose = tuple(quaternion[k].tolist()), tuple(translation[k].tolist())
         marks = given.pixels[rays] + 0.5
         shots.append(Shot(k + 1, *pose, int(given.image_camera[k]) + 1, name, marks, keys[given.point[rays]]))
-    by_point = np.argsort(given.point, kind="stable")
-    tracks = np.split(
-        np.column_stack([given.image + 1, place])[by_point],
-        np.searchsorted(given.point[by_point], np.arange(1, len(keys))),
-    )
+    track = np.column_stack([given.image + 1, place])
+    tracks = [track[rays] for rays in given.rays_of_points]
     # Mean length of each point's residuals, px; -1 when not known.
     count = np.bincount(given.point, minlength=len(given.point_names))
     total = np.bincount(given.point, np.hypot(*given.residuals_px.T), minlength=len(count))
@@ -461,15 +470,3 @@ def _camera(lens: Lens, place: object) -> Camera:
     # Without k4 to k6 a FULL_OPENCV lens is Brown's, whose K4 is another.
     free &= set(camera.lens.names) - ({"K4"} if camera.model == "brown-ideal" else set())
     return replace(camera, estimated=np.array([parameter in free for parameter in PARAMETERS]))
-
-
-def export_binary(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """cameras.bin, images.bin, points3D.bin."""
-    return write_colmap(folder, given, binary=True)
-
-
-def read_model_block(path: Path) -> Block:
-    """Read a COLMAP model."""
-    given = read_colmap(path.parent)
-    suffix = ".bin" if (path.parent / "cameras.bin").exists() else ".txt"
-    return vision_block(path.parent.name, given, [path.with_name(name + suffix) for name in FILES])

@@ -13,8 +13,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from photocal.base.arrays import Integers
-from photocal.base.errors import InputMalformedError
-from photocal.block.model import Block, Images, InputFile, ObjectPoints, Role
+from photocal.base.errors import InputMalformedError, PhotocalError
+from photocal.block.model import Block, Images, ObjectPoints, Role
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import (
     NAMES,
@@ -26,11 +26,11 @@ from photocal.exchange.dbat_camera import (
     to_column_row,
     to_dbat,
 )
-from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, in_pixels
+from photocal.exchange.foreign_project import ForeignProject, in_pixels
+from photocal.exchange.reconstruction import Choices, Reconstruction, as_block
 from photocal.exchange.source import (
     beside,
     child,
-    fingerprint,
     image_size,
     number,
     read_xml,
@@ -55,6 +55,20 @@ _GROUPS = {
 CONTROL_FORMAT = "id,x,y,z,sx,sy,sz"
 # The parameters of ours that each switch of DBAT's estimation frees.
 _SWITCHES = {key: tuple(OURS[NAMES.index(name)] for name in names) for key, names in _GROUPS.items()}
+
+
+def read(path: Path) -> ForeignProject:
+    """Read a set-up, and the cameras that the program wrote below it."""
+    block = read_dbat(path)
+    names = {camera.id for camera in block.cameras}
+    cameras: dict[str, Camera] = {}
+    for file in sorted(path.parent.glob("result*/*.xml")):
+        try:
+            cameras |= {given.name: from_dbat(given, given.name, file) for given in read_dbat_cameras(file)}
+        except PhotocalError:
+            continue
+    known = tuple(camera for name, camera in cameras.items() if name in names)
+    return ForeignProject("DBAT", block, cameras=known, weighted=True)
 
 
 def read_dbat(path: Path) -> Block:
@@ -88,7 +102,7 @@ def read_dbat(path: Path) -> Block:
     marks = [_mark(row, names, sigma) for row, sigma in reader.marks()]
     title = (root.findtext("meta/name") or path.stem).strip()
     shots = Images(tuple(names.values()), np.zeros(len(names), dtype=np.int64))
-    return parts.block(title, cameras, shots, surveyed, marks, [fingerprint(path), *reader.read])
+    return parts.block_of_marks(title, cameras, shots, surveyed, marks, [path, *reader.read])
 
 
 def read_dbat_cameras(path: Path) -> tuple[DbatCamera, ...]:
@@ -104,14 +118,13 @@ class _Tables:
 
     def __init__(self, path: Path, given: Element) -> None:
         self.path, self.given = path, given
-        self.read: list[InputFile] = []
+        self.read: list[Path] = []
 
     def files(self, section: str) -> Iterator[tuple[Path, Element]]:
         for element in self.given.iterfind(f"{section}/file"):
             file = beside(self.path.parent, (element.text or "").strip(), self.path)
-            digest = fingerprint(file)
-            if digest not in self.read:
-                self.read.append(digest)
+            if file not in self.read:
+                self.read.append(file)
             yield file, element
 
     def rows(self, section: str, allowed: tuple[str, ...]) -> Iterator[Row]:
@@ -271,7 +284,7 @@ def _list(
     return values
 
 
-def recognises(path: Path) -> bool:
+def detect(path: Path) -> bool:
     """Whether an XML file is a set-up of this program."""
     return "dbat_script_version" in read_xml(path).attrib
 
@@ -405,7 +418,7 @@ def _operations(element: Element, camera: Camera) -> None:
         SubElement(element, "operation").text = name
 
 
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """A set-up and its tables."""
     write_dbat(folder, as_block(given, given.name, 1.0, ()))
     return tuple(Conversion(camera) for camera in given.cameras)

@@ -1,213 +1,10 @@
-"""The formats of other programs: what each holds and means, and who writes and reads it.
+"""The formats of other programs: what each holds and means, and who detects, reads and writes it.
 
-A new format is a module and an entry of this table; its functions are loaded when they are used.
-docs/exchange.md is made of it (`python -m photocal.exchange.formats`).
-"""
+A new format is one module and one entry of this table; another package adds one by an entry point of the
+group `photocal.formats` that names a `Format`. Functions are loaded when they are used. What follows, with
+the table filled in, is docs/exchange.md (`python -m photocal.exchange.formats`).
 
-from __future__ import annotations
-
-import os
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from fnmatch import fnmatch
-from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
-
-from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
-
-if TYPE_CHECKING:
-    from photocal.block.model import Block
-    from photocal.exchange.reconstruction import Choices, Reconstruction
-    from photocal.geometry.conversion import Conversion
-
-
-Part = Literal["cameras", "orientations", "points", "marks"]
-# cartesian: a block in a reference system is taken to its topocentric frame; own: coordinates as they are;
-# wgs84: longitude, latitude and ellipsoidal height; none: no places.
-Space = Literal["cartesian", "own", "wgs84", "none"]
-
-WHOLE: tuple[Part, ...] = ("cameras", "orientations", "points", "marks")
-VISION = "x right, y down, z forward"
-PHOTO = "x right, y up, z backwards"
-CENTRE, CORNER = "centre of the first pixel", "corner of the first pixel"
-
-
-@dataclass(frozen=True)
-class Format:
-    """One format; functions are named as `module:function` within this room, or by a dotted module.
-
-    name: for `photocal export --format`.
-    holds: what comes back when it is read; the points of some formats are the surveyed ones only.
-    distortion: its direction: added to the projection, or correcting the measurement.
-    writes: takes a folder, or the file in it that is named after another colon, a `Reconstruction` and
-        `Choices`; gives a `Conversion` for each camera. Empty: it is not exported.
-    reads: takes the folder that was written, or the file in it that is named after another colon; gives a
-        `Reconstruction`, a block, or names and orientations of images.
-    blocks: takes a file of which the name fits one of `opens`; gives the block that `photocal adjust` takes.
-    recognises: whether such a file is of this format, where its name does not say it.
-    """
-
-    name: str
-    title: str
-    holds: tuple[Part, ...]
-    space: Space
-    origin: str
-    axes: str
-    distortion: Literal["brown-ideal", "brown-observed", "none"]
-    units: str
-    writes: str
-    reads: str
-    blocks: str = ""
-    opens: tuple[str, ...] = ()
-    recognises: str = ""
-
-    def read(self, folder: Path) -> Reconstruction:
-        """Read a folder that was written, in a format with `reads`."""
-        from photocal.exchange.reconstruction import Reconstruction, of_block, orientations_alone
-
-        module, function, *file = self.reads.split(":")
-        content = _loaded(f"{module}:{function}")(folder.joinpath(*file))
-        if isinstance(content, Reconstruction):
-            return content
-        return orientations_alone(*content) if isinstance(content, tuple) else of_block(content)
-
-    def takes(self, path: Path) -> bool:
-        """Whether a file is one of this format."""
-        named = any(fnmatch(path.name.lower(), pattern.lower()) for pattern in self.opens)
-        return named and (not self.recognises or bool(_loaded(self.recognises)(path)))
-
-
-def _loaded(name: str) -> Callable[..., Any]:
-    module, _, function = name.partition(":")
-    entry: Callable[..., Any] = getattr(
-        import_module(module if "." in module else f"photocal.exchange.{module}"), function
-    )
-    return entry
-
-
-FORMATS: tuple[Format, ...] = (
-    Format("colmap", "COLMAP, text", WHOLE, "cartesian", CORNER, VISION, "brown-ideal",
-           "px, m, unit quaternion", "colmap:write_colmap", "colmap:read_colmap", "colmap:read_model_block",
-           ("cameras.txt", "images.txt", "points3D.txt")),
-    Format("colmap-binary", "COLMAP, binary", WHOLE, "cartesian", CORNER, VISION, "brown-ideal",
-           "px, m, unit quaternion", "colmap:export_binary", "colmap:read_colmap",
-           "colmap:read_model_block", ("cameras.bin", "images.bin", "points3D.bin")),
-    Format("opencv", "OpenCV, YAML or JSON", ("cameras",), "none", CENTRE, VISION, "brown-ideal", "px",
-           "opencv:export", "opencv:read_cameras"),
-    Format("opensfm", "OpenSfM and ODM, reconstruction", WHOLE, "cartesian",
-           "middle of the image, by its larger side", VISION, "brown-ideal",
-           "larger side of the image, m, rotation vector", "opensfm:export",
-           "opensfm:read_reconstruction:reconstruction.json", "opensfm:read_reconstruction_block",
-           ("*.json",)),
-    Format("odm", "ODM, gcp_list.txt and geo.txt", ("points", "marks"), "own", CENTRE, "none", "none",
-           "px, m", "ground_points:export", ""),
-    Format("metashape", "Metashape, camera XML", ("cameras", "orientations", "points", "marks"),
-           "cartesian", CORNER, VISION, "brown-ideal", "px, m, 4 x 4 matrix",
-           "metashape:write_metashape:cameras.xml", "metashape:read_local:cameras.xml",
-           "metashape:read_camera_block", ("*.xml",), "metashape:recognises"),
-    Format("metashape-csv", "Metashape, reference tables", ("points",), "own", "none", "none", "none", "m",
-           "reference_table:export", ""),
-    Format("pix4d", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION, "brown-ideal",
-           "mm on a nominal sensor", "pix4d_project:export", ""),
-    Format("opf", "Open Photogrammetry Format 1.0", WHOLE, "cartesian", CORNER, PHOTO, "brown-ideal",
-           "px, m, deg", "opf:export", "opf:read_opf:project.opf", "opf:read_project_block",
-           ("*.opf",)),
-    Format("photomodeler", "PhotoModeler, text export", WHOLE, "cartesian", CORNER, PHOTO, "brown-observed",
-           "px, mm in the camera, m, deg", "photomodeler:write_photomodeler:block.txt",
-           "photomodeler:read_photomodeler:block.txt", "photomodeler:read_photomodeler", ("*.txt",),
-           "photomodeler:looks_like_export"),
-    Format("dbat", "DBAT, XML set-up", ("cameras", "points", "marks"), "cartesian", CORNER, PHOTO,
-           "brown-observed", "px, mm in the camera, m", "dbat:export", "dbat:read_dbat:setup.xml",
-           "dbat:read_dbat", ("*.xml",), "dbat:recognises"),
-    Format("jaicov", "JAICOV and AICON 3D Studio", WHOLE, "cartesian", "middle of the sensor, y up", PHOTO,
-           "brown-ideal", "mm, rad", "jaicov:write_jaicov:block", "jaicov:read_unweighted:block.ior",
-           "jaicov:read_jaicov", ("*.ior", "*.eor", "*.obc", "*.phc")),
-    Format("micmac", "MicMac, XML", WHOLE, "cartesian", CENTRE, VISION, "brown-ideal", "px, m, matrix",
-           "micmac:export", "micmac:read_export"),
-    Format("patb", "PATB style, tables", ("orientations",), "own", "none", PHOTO, "none",
-           "m; deg or gon, as asked; matrix from camera to object", "orientation_tables:export",
-           "orientation_tables:read_matrices:orientations_matrix.txt"),
-    Format("inpho", "Inpho, .prj", ("orientations",), "own", CENTRE, PHOTO, "none",
-           "mm in the camera, m, matrix from object to camera",
-           "orientation_tables:write_inpho:orientations.prj",
-           "orientation_tables:read_inpho:orientations.prj"),
-    Format("geojson", "GeoJSON", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
-           "geographic:write_geojson:block.geojson", ""),
-    Format("kml", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO, "none", "deg, m, px",
-           "geographic:write_kml:block.kml", ""),
-    Format("geopackage", "GeoPackage", ("orientations", "points", "marks"), "wgs84", CENTRE, PHOTO, "none",
-           "deg, m, px", "geographic:export_geopackage", ""),
-    Format("photoscan", "PhotoScan and Metashape, project", WHOLE, "own", CORNER, VISION, "brown-ideal",
-           "px, m", "", "", "photoscan:read_photoscan", ("*.psz", "*.psx")),
-)  # fmt: skip
-
-
-def exported() -> tuple[str, ...]:
-    """Names of the formats that can be written."""
-    return tuple(form.name for form in FORMATS if form.writes)
-
-
-def named(name: str) -> Format:
-    """Find a format that can be written; raises ConfigurationError when it is not known."""
-    chosen = next((form for form in FORMATS if form.name == name and form.writes), None)
-    if chosen is None:
-        raise ConfigurationError(f"format {name!r} is not known", f"use {', '.join(exported())}")
-    return chosen
-
-
-def export(form: Format, folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
-    """Write a block in a format.
-
-    raises ConfigurationError, InputMalformedError: when the format has no place for the block, or a choice is
-        missing.
-    """
-    if form.space == "cartesian":
-        from photocal.exchange.reconstruction import to_cartesian
-
-        given = to_cartesian(given)
-    module, function, *file = form.writes.split(":")
-    made: tuple[Conversion, ...] = _loaded(f"{module}:{function}")(folder.joinpath(*file), given, choices)
-    return made
-
-
-def read_any_block(source: Path) -> Block:
-    """Read a block folder, also by its `block.toml`, or the set-up file of another program.
-
-    raises PhotocalError: what its reader does.
-    """
-    from photocal.block.folder import SETUP, read_block
-
-    if source.is_file() and source.name != SETUP:
-        return read_foreign_block(source)
-    return read_block(source.parent if source.is_file() else source)
-
-
-def read_foreign_block(path: Path) -> Block:
-    """Read a block of another program from one of its files."""
-    if not path.exists():
-        raise InputNotFoundError("does not exist", "check the path", where=path)
-    form = next((form for form in FORMATS if form.takes(path)), None)
-    if form is None:
-        known = "; ".join(f"{form.title}: {', '.join(form.opens)}" for form in FORMATS if form.opens)
-        raise InputMalformedError(
-            "holds no block that is known",
-            f"name a block folder, or a file of another program ({known})",
-            where=path,
-        )
-    block: Block = _loaded(form.blocks)(path)
-    root = os.path.commonpath([Path(file.path).parent for file in block.inputs])
-    inputs = (replace(file, path=Path(file.path).relative_to(root).as_posix()) for file in block.inputs)
-    return replace(block, inputs=tuple(inputs))
-
-
-_SPACES = {
-    "cartesian": "Cartesian, m",
-    "own": "the block's own",
-    "wgs84": "WGS 84 (a local frame with --origin)",
-    "none": "none",
-}
-_PAGE = """# Formats of other programs
+# Formats of other programs
 
 Made by `python -m photocal.exchange.formats > docs/exchange.md`; `photocal export RUN --format NAME -o DIR`
 writes them. Here the centre of the upper-left pixel is (0, 0), x runs right, y down; camera axes are x
@@ -242,6 +39,253 @@ standard deviations of the adjusted coordinates.
 
 Damaged files are read or refused in words, within a gigabyte: [evidence](evidence/fuzz_readers.md).
 """
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+
+if TYPE_CHECKING:
+    from photocal.block.model import Block
+    from photocal.exchange.foreign_project import ForeignProject
+    from photocal.exchange.reconstruction import Choices, Reconstruction
+    from photocal.geometry.conversion import Conversion
+
+
+Part = Literal["cameras", "orientations", "points", "marks"]
+# cartesian: a block in a reference system is taken to its topocentric frame; own: coordinates as they are;
+# wgs84: longitude, latitude and ellipsoidal height; none: no places.
+Space = Literal["cartesian", "own", "wgs84", "none"]
+
+GROUP = "photocal.formats"
+WHOLE: tuple[Part, ...] = ("cameras", "orientations", "points", "marks")
+VISION = "x right, y down, z forward"
+PHOTO = "x right, y up, z backwards"
+CENTRE, CORNER = "centre of the first pixel", "corner of the first pixel"
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format; its functions are those of one module, which is named in full.
+
+    name: for `photocal export --format`.
+    holds: what comes back when it is read; the points of some formats are the surveyed ones only.
+    distortion: its direction: added to the projection, or correcting the measurement.
+    reads: takes one of its files, gives a `ForeignProject`. Empty: it is not read.
+    writes: takes a folder, or the file in it that is named after a colon, a `Reconstruction` and `Choices`;
+        gives a `Conversion` for each camera. Empty: it is not exported.
+    opens: patterns of the names of files that `photocal adjust` takes.
+    search: pattern of the file that stands for a whole project in a folder; the first of `opens` without it.
+    detects: whether such a file is of this format, where its name does not say it.
+    """
+
+    name: str
+    module: str
+    title: str
+    holds: tuple[Part, ...]
+    space: Space
+    origin: str
+    axes: str
+    distortion: Literal["brown-ideal", "brown-observed", "none"]
+    units: str
+    reads: str = ""
+    writes: str = ""
+    opens: tuple[str, ...] = ()
+    search: str = ""
+    detects: str = ""
+
+    def detect(self, path: Path) -> bool:
+        """Whether a file is one of this format that `photocal adjust` takes."""
+        named = any(fnmatch(path.name.lower(), pattern.lower()) for pattern in self.opens)
+        return named and self.fits(path)
+
+    def fits(self, path: Path) -> bool:
+        """Whether a file of such a name is one of this format."""
+        return not self.detects or bool(self._function(self.detects)(path))
+
+    def read(self, path: Path) -> ForeignProject:
+        """Read a project from one of its files, or from the folder that has it."""
+        if path.is_dir():
+            path = next((file for file in self.found(path) if self.fits(file)), path)
+        given: ForeignProject = self._function(self.reads)(path)
+        # Files that were read are named within the folder that has them all.
+        files = given.block.inputs
+        root = os.path.commonpath([Path(file.path).parent for file in files]) if files else ""
+        inputs = (replace(file, path=Path(file.path).relative_to(root).as_posix()) for file in files)
+        return replace(given, block=replace(given.block, inputs=tuple(inputs)))
+
+    def found(self, folder: Path) -> list[Path]:
+        """Files named as a project is: what lies least deep is the project, what lies deeper its parts."""
+        pattern = self.search or self.opens[0]
+        return sorted(folder.rglob(pattern), key=lambda file: (len(file.parts), file.name))
+
+    def write(self, folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+        """Write a block.
+
+        raises ConfigurationError, InputMalformedError: when the format has no place for the block, or a
+            choice is missing.
+        """
+        if self.space == "cartesian":
+            from photocal.exchange.reconstruction import to_cartesian
+
+            given = to_cartesian(given)
+        name, *file = self.writes.split(":")
+        made: tuple[Conversion, ...] = self._function(name)(folder.joinpath(*file), given, choices)
+        return made
+
+    def _function(self, name: str) -> Callable[..., Any]:
+        function: Callable[..., Any] = getattr(import_module(self.module), name)
+        return function
+
+
+# In the order in which a folder is searched for a project.
+FORMATS: tuple[Format, ...] = (
+    Format("pix4d-params", "photocal.exchange.pix4d_project", "Pix4D, params folder", WHOLE, "own", CORNER,
+           VISION, "brown-ideal", "px, m", "read", opens=("*calibrated_camera_parameters.txt",)),
+    Format("photoscan", "photocal.exchange.photoscan", "PhotoScan and Metashape, project", WHOLE, "own",
+           CORNER, VISION, "brown-ideal", "px, m", "read", opens=("*.psz", "*.psx"), search="*.ps[xz]"),
+    Format("opf", "photocal.exchange.opf", "Open Photogrammetry Format 1.0", WHOLE, "cartesian", CORNER,
+           PHOTO, "brown-ideal", "px, m, deg", "read", "write", ("*.opf",)),
+    Format("colmap-binary", "photocal.exchange.colmap", "COLMAP, binary", WHOLE, "cartesian", CORNER, VISION,
+           "brown-ideal", "px, m, unit quaternion", "read", "write_binary",
+           ("cameras.bin", "images.bin", "points3D.bin")),
+    Format("colmap", "photocal.exchange.colmap", "COLMAP, text", WHOLE, "cartesian", CORNER, VISION,
+           "brown-ideal", "px, m, unit quaternion", "read", "write_text",
+           ("cameras.txt", "images.txt", "points3D.txt")),
+    Format("opensfm", "photocal.exchange.opensfm", "OpenSfM and ODM, reconstruction", WHOLE, "cartesian",
+           "middle of the image, by its larger side", VISION, "brown-ideal",
+           "larger side of the image, m, rotation vector", "read", "write", ("*.json",),
+           "reconstruction*.json"),
+    Format("micmac", "photocal.exchange.micmac", "MicMac, XML", WHOLE, "cartesian", CENTRE, VISION,
+           "brown-ideal", "px, m, matrix", "read", "write", search="Ori-*/Orientation-*.xml"),
+    Format("jaicov", "photocal.exchange.jaicov", "JAICOV and AICON 3D Studio", WHOLE, "cartesian",
+           "middle of the sensor, y up", PHOTO, "brown-ideal", "mm, rad", "read", "write:block",
+           ("*.ior", "*.eor", "*.obc", "*.phc")),
+    Format("metashape", "photocal.exchange.metashape", "Metashape, camera XML", WHOLE, "cartesian", CORNER,
+           VISION, "brown-ideal", "px, m, 4 x 4 matrix", "read", "write:cameras.xml", ("*.xml",),
+           detects="detect"),
+    Format("dbat", "photocal.exchange.dbat", "DBAT, XML set-up", ("cameras", "points", "marks"), "cartesian",
+           CORNER, PHOTO, "brown-observed", "px, mm in the camera, m", "read", "write", ("*.xml",),
+           detects="detect"),
+    Format("photomodeler", "photocal.exchange.photomodeler", "PhotoModeler, text export", WHOLE, "cartesian",
+           CORNER, PHOTO, "brown-observed", "px, mm in the camera, m, deg", "read", "write:block.txt",
+           ("*.txt",), detects="detect"),
+    Format("opencv", "photocal.exchange.opencv", "OpenCV, YAML or JSON", ("cameras",), "none", CENTRE, VISION,
+           "brown-ideal", "px", "read", "write", search="*.yml"),
+    Format("patb", "photocal.exchange.orientation_tables", "PATB style, tables", ("orientations",), "own",
+           "none", PHOTO, "none", "m; deg or gon, as asked; matrix from camera to object", "read_patb",
+           "write_patb", search="orientations_matrix.txt"),
+    Format("inpho", "photocal.exchange.orientation_tables", "Inpho, .prj", ("orientations",), "own", CENTRE,
+           PHOTO, "none", "mm in the camera, m, matrix from object to camera", "read_inpho",
+           "write_inpho:orientations.prj", search="*.prj"),
+    Format("odm", "photocal.exchange.ground_points", "ODM, gcp_list.txt and geo.txt", ("points", "marks"),
+           "own", CENTRE, "none", "none", "px, m", writes="write"),
+    Format("metashape-csv", "photocal.exchange.reference_table", "Metashape, reference tables", ("points",),
+           "own", "none", "none", "none", "m", writes="write"),
+    Format("pix4d", "photocal.exchange.pix4d_project", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION,
+           "brown-ideal", "mm on a nominal sensor", writes="write"),
+    Format("geojson", "photocal.exchange.geographic", "GeoJSON", ("orientations", "points"), "wgs84", CENTRE,
+           PHOTO, "none", "deg, m, px", writes="write_geojson:block.geojson"),
+    Format("kml", "photocal.exchange.geographic", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO,
+           "none", "deg, m, px", writes="write_kml:block.kml"),
+    Format("geopackage", "photocal.exchange.geographic", "GeoPackage", ("orientations", "points", "marks"),
+           "wgs84", CENTRE, PHOTO, "none", "deg, m, px", writes="export_geopackage"),
+)  # fmt: skip
+
+
+@cache
+def added() -> tuple[Format, ...]:
+    """Formats that other packages add; raises ConfigurationError for an entry point that gives none."""
+    formats = []
+    for point in entry_points(group=GROUP):
+        try:
+            form = point.load()
+        except Exception as failure:
+            raise _broken(point.value, f"{type(failure).__name__}: {failure}") from failure
+        if not isinstance(form, Format):
+            raise _broken(point.value, "it is no Format of photocal.exchange.formats")
+        formats.append(form)
+    return tuple(formats)
+
+
+def _broken(entry_point: str, why: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"the format {entry_point} of another package cannot be used ({why})",
+        "correct or uninstall that package",
+    )
+
+
+def known() -> tuple[Format, ...]:
+    """All formats, those of other packages first: who installs one wants it to be used."""
+    return (*added(), *FORMATS)
+
+
+def exported() -> tuple[str, ...]:
+    """Names of our formats that can be written."""
+    return tuple(form.name for form in FORMATS if form.writes)
+
+
+def named(name: str) -> Format:
+    """Find a format that can be written; raises ConfigurationError when it is not known."""
+    ours = {form.name: form for form in FORMATS if form.writes}
+    if name in ours:
+        return ours[name]
+    theirs = {form.name: form for form in added() if form.writes}
+    if name not in theirs:
+        raise ConfigurationError(f"format {name!r} is not known", f"use {', '.join([*ours, *theirs])}")
+    return theirs[name]
+
+
+def read_any_block(source: Path) -> Block:
+    """Read a block folder, also by its `block.toml`, or the set-up file of another program.
+
+    raises PhotocalError: what its reader does.
+    """
+    from photocal.block.folder import SETUP, read_block
+
+    if source.is_file() and source.name != SETUP:
+        return read_foreign_block(source)
+    return read_block(source.parent if source.is_file() else source)
+
+
+def read_foreign_block(path: Path) -> Block:
+    """Read a block of another program from one of its files."""
+    block = read_foreign_file(path).block
+    if not len(block.observations.image):
+        raise InputMalformedError("has no measurements of points", "export them too", where=path)
+    return block
+
+
+def read_foreign_file(path: Path) -> ForeignProject:
+    """Read a project of another program from one of its files."""
+    if not path.exists():
+        raise InputNotFoundError("does not exist", "check the path", where=path)
+    form = next((form for form in known() if form.detect(path)), None)
+    if form is None:
+        names = "; ".join(f"{form.title}: {', '.join(form.opens)}" for form in known() if form.opens)
+        raise InputMalformedError(
+            "holds no block that is known",
+            f"name a block folder, or a file of another program ({names})",
+            where=path,
+        )
+    return form.read(path)
+
+
+_SPACES = {
+    "cartesian": "Cartesian, m",
+    "own": "the block's own",
+    "wgs84": "WGS 84 (a local frame with --origin)",
+    "none": "none",
+}
 # Read one by one, or with what only their reader is told: ground points, references, image size.
 IN_PARTS = ("odm", "metashape-csv", "pix4d")
 
@@ -263,7 +307,9 @@ def page() -> str:
         for form in FORMATS
         if form.writes
     ]
-    return _PAGE.format(table="\n".join("| " + " | ".join(row) + " |" for row in rows))
+    text = str(__doc__)
+    table = "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    return text[text.index("# Formats") :].format(table=table)
 
 
 if __name__ == "__main__":

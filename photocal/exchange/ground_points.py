@@ -127,7 +127,7 @@ def write_geo(path: Path, crs: str, images: Places) -> None:
     path.write_text("\n".join([crs, *rows]) + "\n", encoding="utf-8", newline="\n")
 
 
-def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write gcp_list.txt of the control points and geo.txt of the images."""
     if given.frame == "local":
         raise ConfigurationError(
@@ -137,7 +137,7 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
     # A compound name has the heights' system behind a plus.
     crs = given.frame.split("+")[0]
     names, xyz = given.point_names, given.xyz.tolist()
-    control = {names[j]: xyz[j] for j, role in enumerate(given.roles) if role == "control"}
+    control = {names[j]: xyz[j] for j in given.of_role("control")}
     rays = zip(given.image.tolist(), given.point.tolist(), given.pixels.tolist(), strict=True)
     marks = [
         Mark(given.image_names[i], names[j], x, y, _SIGMA_PX, "")

@@ -17,13 +17,13 @@ import numpy as np
 from photocal.adjustment.network import RELATIONS, Relations
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import Block, Images
+from photocal.block.model import Block, Images, ObjectPoints
 from photocal.exchange import parts
+from photocal.exchange.foreign_project import ForeignProject
 from photocal.exchange.parts import Row, whole_numbers, write_rows
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import (
     Line,
-    fingerprint,
     image_size,
     number,
     numbers,
@@ -37,33 +37,36 @@ SUFFIXES = (".ior", ".eor", ".obc", ".phc")
 MM = 1e-3
 # A distance between two points and its standard deviation, m.
 Bar = tuple[str, str, float, float]
-_A_PRIORI = re.compile(rb"S0 apriori:\s*([0-9.eE+-]+)")
+_A_PRIORI = re.compile(rb"S0 apriori:\s*([^\s<)]+)")
 _TERMS = ("K1", "K2", "K3", "P1", "P2", "B1", "B2")
 
 
+def read(path: Path) -> ForeignProject:
+    """Read a project with its report."""
+    return ForeignProject("AICON", read_jaicov(path), weighted=True)
+
+
 def read_jaicov(path: Path, sigma_mm: float | None = None) -> Block:
-    """Read a JAICOV project."""
+    """Read a JAICOV project; without `sigma_mm`, of an image coordinate, its report tells it."""
     files = {suffix: path.with_suffix(suffix) for suffix in SUFFIXES}
     sigma = _a_priori(path.with_suffix(".htm")) if sigma_mm is None else sigma_mm
     cameras = _cameras(read_lines(files[".ior"]), files[".ior"])
     names, which, poses = _orientations(read_lines(files[".eor"]), [camera.id for camera in cameras])
     points, xyz = _objects(read_lines(files[".obc"]))
     marks = _marks(read_lines(files[".phc"]), set(names), set(points), sigma)
+    seen = parts.observations(marks, names, points, "mm", "photo")
     bars = files[".phc"].with_suffix(".scale")
     scale = read_scale_bars(bars) if bars.exists() else ()
     # The report is an input where it tells the standard deviation.
     report = [path.with_suffix(".htm")] if sigma_mm is None else []
     read = [*files.values(), *([bars] if bars.exists() else []), *report]
-    entries = [parts.PointEntry(name, "tie", row) for name, row in zip(points, xyz, strict=True)]
     return parts.block(
         path.stem,
         cameras,
         Images(tuple(names), np.array(which, dtype=np.int64), poses),
-        entries,
-        marks,
-        [fingerprint(file) for file in read],
-        unit="mm",
-        datum="free",
+        ObjectPoints(tuple(points), xyz),
+        seen,
+        read,
         relations=_distances(scale, points, bars),
     )
 
@@ -104,7 +107,7 @@ def _a_priori(report: Path) -> float:
         require_readable(report)
         match = _A_PRIORI.search(report.read_bytes())
         if match:
-            return number(match.group(1).decode(), report, "S0 a priori")
+            return number(match.group(1).decode("latin-1"), report, "S0 a priori")
     raise ConfigurationError(
         "nothing tells the a priori standard deviation of the image coordinates",
         f"put the report {report.name} beside it",
@@ -181,12 +184,7 @@ def _marks(lines: list[Line], images: set[str], points: set[str], sigma: float) 
     return marks
 
 
-def read_unweighted(path: Path) -> Block:
-    """Read a project without a report, its measurements weighted alike."""
-    return read_jaicov(path, sigma_mm=1e-3)
-
-
-def write_jaicov(stem: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(stem: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write .ior, .eor, .obc and .phc files."""
     if any(camera.unit != "mm" for camera in given.cameras):
         raise InputMalformedError("JAICOV files have cameras in mm", "give the pixel pitch")
@@ -224,10 +222,8 @@ def _interior(name: str, camera: Camera) -> list[Row]:
 
 
 def _mark_rows(given: Reconstruction, images: list[str], points: list[str]) -> list[Row]:
-    camera_of = given.image_camera[given.image]
-    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[camera_of]
-    pitch = np.array([camera.pitch for camera in given.cameras])[camera_of]
-    plane = pixel_to_plane(size, pitch, given.pixels)
+    pitch = given.of_rays("pitch")
+    plane = pixel_to_plane(given.of_rays("size_px"), pitch, given.pixels)
     residuals = np.nan_to_num(given.residuals_px * pitch * [1.0, -1.0])
     return [
         [images[i], points[j], *xy.tolist(), 0.0, 0.0, *r.tolist(), "1", "1", "1"]

@@ -11,16 +11,18 @@ models".
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import Block, Role
-from photocal.exchange.parts import UNKNOWN, PointEntry, distinct
+from photocal.block.model import Block, Images, Role
+from photocal.exchange.foreign_project import ForeignProject
+from photocal.exchange.parts import UNKNOWN, PointEntry, block, distinct, object_points, pixels
 from photocal.exchange.pinhole import from_vision, require_credible, to_vision
-from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.rigs import of_metashape, slave_in_master
 from photocal.exchange.source import child, image_size, number, numbers, read_xml, write_xml
 from photocal.geometry.camera import Camera, camera
@@ -47,13 +49,13 @@ TERMS: dict[str, tuple[str, int, int]] = {
 class Chunk:
     """What a camera XML holds.
 
-    reconstruction: cameras that are used, aligned images, markers as points and their projections as rays.
+    block: cameras that are used, aligned images, markers as points and their projections as observations;
+        sigmas of markers are NaN where they are not given.
     crs: the chunk's coordinate system; empty when local. Its orientations are geocentric otherwise.
     position, position_sigma (images, 3): observed, in the chunk's system; NaN without.
     """
 
-    reconstruction: Reconstruction
-    markers: tuple[PointEntry, ...]
+    block: Block
     crs: str
     position: Floats
     position_sigma: Floats
@@ -94,32 +96,27 @@ def chunk_of(root: Element, path: Path) -> Chunk:
                 x, y = (number(seen.get(axis, ""), path, f"marker {axis}") for axis in "xy")
                 rays.append((image[seen.get("camera_id", "")], position[marker.get("marker_id", "")], x, y))
     table = np.array(rays, dtype=float).reshape(-1, 4)
-    reconstruction = Reconstruction(
-        tuple(sensors.values()),
+    images = Images(
         tuple(names[shot.get("id", "")] for shot in shots),
         np.array([order[shot.get("sensor_id", "")] for shot in shots], dtype=np.int64),
         poses,
-        tuple(marker.name for marker in listed.values()),
-        np.array([marker.xyz for marker in listed.values()], dtype=float).reshape(-1, 3),
-        table[:, 0].astype(np.int64),
-        table[:, 1].astype(np.int64),
-        table[:, 2:] - 0.5,
-        tuple(marker.role for marker in listed.values()),
-        xyz_sigma=np.array([marker.sigma for marker in listed.values()], dtype=float).reshape(-1, 3),
     )
-    reconstruction = of_metashape(reconstruction, shots)
+    which, whose = table[:, :2].astype(np.int64).T
+    rays_seen = pixels(which, whose, table[:, 2:] - 0.5)
+    points = object_points(listed.values())
+    given = Block(path.stem, "local", "", "control", tuple(sensors.values()), images, points, rays_seen)
     crs = (chunk.findtext("reference") or "").strip()
     crs = "" if crs.startswith("LOCAL_CS") else crs
     references = np.array([_reference(shot, path) for shot in shots], dtype=float).reshape(-1, 2, 3)
-    return Chunk(reconstruction, tuple(listed.values()), crs, references[:, 0], references[:, 1])
+    return Chunk(of_metashape(given, shots), crs, references[:, 0], references[:, 1])
 
 
 def local_chunk(chunk: Chunk) -> Chunk:
     """Take a chunk in a reference system to east, north and up at its middle."""
     if not chunk.crs:
         return chunk
-    given = chunk.reconstruction
-    known = np.vstack([given.xyz, chunk.position])
+    images, points = chunk.block.images, chunk.block.points
+    known = np.vstack([points.values, chunk.position])
     known = known[np.isfinite(known).all(axis=1)]
     if not len(known):
         raise InputMalformedError("has no coordinates in its system", "export markers or camera references")
@@ -132,12 +129,14 @@ def local_chunk(chunk: Chunk) -> Chunk:
         ) from refusal
     frame = ReferenceFrame(chunk.crs, known.mean(axis=0))
     origin, axes = frame.axes
-    turned = angles_from_matrix(matrix_from_angles(given.poses[:, :3]) @ axes.T)
-    poses = np.hstack([turned, (given.poses[:, 3:] - origin) @ axes.T])
-    moved = replace(given, poses=poses, xyz=frame.to_local(given.xyz))
-    listed = tuple(replace(marker, xyz=xyz) for marker, xyz in zip(chunk.markers, moved.xyz, strict=True))
-    position = frame.to_local(chunk.position)
-    return replace(chunk, reconstruction=moved, markers=listed, crs="", position=position)
+    turned = angles_from_matrix(matrix_from_angles(images.values[:, :3]) @ axes.T)
+    poses = np.hstack([turned, (images.values[:, 3:] - origin) @ axes.T])
+    moved = replace(
+        chunk.block,
+        images=replace(images, values=poses),
+        points=replace(points, values=frame.to_local(points.values)),
+    )
+    return Chunk(moved, "", frame.to_local(chunk.position), chunk.position_sigma)
 
 
 def _reference(shot: Element, path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -255,24 +254,51 @@ def _numbers(element: Element, path: Path, count: int) -> list[float]:
     return numbers(element.text or "", path, element.tag, count)
 
 
-def read_local(path: Path) -> Reconstruction:
+def read(path: Path) -> ForeignProject:
     """Read cameras, aligned images and markers of a camera XML."""
-    return read_metashape(path).reconstruction
+    chunk = local_chunk(read_metashape(path))
+    given = chunk.block
+    made = block(
+        path.stem, given.cameras, given.images, given.points, given.observations, [path], heads=given.heads
+    )
+    return project("Metashape", made, chunk, camera_sigma=_camera_sigmas(path, made))
 
 
-def read_camera_block(path: Path) -> Block:
-    """Read a camera XML."""
-    return vision_block(path.stem, local_chunk(read_metashape(path)).reconstruction, [path])
+def project(program: str, given: Block, chunk: Chunk, **more: Any) -> ForeignProject:
+    """A project with the positions of a chunk; those whose accuracy is not said weigh nothing."""
+    stated = (chunk.position_sigma > 0).all(axis=1, keepdims=True)
+    position, sigma = (np.where(stated, values, np.nan) for values in (chunk.position, chunk.position_sigma))
+    return ForeignProject(program, given, position, sigma, **more)
 
 
-def recognises(path: Path) -> bool:
+def _camera_sigmas(path: Path, given: Block) -> dict[str, dict[str, float]]:
+    """Standard deviations of the adjusted calibration, where the XML has their covariance."""
+    sigmas: dict[str, dict[str, float]] = {}
+    cameras = {camera.id: camera for camera in given.cameras}
+    for sensor in read_xml(path).iter("sensor"):
+        name = sensor.get("label") or sensor.get("id") or "camera"
+        names = (sensor.findtext("covariance/params") or "").split()
+        matrix = numbers(sensor.findtext("covariance/coeffs") or "", path, "covariance")
+        if name not in cameras or not names or len(matrix) != len(names) ** 2:
+            continue
+        c = cameras[name].value("c")
+        sigma = np.sqrt(np.diag(np.reshape(matrix, (len(names), len(names)))))
+        sigmas[name] = {
+            TERMS[key][0]: float(s) / c ** TERMS[key][2]
+            for key, s in zip(names, sigma, strict=True)
+            if key in TERMS
+        }
+    return sigmas
+
+
+def detect(path: Path) -> bool:
     """Whether an XML file is one of cameras."""
     root = read_xml(path)
     # DBAT's set-ups are documents, too.
     return root.tag == "document" and "dbat_script_version" not in root.attrib
 
 
-def write_metashape(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write a camera XML in local coordinates, with the control and check points as markers."""
     root = Element("document", version="1.5.0")
     chunk = SubElement(root, "chunk", label="photocal", enabled="true")
@@ -318,7 +344,7 @@ def to_metashape(camera: Camera) -> Conversion:
 
 
 def _write_markers(chunk: Element, given: Reconstruction) -> None:
-    surveyed = [k for k, role in enumerate(given.roles) if role != "tie"]
+    surveyed, rays_of = given.of_role("control", "check"), given.rays_of_points
     if not surveyed:
         return
     markers = SubElement(chunk, "markers", next_id=str(len(surveyed)))
@@ -331,6 +357,6 @@ def _write_markers(chunk: Element, given: Reconstruction) -> None:
             xyz |= {f"s{axis}": repr(s) for axis, s in zip("xyz", given.xyz_sigma[k].tolist(), strict=True)}
         SubElement(marker, "reference", {**xyz, "enabled": str(given.roles[k] == "control").lower()})
         rays = SubElement(seen, "marker", marker_id=str(key))
-        for ray in np.flatnonzero(given.point == k):
+        for ray in rays_of[k]:
             x, y = (given.pixels[ray] + 0.5).tolist()
             SubElement(rays, "location", camera_id=str(given.image[ray]), pinned="true", x=repr(x), y=repr(y))

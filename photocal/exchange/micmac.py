@@ -8,21 +8,22 @@ right, y down, z forward) to object axes, by rows. Source: MicMac documentation,
 residuals in its own <Verif> tables.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import InputMalformedError
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Block, Images
 from photocal.exchange import parts
+from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject
 from photocal.exchange.parts import digits, require_file_name
 from photocal.exchange.pinhole import from_vision, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import (
     child,
-    fingerprint,
     image_size,
     number_of,
     numbers,
@@ -36,7 +37,7 @@ from photocal.geometry.conversion import Conversion, converted, in_pixels
 CONVENTION = "eConvApero_DistM2C"
 # The uncertainty that the program writes where nobody has given one.
 PLACEHOLDER = 1.0
-FOLDER = "Ori-photocal"
+FOLDER, CHECKS = "Ori-photocal", "Check-Pts3D.xml"
 TERMS = ("K1", "K2", "K3", "K4", "P1", "P2", "B1", "B2")
 
 
@@ -111,9 +112,35 @@ def read_measures(path: Path) -> tuple[parts.Mark, ...]:
     return tuple(marks)
 
 
-def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
-    """Read a MicMac project: control, its measurements, and start values."""
+def read(path: Path) -> ForeignProject:
+    """Read a project by one of its orientations: control and measurements lie beside their folder."""
+    folder = path.parent.parent
+    tables: dict[str, Path] = {}
+    # What we write as check points is nobody's control.
+    for file in sorted(folder.glob("*.xml"), key=lambda file: (file.name == CHECKS, file.name)):
+        tables.setdefault(read_xml(file).tag, file)
+    missing = [tag for tag in ("DicoAppuisFlottant", "SetOfMesureAppuisFlottants") if tag not in tables]
+    if missing:
+        raise InputNotFoundError(f"has no {missing[0]}", "put it there", where=folder)
+    points, measures = (tables[tag] for tag in ("DicoAppuisFlottant", "SetOfMesureAppuisFlottants"))
+    checks = folder / CHECKS
+    block = read_micmac(points, measures, path.parent, checks if checks.is_file() else None)
+    known = np.isfinite(block.points.sigma)
+    if not (block.points.sigma[known] == PLACEHOLDER).all():
+        return ForeignProject("MicMac", block)
+    sigma = np.where(known, ASSUMED_M, block.points.sigma)
+    remark = (
+        f"all points have the uncertainty {PLACEHOLDER:g}, as if nobody had given one: {ASSUMED_M} m assumed"
+    )
+    block = replace(block, points=replace(block.points, sigma=sigma))
+    return ForeignProject("MicMac", block, remarks=(remark,))
+
+
+def read_micmac(points: Path, measures: Path, orientations: Path, checks: Path | None = None) -> Block:
+    """Read a MicMac project: control, its measurements, start values, and check points apart."""
     ground = read_ground_points(points)
+    if checks not in (None, points):
+        ground += tuple(replace(point, role="check") for point in read_ground_points(checks))
     marks = read_measures(measures)
     names = list(dict.fromkeys(mark.image for mark in marks))
     files = {name: orientations / f"Orientation-{name}.xml" for name in names}
@@ -124,14 +151,14 @@ def read_micmac(points: Path, measures: Path, orientations: Path) -> Block:
     cameras = tuple(read_calibration(orientations / name) for name in calibrations)
     used = [mark for mark in marks if mark.image in oriented]
     read = [
-        points,
+        *dict.fromkeys(file for file in (points, checks) if file is not None),
         measures,
         *(files[name] for name in oriented),
         *(orientations / name for name in calibrations),
     ]
     which = [calibrations.index(name) for _, name in oriented.values()]
     shots = Images(tuple(oriented), np.array(which), np.array([pose for pose, _ in oriented.values()]))
-    return parts.block(points.stem, cameras, shots, ground, used, [fingerprint(path) for path in read])
+    return parts.block_of_marks(points.stem, cameras, shots, ground, used, read)
 
 
 def _ground(name: str, xyz: list[float], sigma: list[float], path: Path) -> parts.PointEntry:
@@ -177,7 +204,7 @@ def _distortion(given: Element, place: list[float], path: Path) -> dict[str, flo
     return values
 
 
-def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write a project."""
     made = tuple(converted(in_pixels(camera), "brown-ideal", "additive", TERMS) for camera in given.cameras)
     for name in (*given.image_names, *(conversion.camera.id for conversion in made)):
@@ -191,9 +218,8 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
         calibration = _calibration_name(given.cameras[given.image_camera[k]])
         root = _orientation(rotation[k].T, given.poses[k, 3:], ground, f"{FOLDER}/{calibration}")
         write_xml(folder / FOLDER / f"Orientation-{name}.xml", root)
-    for role, file in (("control", "Ground-Pts3D.xml"), ("check", "Check-Pts3D.xml")):
-        chosen = [j for j in range(len(given.roles)) if given.roles[j] == role]
-        if chosen:
+    for role, file in (("control", "Ground-Pts3D.xml"), ("check", CHECKS)):
+        if chosen := given.of_role(role):
             write_xml(folder / file, _points(given, chosen))
     write_xml(folder / "GroundMeasure.xml", _measures(given))
     return made
@@ -244,8 +270,7 @@ def _points(given: Reconstruction, chosen: list[int]) -> Element:
 
 def _measures(given: Reconstruction) -> Element:
     root = Element("SetOfMesureAppuisFlottants")
-    for k, name in enumerate(given.image_names):
-        rays = np.flatnonzero(given.image == k)
+    for name, rays in zip(given.image_names, given.rays_of_images, strict=True):
         if len(rays):
             image = SubElement(root, "MesureAppuiFlottant1Im")
             SubElement(image, "NameIm").text = name
@@ -259,8 +284,3 @@ def _measures(given: Reconstruction) -> Element:
 def _leaves(element: Element, *rows: tuple[str, str]) -> None:
     for tag, text in rows:
         SubElement(element, tag).text = text
-
-
-def read_export(folder: Path) -> Block:
-    """Read control points, measurements, orientations and calibrations of a folder that was written."""
-    return read_micmac(folder / "Ground-Pts3D.xml", folder / "GroundMeasure.xml", folder / FOLDER)

@@ -14,9 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Images
+from photocal.exchange.foreign_project import ForeignProject
+from photocal.exchange.parts import block
 from photocal.exchange.pinhole import Pinhole, from_pinhole, to_pinhole
-from photocal.exchange.reconstruction import Choices, Reconstruction, cameras_alone, file_name
+from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
 from photocal.exchange.source import image_size, number, read_json, read_text, structured
 from photocal.geometry.camera import MODELS, Camera, Model, among
 from photocal.geometry.conversion import Conversion
@@ -109,14 +112,14 @@ def _matrix(entries: dict[str, str], names: tuple[str, ...], path: Path) -> Floa
     return np.array([number(cell, path, name) for cell in cells]).reshape(shape)
 
 
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """A YAML file for each camera."""
     return tuple(write_opencv(folder / f"{file_name(camera.id)}.yml", camera) for camera in given.cameras)
 
 
-def read_cameras(folder: Path) -> Reconstruction:
-    """All calibrations of a folder, by their file names."""
-    paths = sorted(folder.glob("*.yml"))
-    if not paths:
-        raise InputNotFoundError("has no *.yml", "name the folder that has it", where=folder)
-    return cameras_alone([read_opencv(path) for path in paths])
+def read(path: Path) -> ForeignProject:
+    """All calibrations of the folder of a file, by their names."""
+    files = sorted(path.parent.glob("*.yml"))
+    images = Images((), np.zeros(0, dtype=np.int64))
+    cameras = [read_opencv(file) for file in files]
+    return ForeignProject("OpenCV", block(path.stem, cameras, images, NO_POINTS, NO_OBSERVATIONS, files))

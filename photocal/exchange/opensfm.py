@@ -18,9 +18,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from photocal.base.errors import InputMalformedError
-from photocal.block.model import Block
+from photocal.block.model import NO_OBSERVATIONS, Block, Images, ObjectPoints
+from photocal.exchange.foreign_project import ForeignProject
+from photocal.exchange.parts import block, pixels
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
-from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.rigs import of_opensfm
 from photocal.exchange.source import image_size, number, read_json, read_lines, structured
 from photocal.geometry.camera import Camera
@@ -36,35 +38,43 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
     )
 
 
-def read_reconstruction(path: Path) -> Reconstruction:
-    """Read the first reconstruction of reconstruction.json."""
+def read(path: Path) -> ForeignProject:
+    """Read a reconstruction with the tracks beside it."""
+    given, tracks = read_reconstruction(path), tracks_beside(path)
+    if not len(given.observations.image) and not tracks.is_file():
+        raise InputMalformedError(
+            "has no measurements", f"put the tracks beside it as {tracks.name}", where=path
+        )
+    return ForeignProject("OpenSfM", given)
+
+
+def read_reconstruction(path: Path) -> Block:
+    """Read the first reconstruction of reconstruction.json, with its tracks where they are beside it."""
     content = read_json(path)
     if not isinstance(content, list) or not content:
         raise InputMalformedError("holds no reconstruction", "is it an OpenSfM file?", where=path)
 
-    def made() -> Reconstruction:
+    tracks = tracks_beside(path)
+    files = [path, tracks] if tracks.is_file() else [path]
+
+    def made() -> Block:
         first = content[0]
         cameras = {name: _camera(name, keys, path) for name, keys in first["cameras"].items()}
         order = {name: k for k, name in enumerate(cameras)}
         shots, points = first["shots"], first.get("points", {})
         turns = np.array([shot["rotation"] for shot in shots.values()], dtype=float).reshape(-1, 3)
         shifts = np.array([shot["translation"] for shot in shots.values()], dtype=float).reshape(-1, 3)
-        none = np.empty(0, dtype=np.int64)
-        return Reconstruction(
-            tuple(cameras.values()),
+        images = Images(
             tuple(shots),
             np.array([order[shot["camera"]] for shot in shots.values()], dtype=np.int64),
             from_vision(Rotation.from_rotvec(turns).as_matrix(), shifts),
-            tuple(points),
-            np.array([point["coordinates"] for point in points.values()], dtype=float).reshape(-1, 3),
-            none,
-            none,
-            np.empty((0, 2)),
         )
+        xyz = np.array([point["coordinates"] for point in points.values()], dtype=float).reshape(-1, 3)
+        listed = ObjectPoints(tuple(points), xyz)
+        return block(path.stem, tuple(cameras.values()), images, listed, NO_OBSERVATIONS, files)
 
-    reconstruction = of_opensfm(structured(path, _WHAT, made), path, content[0])
-    tracks = tracks_beside(path)
-    return _with_tracks(reconstruction, tracks) if tracks.is_file() else reconstruction
+    given = of_opensfm(structured(path, _WHAT, made), path, content[0])
+    return _with_tracks(given, tracks) if tracks.is_file() else given
 
 
 def tracks_beside(path: Path) -> Path:
@@ -72,9 +82,9 @@ def tracks_beside(path: Path) -> Path:
     return path.with_name(path.stem.replace("reconstruction", "tracks", 1) + ".csv")
 
 
-def _with_tracks(given: Reconstruction, path: Path) -> Reconstruction:
-    image = {name: k for k, name in enumerate(given.image_names)}
-    point = {name: k for k, name in enumerate(given.point_names)}
+def _with_tracks(given: Block, path: Path) -> Block:
+    image = {name: k for k, name in enumerate(given.images.names)}
+    point = {name: k for k, name in enumerate(given.points.names)}
     rays = []
     for line in read_lines(path, comment=""):
         cells = line.text.split("\t")
@@ -89,12 +99,12 @@ def _with_tracks(given: Reconstruction, path: Path) -> Reconstruction:
             rays.append((image[cells[0]], point[cells[1]], x, y))
     table = np.array(rays, dtype=float).reshape(-1, 4)
     which = table[:, 0].astype(np.int64)
-    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[given.image_camera[which]]
-    pixels = table[:, 2:] * size.max(axis=1, initial=1.0, keepdims=True) + size / 2 - 0.5
-    return replace(given, image=which, point=table[:, 1].astype(np.int64), pixels=pixels)
+    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[given.images.camera[which]]
+    values = table[:, 2:] * size.max(axis=1, initial=1.0, keepdims=True) + size / 2 - 0.5
+    return replace(given, observations=pixels(which, table[:, 1].astype(np.int64), values))
 
 
-def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write cameras.json, reconstruction.json and tracks.csv."""
     made = [
         to_pinhole(camera, "OpenSfM", {"equidistant": ("K1", "K2", "K3", "K4")}) for camera in given.cameras
@@ -121,9 +131,7 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
 
 
 def _write_tracks(path: Path, given: Reconstruction) -> None:
-    size = np.array([camera.size_px for camera in given.cameras], dtype=float)[
-        given.image_camera[given.image]
-    ]
+    size = given.of_rays("size_px")
     normalised = (given.pixels + 0.5 - size / 2) / size.max(axis=1, keepdims=True)
     count = np.zeros(len(given.image_names), dtype=np.int64)
     with path.open("w", encoding="utf-8", newline="\n") as out:
@@ -178,14 +186,3 @@ def _camera(name: str, keys: dict[str, Any], path: Path) -> Camera:
         **values,  # type: ignore[arg-type]
     )
     return from_pinhole(pinhole, name, path)
-
-
-def read_reconstruction_block(path: Path) -> Block:
-    """Read an OpenSfM reconstruction with its tracks."""
-    given = read_reconstruction(path)
-    tracks = tracks_beside(path)
-    if not tracks.is_file():
-        raise InputMalformedError(
-            "has no measurements", f"put the tracks beside it as {tracks.name}", where=path
-        )
-    return vision_block(path.stem, given, [path, tracks])

@@ -22,10 +22,11 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError
 from photocal.base.files import write_json
-from photocal.block.model import Block
-from photocal.exchange.parts import require_unique
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, Role
+from photocal.exchange.foreign_project import ForeignProject
+from photocal.exchange.parts import block, pixels, require_unique
 from photocal.exchange.pinhole import LARGEST, Pinhole, from_pinhole, require_one_focal_length, to_pinhole
-from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.exchange.source import beside, image_size, read_json, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
@@ -83,12 +84,12 @@ class _Resources:
         return content
 
 
-def read_opf(path: Path) -> Reconstruction:
+def read(path: Path) -> ForeignProject:
     """Read a calibrated project."""
-    return structured(path, "an OPF project", lambda: _read(path))
+    return ForeignProject("OPF", structured(path, "an OPF project", lambda: _read(path)))
 
 
-def _read(path: Path) -> Reconstruction:
+def _read(path: Path) -> Block:
     resources = _resources(path)
     inputs, calibrated = resources.load("input-cameras"), resources.load("calibrated-cameras")
     cameras = dict(_cameras(inputs, calibrated, resources.files["calibrated-cameras"]))
@@ -122,19 +123,16 @@ def _read(path: Path) -> Reconstruction:
     )
     if not max(np.abs(poses).max(initial=0), np.abs(np.nan_to_num(xyz)).max(initial=0)) < LARGEST:
         raise InputMalformedError("has coordinates beyond 1e9 m", "is it damaged?", where=path)
-    return Reconstruction(
+    which = np.array([order[int(shot["sensor_id"])] for shot in shots], dtype=np.int64)
+    role = np.array([ROLES.index(word) for word in roles], dtype=np.int64)
+    image, point = table[:, :2].astype(np.int64).T
+    return block(
+        str(read_json(path)["name"]),
         tuple(cameras.values()),
-        names,
-        np.array([order[int(shot["sensor_id"])] for shot in shots], dtype=np.int64),
-        poses,
-        points,
-        xyz,
-        table[:, 0].astype(np.int64),
-        table[:, 1].astype(np.int64),
-        table[:, 2:] - HALF,
-        roles,
-        xyz_sigma=sigma,
-        name=str(read_json(path)["name"]),
+        Images(names, which, poses),
+        ObjectPoints(points, xyz, sigma, role),
+        pixels(image, point, table[:, 2:] - HALF),
+        [path, *resources.files.values()],
     )
 
 
@@ -181,12 +179,14 @@ def _cameras(inputs: dict[str, Any], calibrated: dict[str, Any], path: Path) -> 
 
 def _control_points(
     resources: _Resources, images: dict[int, int]
-) -> tuple[tuple[str, ...], tuple[str, ...], list[tuple[int, int, float, float]]]:
+) -> tuple[tuple[str, ...], tuple[Role, ...], list[tuple[int, int, float, float]]]:
     """Names and roles of the control points, and where they are seen."""
     if "input-control-points" not in resources.files:
         return (), (), []
     given = resources.load("input-control-points")
-    points = [(point, "check" if point["is_checkpoint"] else "control") for point in given["gcps"]]
+    points: list[tuple[dict[str, Any], Role]] = [
+        (point, "check" if point["is_checkpoint"] else "control") for point in given["gcps"]
+    ]
     points += [(point, "tie") for point in given["mtps"]]
     names = tuple(str(point["id"]) for point, _ in points)
     require_unique(names, "control point", resources.files["input-control-points"])
@@ -220,14 +220,7 @@ def _triples(rows: list[Any]) -> Floats:
     return np.array([[float(value) for value in row] for row in rows], dtype=float).reshape(-1, 3)
 
 
-def read_project_block(path: Path) -> Block:
-    """Read an OPF project."""
-    given = read_opf(path)
-    files = structured(path, "an OPF project", lambda: list(_resources(path).files.values()))
-    return vision_block(given.name, given, [path, *files])
-
-
-def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write project.opf and the files that it names."""
     made = [to_pinhole(camera, "OPF") for camera in given.cameras]
     pinholes = [pinhole for pinhole, _ in made]
@@ -243,9 +236,7 @@ def export(folder: Path, given: Reconstruction, _: Choices | None = None) -> tup
         "input-control-points": _input_points(given),
         "projected-control-points": {
             "projected_gcps": [
-                {"id": name, **_place(given, j)}
-                for j, name in enumerate(given.point_names)
-                if given.roles[j] != "tie"
+                {"id": given.point_names[j], **_place(given, j)} for j in given.of_role("control", "check")
             ]
         },
         "calibrated-cameras": _calibrated(given, pinholes),
@@ -342,11 +333,8 @@ def _captures(given: Reconstruction) -> list[dict[str, Any]]:
 
 def _input_points(given: Reconstruction) -> dict[str, Any]:
     roles = given.roles or ("tie",) * len(given.point_names)
-    order = np.argsort(given.point, kind="stable")
-    bounds = np.searchsorted(given.point[order], np.arange(len(given.point_names) + 1))
     surveyed, others = [], []
-    for j, (name, role) in enumerate(zip(given.point_names, roles, strict=True)):
-        rays = order[bounds[j] : bounds[j + 1]]
+    for j, (name, role, rays) in enumerate(zip(given.point_names, roles, given.rays_of_points, strict=True)):
         marks = [
             {"camera_id": int(given.image[ray]) + 1, "position_px": pixel, "accuracy": 1.0}
             for ray, pixel in zip(rays, (given.pixels[rays] + HALF).tolist(), strict=True)

@@ -14,7 +14,9 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.exchange.parts import digits, poses_of_matrices, require_no_blanks, require_unique
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Images
+from photocal.exchange.foreign_project import ForeignProject
+from photocal.exchange.parts import block, digits, poses_of_matrices, require_no_blanks, require_unique
 from photocal.exchange.reconstruction import Angle, Choices, Reconstruction
 from photocal.exchange.source import Line, numbers, read_lines
 from photocal.geometry.camera import Camera
@@ -58,7 +60,7 @@ def _write(path: Path, head: str, names: Sequence[str], values: Floats) -> None:
     path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8", newline="\n")
 
 
-def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
+def write_patb(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
     """A table of angles and one of rotation matrices."""
     if choices.angle_unit is None:
         raise ConfigurationError(
@@ -71,7 +73,18 @@ def export(folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conve
     return ()
 
 
-def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
+def read_patb(path: Path) -> ForeignProject:
+    """Read a table of X, Y, Z and rotation matrices."""
+    return _project("PATB", path, *read_matrices(path))
+
+
+def _project(program: str, path: Path, names: Sequence[str], poses: Floats) -> ForeignProject:
+    """Images of unknown cameras."""
+    images = Images(tuple(names), np.full(len(names), -1), poses)
+    return ForeignProject(program, block(path.stem, (), images, NO_POINTS, NO_OBSERVATIONS, [path]))
+
+
+def read_inpho(path: Path) -> ForeignProject:
     """Read the exterior orientations of a project."""
     names, places, matrices = [], [], []
     lines = iter(read_lines(path, comment=""))
@@ -91,7 +104,9 @@ def read_inpho(path: Path) -> tuple[tuple[str, ...], Floats]:
     if not names:
         raise InputMalformedError("has no $EXT_ORI", "is it an Inpho project?", where=path)
     require_unique(names, "image", path)
-    return tuple(names), poses_of_matrices(np.array(places), np.array(matrices), names, path)
+    return _project(
+        "Inpho", path, names, poses_of_matrices(np.array(places), np.array(matrices), names, path)
+    )
 
 
 def write_inpho(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:

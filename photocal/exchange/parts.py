@@ -2,19 +2,23 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from photocal.adjustment.network import NO_RELATIONS, Relations
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError
-from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations, Role
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations, Role
+from photocal.block.rig import Head
+from photocal.exchange.source import fingerprint
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix
 
+# Where a program states no standard deviations of image coordinates, they are weighted alike first.
+UNIT_SIGMA_PX = 1.0
 # What a value without a standard deviation of its own is: free.
 FREE = (np.inf, np.inf, np.inf)
 UNKNOWN = (np.nan, np.nan, np.nan)
@@ -95,31 +99,80 @@ def observations(
     )
 
 
+def pixels(image: Integers, point: Integers, values: Floats, sigma_px: float = UNIT_SIGMA_PX) -> Observations:
+    """Observations in px, all of one standard deviation; image, point (n,), values (n, 2)."""
+    return Observations("px", "pixel", image, point, values, np.full(values.shape, sigma_px))
+
+
 def block(
     name: str,
     cameras: Sequence[Camera],
-    shots: Images,
-    points: Iterable[PointEntry],
-    marks: Sequence[Mark],
-    inputs: Sequence[InputFile],
+    images: Images,
+    points: ObjectPoints,
+    seen: Observations,
+    files: Iterable[Path],
     *,
-    frame: str = "local",
-    unit: Literal["px", "mm"] = "px",
-    datum: Literal["control", "free"] = "control",
     relations: Relations = NO_RELATIONS,
+    heads: tuple[Head, ...] = (),
+    datum: Literal["control", "free"] | None = None,
 ) -> Block:
-    """Put a block together; what is measured and not among the points is a tie point of unknown place."""
-    entries = list(points)
-    known = {entry.name for entry in entries}
-    measured = dict.fromkeys(mark.point for mark in marks)
-    entries += [PointEntry(point) for point in measured if point not in known]
-    names = [entry.name for entry in entries]
-    require_unique(names, "point", inputs[0].path)
-    observed = observations(marks, shots.names, names, unit, "pixel" if unit == "px" else "photo")
-    surveyed = object_points(entries)
+    """Put a block together.
+
+    datum: free without control where it is not given.
+    points: coordinates of tie points are start values, whatever sigma they have.
+    """
+    surveyed = ~points.of_role("tie") & np.isfinite(points.values).all(axis=1)
+    stated = surveyed & np.isfinite(points.sigma).all(axis=1)
+    # What is called control without a standard deviation holds nothing.
+    control = points.of_role("control") & stated
+    role = np.where(points.of_role("control") & ~control, ROLES.index("tie"), points.role)
+    points = replace(points, sigma=np.where(stated[:, None], points.sigma, np.inf), role=role)
     return Block(
-        name, frame, "", datum, tuple(cameras), shots, surveyed, observed, tuple(inputs), relations=relations
+        name,
+        "local",
+        "",
+        datum or ("control" if control.any() else "free"),
+        tuple(cameras),
+        images,
+        points,
+        seen,
+        tuple(fingerprint(path) for path in files),
+        relations=relations,
+        heads=heads,
     )
+
+
+def block_of_marks(
+    name: str,
+    cameras: Sequence[Camera],
+    images: Images,
+    surveyed: Iterable[PointEntry],
+    marks: Sequence[Mark],
+    files: Sequence[Path],
+) -> Block:
+    """Put a block together; what is marked and not surveyed is a tie point of unknown place."""
+    entries = list(surveyed)
+    known = {entry.name for entry in entries}
+    entries += [PointEntry(name) for name in dict.fromkeys(mark.point for mark in marks) if name not in known]
+    names = [entry.name for entry in entries]
+    require_unique(names, "point", files[0])
+    seen = observations(marks, images.names, names, "px", "pixel")
+    return block(name, cameras, images, object_points(entries), seen, files, datum="control")
+
+
+def require_seen_once(
+    seen: Observations, images: Sequence[str], points: Sequence[str], place: object
+) -> None:
+    """Complain when a point is observed twice in an image; raises InputMalformedError."""
+    pairs = np.sort(seen.image * len(points) + seen.point)
+    twice = pairs[1:][np.diff(pairs) == 0]
+    if len(twice):
+        image, point = divmod(int(twice[0]), len(points))
+        raise InputMalformedError(
+            f"point {points[point]} is observed twice in image {images[image]}",
+            "keep one of the observations",
+            where=place,
+        )
 
 
 def require_unique(names: Sequence[str], what: str, place: object) -> None:

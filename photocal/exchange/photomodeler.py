@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import Block, Images, InputFile
+from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
+from photocal.block.model import Block, Images
 from photocal.exchange import parts
 from photocal.exchange.dbat_camera import read_rows, to_column_row
+from photocal.exchange.foreign_project import ForeignProject
 from photocal.exchange.parts import digits, require_file_name, whole_numbers, write_rows
 from photocal.exchange.reconstruction import Choices, Reconstruction
-from photocal.exchange.source import Line, fingerprint, image_size, numbers, read_lines, read_text
+from photocal.exchange.source import Line, image_size, numbers, read_lines, read_text
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.conversion import Conversion, converted
 
@@ -61,7 +62,7 @@ class Export:
     control: dict[str, Floats]
     points: dict[str, Floats]
     marks: tuple[parts.Mark, ...]
-    file: InputFile
+    path: Path
 
 
 class _Cursor:
@@ -94,9 +95,12 @@ class _Cursor:
         return self.lines[begin : self.at - 1]
 
 
-def looks_like_export(path: Path) -> bool:
+def detect(path: Path) -> bool:
     """Whether a text file has the head of a PhotoModeler export: title, tolerances, and image size."""
-    head = read_text(path).split("\n", 2)
+    try:
+        head = read_text(path).split("\n", 2)
+    except PhotocalError:
+        return False
     return len(head) == 3 and len(head[1].split()) == 4 and head[1].split()[2].isdecimal()
 
 
@@ -124,7 +128,7 @@ def read_export(path: Path) -> Export:
     marks = tuple(_mark(row, photos, shift) for row in cursor.section())
     if not marks:
         raise InputMalformedError("has no marked points", "export the marks too", where=path)
-    return Export(title, size_px, interior, tuple(photos), control, points, marks, fingerprint(path))
+    return Export(title, size_px, interior, tuple(photos), control, points, marks, path)
 
 
 def _photo(cursor: _Cursor, expected: int) -> Photo:
@@ -181,9 +185,11 @@ def read_control(path: Path) -> dict[str, tuple[Floats, Floats]]:
     }
 
 
-def block_from_export(export: Export, control: dict[str, tuple[Floats, Floats]]) -> Block:
+def block_from_export(
+    export: Export, control: dict[str, tuple[Floats, Floats]], files: Sequence[Path] = ()
+) -> Block:
     """Make a block from an export and a table of control points."""
-    place = export.file.path
+    place = export.path
     shift = _shift(export, control, place)
     names = [photo.name for photo in export.photos]
     parts.require_unique(names, "photo", place)
@@ -209,22 +215,24 @@ def block_from_export(export: Export, control: dict[str, tuple[Floats, Floats]])
     )
     which = [interiors.index(photo.interior) for photo in export.photos]
     shots = Images(tuple(names), np.array(which, dtype=np.int64), values)
-    return parts.block(export.title or place, cameras, shots, points, export.marks, [export.file])
+    return parts.block_of_marks(
+        export.title or place.as_posix(), cameras, shots, points, export.marks, files or [place]
+    )
 
 
-def read_photomodeler(path: Path) -> Block:
+def read(path: Path) -> ForeignProject:
     """Read an export with the table of control points that lies beside it."""
     export, control = read_export(path), control_beside(path)
     if control.exists():
-        block = block_from_export(export, read_control(control))
-        return replace(block, inputs=(*block.inputs, fingerprint(control)))
+        block = block_from_export(export, read_control(control), [path, control])
+        return ForeignProject("PhotoModeler", block, weighted=True)
     if export.control:
         raise ConfigurationError(
             "has control points, whose standard deviations in a PhotoModeler export are a posteriori",
             f"put a table id,name,X,Y,Z,sX,sY,sZ beside it as {control.name}",
             where=path,
         )
-    return block_from_export(export, {})
+    return ForeignProject("PhotoModeler", block_from_export(export, {}), weighted=True)
 
 
 def control_beside(export: Path) -> Path:
@@ -232,7 +240,7 @@ def control_beside(export: Path) -> Path:
     return export.with_name(f"{export.stem}-control.txt")
 
 
-def _shift(export: Export, control: dict[str, tuple[Floats, Floats]], place: str) -> Floats:
+def _shift(export: Export, control: dict[str, tuple[Floats, Floats]], place: Path) -> Floats:
     """What must be added to exported coordinates: the mean over common control points."""
     common = [name for name in export.control if name in control]
     if not common:
@@ -245,7 +253,7 @@ def _shift(export: Export, control: dict[str, tuple[Floats, Floats]], place: str
     return np.asarray(np.mean([control[name][0] - export.control[name] for name in common], axis=0))
 
 
-def _camera(export: Export, interior: tuple[float, ...], name: str, place: str) -> Camera:
+def _camera(export: Export, interior: tuple[float, ...], name: str, place: Path) -> Camera:
     # The photos' c and principal point are printed to 1 um, their coefficients to five decimals; the head has
     # the same values with more digits.
     rounding = [0.51e-3] * 3 + [0.51e-5] * 7
@@ -266,7 +274,7 @@ def _camera(export: Export, interior: tuple[float, ...], name: str, place: str) 
     return replace(calibrated, distortion_at="measured")
 
 
-def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
+def write(path: Path, given: Reconstruction, _: Choices | None = None) -> tuple[Conversion, ...]:
     """Write an export, and `NAME-control.txt` beside it where there is control."""
     sizes = {camera.size_px for camera in given.cameras}
     if len(sizes) != 1 or any(camera.unit != "mm" for camera in given.cameras):
@@ -281,8 +289,9 @@ def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = No
     numbers = whole_numbers(given.point_names)
     order = sorted(range(len(numbers)), key=lambda j: int(numbers[j]))
     sigma = np.nan_to_num(given.xyz_sigma)
-    rows = [f"{numbers[j]} {digits([*given.xyz[j], *sigma[j]])}" for j in order]
-    control = [row for row, j in zip(rows, order, strict=True) if given.roles and given.roles[j] == "control"]
+    rows = {j: f"{numbers[j]} {digits([*given.xyz[j], *sigma[j]])}" for j in order}
+    control = set(given.of_role("control"))
+    surveyed = [j for j in order if j in control]
     width, height = sizes.pop()
     lines = [
         given.name,
@@ -298,10 +307,9 @@ def write_photomodeler(path: Path, given: Reconstruction, _: Choices | None = No
         x, y = (given.pixels[ray] + 0.5).tolist()
         marks.append(f"{given.image[ray]} {numbers[given.point[ray]]} {x!r} {y!r} 1.0 1.0")
     # Every section ends with a blank line.
-    lines += ["", *control, "", *rows, "", *marks, "", ""]
+    lines += ["", *(rows[j] for j in surveyed), "", *rows.values(), "", *marks, "", ""]
     path.write_text("\n".join(lines), encoding="utf-8", newline="\n")
     if control:
-        surveyed = [j for j in order if given.roles[j] == "control"]
         cells = [[numbers[j], numbers[j], *given.xyz[j], *sigma[j]] for j in surveyed]
         write_rows(control_beside(path), cells, ", ")
     return made

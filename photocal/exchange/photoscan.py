@@ -10,6 +10,7 @@ for tie points (px), `accuracy_markers` for markers without their own (m). Nothi
 import struct
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,20 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError
-from photocal.block.model import Block, Images
-from photocal.exchange import parts
-from photocal.exchange.metashape import Chunk, chunk_of, chunk_transform, image_names, local_chunk
-from photocal.exchange.source import MAX_XML_BYTES, child, fingerprint, number, parse_xml, require_readable
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, ObjectPoints, Observations
+from photocal.exchange.foreign_project import ForeignProject
+from photocal.exchange.metashape import (
+    Chunk,
+    chunk_of,
+    chunk_transform,
+    image_names,
+    local_chunk,
+    project,
+)
+from photocal.exchange.parts import block, pixels, require_seen_once, require_unique
+from photocal.exchange.source import MAX_XML_BYTES, child, number, parse_xml, require_readable
 
 _TYPES = {
     "char": "i1",
@@ -42,9 +52,10 @@ _ARCHIVE_FAILURES = (
 )  # fmt: skip
 
 
-def read_photoscan(path: Path) -> Block:
+def read(path: Path) -> ForeignProject:
     """Read a project with one chunk."""
-    return read_project(path)[0]
+    program = "Metashape" if path.suffix.lower() == ".psx" else "PhotoScan"
+    return project(program, *read_project(path), weighted=True)
 
 
 def read_project(path: Path) -> tuple[Block, Chunk]:
@@ -107,31 +118,35 @@ def _block(archive: zipfile.ZipFile, root: Element, path: Path) -> tuple[Block, 
         for key in element.iterfind("settings/property")
         if key.get("name", "").startswith("accuracy_") and len(key.get("value", "").split()) == 1
     }
-    given = chunk.reconstruction
-    entries = [_marker(marker, settings, path) for marker in chunk.markers]
-    sigma = _setting(settings, "accuracy_projections", path)
-    marks = [
-        parts.Mark(given.image_names[i], given.point_names[j], x, y, (sigma, sigma), path)
-        for i, j, (x, y) in zip(given.image, given.point, given.pixels.tolist(), strict=True)
-    ]
-    ties, tie_marks = _tie_points(
-        archive, element, given_chunk, _setting(settings, "accuracy_tiepoints", path), path
+    given, sigma = chunk.block, _setting(settings, "accuracy_projections", path)
+    marks = given.observations
+    seen = pixels(marks.image, marks.point, marks.values, sigma)
+    points = _with_sigmas(given.points, settings, path)
+    # Geocentric ones are left to their rays.
+    to_world = None if given_chunk.crs else chunk_transform(element, path)
+    ties, rays = _ties(archive, element, given.images.names, to_world, path)
+    rays = pixels(
+        rays.image,
+        rays.point + len(points.names),
+        rays.values,
+        _setting(settings, "accuracy_tiepoints", path),
     )
-    shots = Images(given.image_names, given.image_camera, given.poses, exposure=given.exposure)
-    block = parts.block(
-        path.stem, given.cameras, shots, [*entries, *ties], [*marks, *tie_marks], [fingerprint(path)]
-    )
+    points = points.with_ties(ties.names, ties.values)
+    seen = seen.plus(rays.image, rays.point, rays.values, rays.sigma)
+    require_unique(points.names, "point", path)
+    require_seen_once(seen, given.images.names, points.names, path)
+    made = block(path.stem, given.cameras, given.images, points, seen, [path], heads=given.heads)
     common = settings.get("accuracy_cameras", np.nan)
     sigma_m = np.where(np.isnan(chunk.position_sigma), common, chunk.position_sigma)
-    return replace(block, heads=given.heads), replace(chunk, position_sigma=sigma_m)
+    return made, replace(chunk, position_sigma=sigma_m)
 
 
-def _marker(marker: parts.PointEntry, settings: dict[str, float], path: Path) -> parts.PointEntry:
-    if marker.role != "control":
-        return parts.PointEntry(marker.name, marker.role, marker.xyz)
-    sigma = np.array(marker.sigma)
-    common = _setting(settings, "accuracy_markers", path) if np.isnan(sigma).any() else 0.0
-    return parts.PointEntry(marker.name, "control", marker.xyz, np.where(np.isnan(sigma), common, sigma))
+def _with_sigmas(markers: ObjectPoints, settings: dict[str, float], path: Path) -> ObjectPoints:
+    """Markers with the sigmas of the settings where they have none of their own; check points without."""
+    control = markers.of_role("control")[:, None]
+    bare = control & np.isnan(markers.sigma)
+    common = _setting(settings, "accuracy_markers", path) if bare.any() else 0.0
+    return replace(markers, sigma=np.where(control, np.where(bare, common, markers.sigma), np.inf))
 
 
 def _setting(settings: dict[str, float], key: str, path: Path) -> float:
@@ -140,35 +155,30 @@ def _setting(settings: dict[str, float], key: str, path: Path) -> float:
     return settings[key]
 
 
-def _tie_points(
-    archive: zipfile.ZipFile, element: Element, chunk: Chunk, sigma: float, path: Path
-) -> tuple[list[parts.PointEntry], list[parts.Mark]]:
+def _ties(
+    archive: zipfile.ZipFile, element: Element, images: Sequence[str], to_world: Floats | None, path: Path
+) -> tuple[ObjectPoints, Observations]:
+    """Tie points, at their places where the way to the world is given, and their rays in oriented images."""
     cloud = element.find("frames/frame/point_cloud")
     if cloud is None:
-        return [], []
-    points = _ply(archive, child(cloud, "points", path).get("path", ""), ("x", "y", "z", "id"), path)
-    to_world = chunk_transform(element, path)
-    xyz = np.column_stack([points[axis] for axis in "xyz"]).astype(float)
-    # Geocentric ones are left to their rays.
-    xyz = np.full_like(xyz, np.nan) if chunk.crs else xyz @ to_world[:3, :3].T + to_world[:3, 3]
+        return NO_POINTS, NO_OBSERVATIONS
+    rows = _ply(archive, child(cloud, "points", path).get("path", ""), ("x", "y", "z", "id"), path)
+    xyz = np.column_stack([rows[axis] for axis in "xyz"]).astype(float)
+    xyz = np.full_like(xyz, np.nan) if to_world is None else xyz @ to_world[:3, :3].T + to_world[:3, 3]
     # Markers have numbers for names too.
-    names = {int(key): f"tie{key}" for key in points["id"]}
-    entries = [
-        parts.PointEntry(names[int(key)], "tie", row) for key, row in zip(points["id"], xyz, strict=True)
-    ]
-    labels = image_names(element)
-    oriented = set(chunk.reconstruction.image_names)
-    marks = []
+    ties = ObjectPoints(tuple(f"tie{key}" for key in rows["id"].tolist()), xyz)
+    order, labels, seen = np.argsort(rows["id"], kind="stable"), image_names(element), NO_OBSERVATIONS
     for projections in cloud.iterfind("projections"):
-        image = labels.get(projections.get("camera_id", ""), "")
-        rows = _ply(archive, projections.get("path", ""), ("x", "y", "id"), path)
-        if image in oriented:
-            marks += [
-                parts.Mark(image, names[key], x - 0.5, y - 0.5, (sigma, sigma), path)
-                for x, y, key in zip(rows["x"].tolist(), rows["y"].tolist(), rows["id"].tolist(), strict=True)
-                if key in names
-            ]
-    return entries, marks
+        label = labels.get(projections.get("camera_id", ""), "")
+        marks = _ply(archive, projections.get("path", ""), ("x", "y", "id"), path)
+        if label in images and len(rows):
+            place = np.searchsorted(rows["id"], marks["id"], sorter=order)
+            point = order[np.minimum(place, len(rows) - 1)]
+            known = rows["id"][point] == marks["id"]
+            xy = np.column_stack([marks["x"], marks["y"]]).astype(float)[known] - 0.5
+            image = np.full(len(xy), images.index(label))
+            seen = seen.plus(image, point[known], xy, np.ones_like(xy))
+    return ties, seen
 
 
 def _member(archive: zipfile.ZipFile, name: str, path: Path, most: int) -> bytes:

@@ -17,19 +17,13 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError, InputNotFoundError
-from photocal.block.model import Block, Images, Observations
-from photocal.exchange.parts import PointEntry, distinct, object_points
+from photocal.block.model import Images
+from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
+from photocal.exchange.parts import PointEntry, block, distinct, object_points, pixels
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
-from photocal.exchange.reconstruction import (
-    ASSUMED_M,
-    Choices,
-    ForeignProject,
-    Reconstruction,
-    file_name,
-    without_weak_points,
-)
+from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
 from photocal.exchange.rigs import of_poses
-from photocal.exchange.source import Line, fingerprint, image_size, number, numbers, read_lines
+from photocal.exchange.source import Line, image_size, number, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
 
@@ -48,8 +42,6 @@ _GROUND_COLUMNS = (
     "GCP weight",
     *(f"GCP {kind} {axis}" for kind in ("measured", "estimated") for axis in "XYZ"),
 )
-# Whatever the project says of its measurements, they are weighted alike first.
-UNIT_SIGMA_PX = 1.0
 # Positions farther from the adjusted ones are in another system.
 FAR_M = 1000.0
 _ROWS = 10
@@ -80,18 +72,19 @@ def write_pix4d(path: Path, camera: Camera) -> Conversion:
     return conversion
 
 
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """A .cam file for each camera."""
     name = "_pix4d_calibrated_internal_camera_parameters.cam"
     return tuple(write_pix4d(folder / (file_name(camera.id) + name), camera) for camera in given.cameras)
 
 
-def read_pix4d_project(folder: Path) -> ForeignProject:
-    """Read a params folder."""
-    path, bingo = _file(folder, CAMERAS), _file(folder, BINGO)
-    if path is None or bingo is None:
+def read(path: Path) -> ForeignProject:
+    """Read a params folder by its file of cameras."""
+    folder = path.parent
+    bingo = _file(folder, BINGO)
+    if bingo is None:
         raise InputNotFoundError(
-            f"has no ..._{BINGO if path else CAMERAS}",
+            f"has no ..._{BINGO}",
             "export it: Process, Processing options, 1. Initial processing, Advanced",
             where=folder,
         )
@@ -119,27 +112,18 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
         for name in points
     ]
     place = {name: k for k, name in enumerate(points)}
-    observations = Observations(
-        "px",
-        "pixel",
-        np.array([row[0] for row in rows], dtype=np.int64),
-        np.array([place[row[1]] for row in rows], dtype=np.int64),
-        np.array([row[2:] for row in rows], dtype=float).reshape(-1, 2),
-        np.full((len(rows), 2), UNIT_SIGMA_PX),
+    image, point = (np.array(k, dtype=np.int64) for k in ([r[0] for r in rows], [place[r[1]] for r in rows]))
+    given, weak = without_weak_points(
+        block(
+            path.name.removesuffix(CAMERAS).strip("_") or folder.parent.name,
+            cameras,
+            Images(tuple(distinct(image_names)), np.array(member, dtype=np.int64), poses, exposure=exposure),
+            object_points(entries),
+            pixels(image, point, np.array([row[2:] for row in rows], dtype=float).reshape(-1, 2)),
+            [path, bingo],
+            heads=heads,
+        )
     )
-    block = Block(
-        path.name.removesuffix(CAMERAS).strip("_") or folder.parent.name,
-        "local",
-        "",
-        "control",
-        cameras,
-        Images(tuple(distinct(image_names)), np.array(member, dtype=np.int64), poses, exposure=exposure),
-        object_points(entries),
-        observations,
-        (fingerprint(path), fingerprint(bingo)),
-        heads=heads,
-    )
-    block, weak = without_weak_points(block)
     if weak:
         remarks.append(f"{weak} points have one ray only: left out")
     position, sigma, pose_sigma = _positions(folder, image_names)
@@ -159,7 +143,7 @@ def read_pix4d_project(folder: Path) -> ForeignProject:
         )
         position, sigma = np.full_like(position, np.nan), np.full_like(sigma, np.nan)
     return ForeignProject(
-        "Pix4D", block, position, sigma, pose_sigma, ground.adjusted, remarks=tuple(remarks)
+        "Pix4D", given, position, sigma, pose_sigma, ground.adjusted, remarks=tuple(remarks)
     )
 
 

@@ -1,4 +1,4 @@
-"""What programs pass around: cameras, oriented images, points and measurements; read from a run folder."""
+"""What is written for other programs: cameras, oriented images, points and measurements of a result."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,22 +8,17 @@ from typing import Literal
 import numpy as np
 
 from photocal.base.arrays import Floats, Integers
-from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import ROLES, Block, Images, InputFile, ObjectPoints, Observations
+from photocal.base.errors import ConfigurationError
+from photocal.block.model import ROLES, Block, Images, ObjectPoints
 from photocal.block.network import frame_of, observed_pixels
 from photocal.block.rig import Head
-from photocal.exchange.source import fingerprint
+from photocal.exchange.parts import block, pixels
 from photocal.geometry.camera import Camera, among, plane_to_pixel
 from photocal.geometry.frames import parsed, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.results.result import Result
 
 Angle = Literal["deg", "gon"]
-UNIT_SIGMA_PX = 1.0
-# Sigmas of control points that nobody has given, X, Y, Z, m.
-ASSUMED_M = (0.02, 0.02, 0.03)
-# Affinities below are what a quotient of equal focal lengths leaves.
-_NOTHING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -83,6 +78,25 @@ class Reconstruction:
     heads: tuple[Head, ...] = ()
     exposure: tuple[str, ...] = ()
 
+    def of_role(self, *roles: str) -> list[int]:
+        """Points that play one of some roles."""
+        return [j for j, role in enumerate(self.roles) if role in roles]
+
+    @property
+    def rays_of_images(self) -> list[Integers]:
+        """Rays of each image, in their order."""
+        return _members(self.image, len(self.image_names))
+
+    @property
+    def rays_of_points(self) -> list[Integers]:
+        """Rays of each point, in their order."""
+        return _members(self.point, len(self.point_names))
+
+    def of_rays(self, name: Literal["size_px", "pitch"]) -> Floats:
+        """What the camera of each ray has, x and y, shape (rays, 2)."""
+        each = np.array([getattr(camera, name) for camera in self.cameras], dtype=float).reshape(-1, 2)
+        return np.asarray(each[self.image_camera[self.image]])
+
     def __post_init__(self) -> None:
         likes = {"pose_sigma": self.poses, "xyz_sigma": self.xyz, "residuals_px": self.pixels}
         for name, like in likes.items():
@@ -90,52 +104,46 @@ class Reconstruction:
                 object.__setattr__(self, name, np.full(like.shape, np.nan))
 
 
-def as_block(given: Reconstruction, name: str, sigma_px: float, inputs: tuple[InputFile, ...]) -> Block:
+def _members(group: Integers, count: int) -> list[Integers]:
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.searchsorted(group[order], np.arange(1, count))) if count else []
+
+
+def as_block(given: Reconstruction, name: str, sigma_px: float, files: Sequence[Path]) -> Block:
     """Make a block of a reconstruction: orientations and points as start values."""
-    count = len(given.point_names)
-    role = np.array([ROLES.index(word) for word in given.roles or ("tie",) * count], dtype=np.int64)
-    sigma = np.full((count, 3), np.inf)
-    surveyed = (role != ROLES.index("tie")) & np.isfinite(given.xyz).all(axis=1)
-    known = surveyed & np.isfinite(given.xyz_sigma).all(axis=1)
-    sigma[known] = given.xyz_sigma[known]
-    # What is called control without a standard deviation holds nothing.
-    bare = (role == ROLES.index("control")) & ~np.isfinite(sigma).all(axis=1)
-    role[bare] = ROLES.index("tie")
-    return Block(
+    role = np.array([ROLES.index(word) for word in given.roles], dtype=np.int64)
+    made = block(
         name,
-        given.frame,
-        given.height,
-        "control" if (role == ROLES.index("control")).any() else "free",
         given.cameras,
         Images(given.image_names, given.image_camera, given.poses, exposure=given.exposure),
-        ObjectPoints(given.point_names, given.xyz, sigma, role),
-        Observations(
-            "px", "pixel", given.image, given.point, given.pixels, np.full(given.pixels.shape, sigma_px)
-        ),
-        inputs,
+        ObjectPoints(given.point_names, given.xyz, given.xyz_sigma, role),
+        pixels(given.image, given.point, given.pixels, sigma_px),
+        files,
         heads=given.heads,
     )
+    return replace(made, frame=given.frame, height=given.height)
 
 
-def of_block(block: Block) -> Reconstruction:
+def of_block(given: Block) -> Reconstruction:
     """Take what other programs know out of a block, the inverse of `as_block`."""
+    images, points, seen = given.images, given.points, given.observations
     return Reconstruction(
-        block.cameras,
-        block.images.names,
-        block.images.camera,
-        block.images.values,
-        block.points.names,
-        block.points.values,
-        block.observations.image,
-        block.observations.point,
-        observed_pixels(block),
-        tuple(ROLES[k] for k in block.points.role),
-        xyz_sigma=np.where(np.isfinite(block.points.sigma), block.points.sigma, np.nan),
-        frame=block.frame,
-        height=block.height,
-        name=block.name,
-        heads=block.heads,
-        exposure=block.images.exposure,
+        given.cameras,
+        images.names,
+        images.camera,
+        images.values,
+        points.names,
+        points.values,
+        seen.image,
+        seen.point,
+        observed_pixels(given) if len(seen.image) else seen.values,
+        tuple(ROLES[k] for k in points.role),
+        xyz_sigma=np.where(np.isfinite(points.sigma), points.sigma, np.nan),
+        frame=given.frame,
+        height=given.height,
+        name=given.name,
+        heads=given.heads,
+        exposure=images.exposure,
     )
 
 
@@ -200,29 +208,6 @@ def of_result(result: Result) -> Reconstruction:
     )
 
 
-def cameras_alone(cameras: Sequence[Camera]) -> Reconstruction:
-    """What a file of cameras holds: no images, no points."""
-    none = np.empty(0, dtype=np.int64)
-    return Reconstruction(
-        tuple(cameras), (), none, np.empty((0, 6)), (), np.empty((0, 3)), none, none, np.empty((0, 2))
-    )
-
-
-def orientations_alone(names: Sequence[str], poses: Floats) -> Reconstruction:
-    """What a table of exterior orientations holds: images of unknown cameras."""
-    nothing = cameras_alone(())
-    return replace(
-        nothing, image_names=tuple(names), image_camera=np.full(len(names), -1, dtype=np.int64), poses=poses
-    )
-
-
-def vision_block(name: str, given: Reconstruction, files: list[Path]) -> Block:
-    """Make a block of a vision program's model, which has no standard deviations of image coordinates."""
-    if not len(given.pixels):
-        raise InputMalformedError("has no measurements of points", "export them too", where=files[0])
-    return as_block(given, name, UNIT_SIGMA_PX, tuple(fingerprint(path) for path in files))
-
-
 def to_cartesian(given: Reconstruction) -> Reconstruction:
     """Take a block to the topocentric frame at its middle; a local frame stays as it is."""
     if given.frame == "local":
@@ -267,67 +252,3 @@ def file_name(name: str) -> str:
     """A name that stays inside the folder: letters, digits and a few signs."""
     kept = "".join(letter if letter.isalnum() or letter in "-_. " else "_" for letter in name)
     return kept.strip(". ") or "camera"
-
-
-@dataclass(frozen=True)
-class ForeignProject:
-    """What was read.
-
-    block: observations in px; cameras and orientations are the program's results, control is as surveyed.
-    position (images, 3): observed by GNSS, in the block's frame; NaN without.
-    position_sigma (images, 3): as typed or stated; NaN without.
-    pose_sigma (images, 6): that the program promises (rad, m); NaN without.
-    adjusted: coordinates of control and check points as the program adjusted them.
-    cameras: as the program adjusted them, where the block has its start values; else empty.
-    camera_sigma: that the program promises, by camera and parameter.
-    weighted: whether the program states sigmas of image coordinates.
-    """
-
-    program: str
-    block: Block
-    position: Floats
-    position_sigma: Floats
-    pose_sigma: Floats
-    adjusted: dict[str, Floats] = field(default_factory=dict)
-    cameras: tuple[Camera, ...] = ()
-    camera_sigma: dict[str, dict[str, float]] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
-    weighted: bool = False
-
-
-def bare_project(program: str, block: Block, *, weighted: bool) -> ForeignProject:
-    """Take a block of which the program says nothing more."""
-    none = np.full((len(block.images.names), 6), np.nan)
-    return ForeignProject(program, in_pixels(block), none[:, :3], none[:, :3], none, weighted=weighted)
-
-
-def in_pixels(block: Block) -> Block:
-    """Give a block's observations in px of the stored grid, with their sigmas."""
-    seen = block.observations
-    if (seen.unit, seen.axes) == ("px", "pixel"):
-        return block
-    pitch = np.array([camera.pitch for camera in block.cameras])[block.images.camera[seen.image]]
-    sigma = seen.sigma / pitch if seen.unit == "mm" else seen.sigma
-    values = of_block(block).pixels
-    return replace(block, observations=Observations("px", "pixel", seen.image, seen.point, values, sigma))
-
-
-def estimating_what_it_has(block: Block, *, weighted: bool) -> Block:
-    """Estimate what the program's camera has that is not zero; with set-ups what they say is estimated."""
-    rest = np.where(among("B1", "B2"), _NOTHING, 0.0)
-    cameras = tuple(
-        camera
-        if weighted and camera.estimated.any()
-        else replace(camera, estimated=np.abs(camera.values) > rest)
-        for camera in block.cameras
-    )
-    return replace(block, cameras=cameras)
-
-
-def without_weak_points(block: Block) -> tuple[Block, int]:
-    """Leave out tie and check points with one ray; control may have one."""
-    rays = np.bincount(block.observations.point, minlength=len(block.points.names))
-    keep = (rays >= 2) | ((block.points.role == ROLES.index("control")) & (rays >= 1))
-    seen = block.observations.rows(keep[block.observations.point])
-    seen = replace(seen, point=(np.cumsum(keep) - 1)[seen.point])
-    return replace(block, points=block.points.only(keep), observations=seen), int((~keep).sum())

@@ -83,7 +83,7 @@ def _column(header: list[str], names: tuple[str, ...], path: Path) -> int:
     raise InputMalformedError(f"has no column {names[0].upper()}", "export the coordinates", where=path)
 
 
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
     """Reference tables of the images and of the points."""
     from pyproj import CRS
 

@@ -23,9 +23,9 @@ from scipy.spatial.transform import Rotation
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import Block
 from photocal.block.rig import Head
 from photocal.exchange.pinhole import FLIP, rotation_from_quaternion, to_vision
-from photocal.exchange.reconstruction import Reconstruction
 from photocal.exchange.source import numbers, read_json, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import matrix_from_angles
@@ -43,9 +43,9 @@ Frame = tuple[int, int, list[tuple[str, int]]]
 
 
 def with_rig(
-    given: Reconstruction, head: Sequence[str], exposure: Sequence[str], sensors: Mapping[str, Sensor]
-) -> Reconstruction:
-    """Give a reconstruction its rigs.
+    given: Block, head: Sequence[str], exposure: Sequence[str], sensors: Mapping[str, Sensor]
+) -> Block:
+    """Give a block its rigs.
 
     head, exposure (images,): of each image; empty for one by itself.
     sensors: of each head, the one that the others refer to first. A camera of several heads becomes one each.
@@ -53,7 +53,7 @@ def with_rig(
     used = [name for name in sensors if name in head]
     if len(used) < 2:
         return given
-    cameras, camera_of = list(given.cameras), given.image_camera.copy()
+    cameras, camera_of = list(given.cameras), given.images.camera.copy()
     names = {camera.id for camera in cameras}
     ids, taken = dict[str, str](), set[int]()
     for name in used:
@@ -70,15 +70,19 @@ def with_rig(
     left = np.unique(camera_of[camera_of >= 0])
     place = np.full(len(cameras), -1)
     place[left] = np.arange(len(left))
+    images = replace(
+        given.images,
+        camera=np.where(camera_of >= 0, place[camera_of], -1),
+        exposure=tuple(
+            key if name in used else before
+            for key, name, before in zip(exposure, head, given.images.exposure, strict=True)
+        ),
+    )
     return replace(
         given,
         cameras=tuple(cameras[k] for k in left),
-        image_camera=np.where(camera_of >= 0, place[camera_of], -1),
+        images=images,
         heads=(*given.heads, *(_head(name, used[0], ids, sensors) for name in used)),
-        exposure=tuple(
-            key if name in used else before
-            for key, name, before in zip(exposure, head, given.exposure or ("",) * len(head), strict=True)
-        ),
     )
 
 
@@ -96,7 +100,7 @@ def _head(name: str, base: str, ids: Mapping[str, str], sensors: Mapping[str, Se
     return Head(ids[name], ids[base], Rotation.from_matrix(between).as_rotvec(), values, sigma)
 
 
-def of_opensfm(given: Reconstruction, path: Path, first: Mapping[str, Any]) -> Reconstruction:
+def of_opensfm(given: Block, path: Path, first: Mapping[str, Any]) -> Block:
     """Give an OpenSfM reconstruction its own rigs, else those of the files beside it, if there are any.
 
     first: as it stands in the file.
@@ -131,13 +135,13 @@ def of_opensfm(given: Reconstruction, path: Path, first: Mapping[str, Any]) -> R
     if not of and poses.is_file() and assigned.is_file():
         of = structured(assigned, "a file of OpenSfM's rigs", beside)
         known = structured(poses, "a file of OpenSfM's rigs", lambda: sensors(read_json(poses)))
-    pairs = [of.get(name, ("", "")) for name in given.image_names]
+    pairs = [of.get(name, ("", "")) for name in given.images.names]
     return with_rig(given, [head for head, _ in pairs], [key for _, key in pairs], known)
 
 
 def of_colmap(
-    given: Reconstruction, folder: Path, keys: Mapping[int, str], rigs: Iterable[Rig], frames: Iterable[Frame]
-) -> Reconstruction:
+    given: Block, folder: Path, keys: Mapping[int, str], rigs: Iterable[Rig], frames: Iterable[Frame]
+) -> Block:
     """Give a COLMAP model its rigs, else those of a rig_config.json in its folder or above.
 
     keys: names of the images by their numbers.
@@ -148,7 +152,7 @@ def of_colmap(
             keys.get(image, ""): (of, sensor, frame) for frame, of, data in frames for sensor, image in data
         }
         for rig, sensors in several.items():
-            members = [member.get(name, (-1, "", 0)) for name in given.image_names]
+            members = [member.get(name, (-1, "", 0)) for name in given.images.names]
             head = [sensor if of == rig else "" for of, sensor, _ in members]
             given = with_rig(given, head, [str(frame) for *_, frame in members], sensors)
         return given
@@ -163,9 +167,9 @@ def of_colmap(
     for k, listed in enumerate(structured(path, "a rig_config.json of COLMAP", configured)):
         sensors = {prefix: sensor for prefix, _, sensor in sorted(listed, key=lambda entry: not entry[1])}
         head = [
-            next((sensor for sensor in sensors if name.startswith(sensor)), "") for name in given.image_names
+            next((sensor for sensor in sensors if name.startswith(sensor)), "") for name in given.images.names
         ]
-        exposure = [f"{k}/{n[len(prefix) :]}" for n, prefix in zip(given.image_names, head, strict=True)]
+        exposure = [f"{k}/{n[len(prefix) :]}" for n, prefix in zip(given.images.names, head, strict=True)]
         given = with_rig(given, head, exposure, sensors)
     return given
 
@@ -225,10 +229,10 @@ def of_poses(
     return tuple(heads), tuple("" if key < 0 else f"e{key}" for key in exposure)
 
 
-def of_metashape(given: Reconstruction, shots: Sequence[Element]) -> Reconstruction:
+def of_metashape(given: Block, shots: Sequence[Element]) -> Block:
     """Give a Metashape chunk its multi-camera system: images with a `master_id`."""
     place = {shot.get("id", ""): k for k, shot in enumerate(shots)}
-    rotation, translation = to_vision(given.poses)
+    rotation, translation = to_vision(given.images.values)
     sensors = dict[str, Sensor]()
     # As images lie to those of their masters: a chunk has a scale of its own.
     for k, shot in enumerate(shots):

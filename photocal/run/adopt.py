@@ -26,8 +26,12 @@ from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import assemble, behind_cameras, block_frame
 from photocal.block.setup import MountingKeys
-from photocal.exchange.project_detection import read_foreign_project
-from photocal.exchange.reconstruction import ForeignProject, estimating_what_it_has, without_weak_points
+from photocal.exchange.foreign_project import (
+    ForeignProject,
+    free_nonzero_parameters,
+    read_foreign_project,
+    without_weak_points,
+)
 from photocal.geometry.camera import Camera, among
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import aligned_similarity, robust_similarity
@@ -87,7 +91,7 @@ def adopt(
 
     with progress("reading the project", None):
         foreign = with_control(read_foreign_project(path), path, gcp)
-        block = estimating_what_it_has(foreign.block, weighted=foreign.weighted)
+        block = free_nonzero_parameters(foreign.block, weighted=foreign.weighted)
         foreign = _without_what_hangs_loose(replace(foreign, block=block))
     source, run = output / "block", output / "calibration"
     source.mkdir(parents=True, exist_ok=True)

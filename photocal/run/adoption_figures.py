@@ -7,7 +7,7 @@ import numpy as np
 
 from photocal.adjustment.rig import OF_HEAD
 from photocal.base.arrays import Flags, Floats
-from photocal.exchange.reconstruction import ForeignProject
+from photocal.exchange.foreign_project import ForeignProject
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.results.result import Result

@@ -41,12 +41,12 @@ from photocal.base.errors import PhotocalError
 from photocal.block.folder import read_block
 from photocal.cli import app
 from photocal.exchange.colmap import read_colmap
-from photocal.exchange.formats import FORMATS, _loaded, read_foreign_block
+from photocal.exchange.foreign_project import read_foreign_project
+from photocal.exchange.formats import FORMATS, read_foreign_block
 from photocal.exchange.ground_points import read_gcp_list, read_geo
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opensfm import read_reconstruction
-from photocal.exchange.project_detection import read_foreign_project
-from photocal.exchange.reconstruction import of_result
+from photocal.exchange.reconstruction import of_block, of_result
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import read_grey
 from photocal.navigation.engine_output import read_solution
@@ -171,8 +171,8 @@ def _exported(run: Path, folder: Path) -> Iterator[Reader]:
             kind = kinds.get(path.suffix, "tables")
             if form.reads:
                 yield Reader(kind, path, _of_folder(form.read, out))
-            if form.blocks and form.takes(path):
-                yield Reader(kind, path, _loaded(form.blocks))
+            if form.reads and form.detect(path):
+                yield Reader(kind, path, form.read)
             if form.name == "odm":
                 yield Reader(kind, path, read_gcp_list if path.name == "gcp_list.txt" else read_geo)
 
@@ -194,7 +194,7 @@ def _foreign(run: Path, folder: Path) -> Iterator[Reader]:
     yield Reader("archives", archive, read_foreign_block)
     for kind, own, read in (
         ("tables", params, read_foreign_project),
-        ("JSON", rigs[0], lambda p: read_reconstruction(p / "reconstruction.json")),
+        ("JSON", rigs[0], lambda p: of_block(read_reconstruction(p / "reconstruction.json"))),
         ("tables", rigs[1], read_colmap),
         ("JSON", rigs[2], read_colmap),
         ("XML", rigs[3], lambda p: read_metashape(next(p.glob("*.xml")))),

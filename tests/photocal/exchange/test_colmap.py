@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from photocal.base.errors import InputMalformedError, PhotocalError
 from photocal.exchange.colmap import read_colmap, write_colmap
-from photocal.exchange.reconstruction import Reconstruction, as_block
+from photocal.exchange.reconstruction import Reconstruction, as_block, of_block
 
 
 def by_hand(folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +67,7 @@ def test_residuals_are_ours(tmp_path: Path, vision: Reconstruction) -> None:
 @pytest.mark.parametrize("binary", [False, True])
 def test_round_trip(tmp_path: Path, vision: Reconstruction, binary: bool) -> None:
     write_colmap(tmp_path, vision, binary=binary)
-    again = read_colmap(tmp_path)
+    again = of_block(read_colmap(tmp_path))
     assert again.image_names == vision.image_names
     assert again.point_names == vision.point_names
     for name in ("poses", "xyz", "pixels"):
@@ -82,7 +82,7 @@ def test_binary_and_text_say_the_same(tmp_path: Path, vision: Reconstruction) ->
     for name in ("text", "binary"):
         (tmp_path / name).mkdir()
         write_colmap(tmp_path / name, vision, binary=name == "binary")
-    text, binary = read_colmap(tmp_path / "text"), read_colmap(tmp_path / "binary")
+    text, binary = of_block(read_colmap(tmp_path / "text")), of_block(read_colmap(tmp_path / "binary"))
     assert np.array_equal(text.poses, binary.poses)
     assert np.array_equal(text.pixels, binary.pixels)
 
@@ -96,7 +96,7 @@ def test_photogrammetric_camera_is_fitted(tmp_path: Path, photogrammetric: Recon
 
 def test_block(tmp_path: Path, vision: Reconstruction) -> None:
     write_colmap(tmp_path, vision)
-    block = as_block(read_colmap(tmp_path), "model", 0.5, ())
+    block = as_block(of_block(read_colmap(tmp_path)), "model", 0.5, ())
     assert block.datum == "free"
     assert np.all(block.observations.sigma == 0.5)
     assert block.cameras[0].estimated.sum() == 9
@@ -108,7 +108,7 @@ def test_marks_without_point_are_left_out(tmp_path: Path) -> None:
         "1 1 0 0 0 0 0 5 1 a b.jpg\n10 20 7 30 40 -1\n2 1 0 0 0 0 0 6 1 c.jpg\n\n"
     )
     (tmp_path / "points3D.txt").write_text("7 0 0 0 1 2 3 0.5 1 0\n")
-    found = read_colmap(tmp_path)
+    found = of_block(read_colmap(tmp_path))
     assert found.image_names == ("a b.jpg", "c.jpg")
     assert found.pixels.tolist() == [[9.5, 19.5]]
     # Five units in front of the camera, which looks along its z axis.
@@ -136,7 +136,7 @@ def test_bad_text(tmp_path: Path, name: str, text: str, message: str) -> None:
     (tmp_path / "points3D.txt").write_text("7 0 0 0 1 2 3 0.5 1 0\n")
     (tmp_path / name).write_text(text)
     with pytest.raises(InputMalformedError, match=message):
-        read_colmap(tmp_path)
+        of_block(read_colmap(tmp_path))
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
@@ -145,7 +145,7 @@ def test_huge_count_is_not_believed(tmp_path: Path, vision: Reconstruction, name
     content = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(struct.pack("<Q", 10**13) + content[8:])
     with pytest.raises(InputMalformedError, match="more than the file can hold"):
-        read_colmap(tmp_path)
+        of_block(read_colmap(tmp_path))
 
 
 @given(st.integers(0, 2), st.integers(0, 10**6), st.binary(max_size=12))
@@ -160,7 +160,7 @@ def test_damaged_binary_never_tracebacks(
     at %= len(content)
     path.write_bytes(content[:at] + noise + (content[at + len(noise) :] if len(noise) % 2 else b""))
     with suppress(PhotocalError):
-        read_colmap(folder)
+        of_block(read_colmap(folder))
 
 
 def test_blank_in_a_name(tmp_path: Path, vision: Reconstruction) -> None:
@@ -170,7 +170,7 @@ def test_blank_in_a_name(tmp_path: Path, vision: Reconstruction) -> None:
     with pytest.raises(InputMalformedError, match="blanks"):
         write_colmap(tmp_path, named)
     write_colmap(tmp_path, named, binary=True)
-    assert read_colmap(tmp_path).image_names[0] == "a b.jpg"
+    assert of_block(read_colmap(tmp_path)).image_names[0] == "a b.jpg"
 
 
 @pytest.mark.parametrize("binary", [False, True])

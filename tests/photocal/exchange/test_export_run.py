@@ -17,9 +17,9 @@ from photocal.cli import app
 from photocal.commands.export import FORMATS
 from photocal.exchange.colmap import read_colmap
 from photocal.exchange.formats import FORMATS as ALL
-from photocal.exchange.formats import export, named
+from photocal.exchange.formats import named
 from photocal.exchange.metashape import read_metashape
-from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
+from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_block, of_result
 from photocal.results.adjusted import result_of
 from photocal.results.folder import read_result, write_result
 
@@ -63,11 +63,11 @@ def test_run_folder_gives_what_was_adjusted(run: Path, vision: Reconstruction) -
 @pytest.mark.parametrize("form", ["colmap", "colmap-binary", "metashape"])
 def test_residuals_survive_the_export(run: Path, tmp_path: Path, form: str) -> None:
     given = of_result(read_result(run))
-    assert all(made.largest_px == 0 for made in export(named(form), tmp_path, given, Choices()))
+    assert all(made.largest_px == 0 for made in named(form).write(tmp_path, given, Choices()))
     if form == "metashape":
-        again = read_metashape(tmp_path / "cameras.xml").reconstruction
+        again = of_block(read_metashape(tmp_path / "cameras.xml").block)
     else:
-        again = read_colmap(tmp_path)
+        again = of_block(read_colmap(tmp_path))
         np.testing.assert_allclose(again.pixels, given.pixels, atol=1e-9)
         np.testing.assert_allclose(again.xyz, given.xyz, atol=1e-9)
     np.testing.assert_allclose(again.poses, given.poses, rtol=1e-9, atol=1e-9)

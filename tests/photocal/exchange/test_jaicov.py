@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.exchange.jaicov import read_jaicov, write_jaicov
+from photocal.exchange.jaicov import read_jaicov
+from photocal.exchange.jaicov import write as write_jaicov
 from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import camera, pixel_to_plane
 from tests.photocal.exchange.conftest import reconstruction_of

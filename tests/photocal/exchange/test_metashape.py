@@ -12,9 +12,10 @@ import pytest
 
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import ROLES
-from photocal.exchange.metashape import read_metashape, to_metashape, write_metashape
+from photocal.exchange.metashape import read_metashape, to_metashape
+from photocal.exchange.metashape import write as write_metashape
 from photocal.exchange.photoscan import read_project
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import camera, plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
@@ -43,7 +44,7 @@ def written(path: Path, values: dict[str, float], more: str = "") -> Path:
 @pytest.mark.parametrize("affine", [{}, {"b1": 3.5, "b2": -1.25, "k4": 0.01, "p3": 0.2, "p4": -0.1}])
 def test_published_camera_gives_the_same_distortion(tmp_path: Path, affine: dict[str, float]) -> None:
     value = dict.fromkeys(("b1", "b2", "k4", "p3", "p4"), 0.0) | P4P | affine
-    own = read_metashape(written(tmp_path / "c.xml", P4P | affine)).reconstruction.cameras[0]
+    own = of_block(read_metashape(written(tmp_path / "c.xml", P4P | affine)).block).cameras[0]
     x, y = np.random.default_rng(3).uniform([-0.74, -0.49], [0.74, 0.49], (300, 2)).T
     # The maker's equations (user manual, appendix), y down; u, v from the corner of the image.
     r2 = x * x + y * y
@@ -60,7 +61,7 @@ def test_published_camera_gives_the_same_distortion(tmp_path: Path, affine: dict
 
 
 def test_camera_to_chunk_matrix(tmp_path: Path) -> None:
-    found = read_metashape(written(tmp_path / "c.xml", P4P)).reconstruction
+    found = of_block(read_metashape(written(tmp_path / "c.xml", P4P)).block)
     assert found.image_names == ("DJI_0001.JPG",)
     # Looks straight down with the top of the image to the north: all angles zero.
     np.testing.assert_allclose(found.poses, [[0, 0, 0, 10, 20, 30]], atol=1e-12)
@@ -78,12 +79,12 @@ def test_chunk_transform_and_markers(tmp_path: Path) -> None:
     )
     chunk = read_metashape(written(tmp_path / "c.xml", P4P, more))
     assert chunk.crs.startswith("PROJCS")
-    given = chunk.reconstruction
+    given, points = of_block(chunk.block), chunk.block.points
     # (10, 20, 30) turned by 90 degrees about Z, doubled, moved.
     np.testing.assert_allclose(given.poses[0, 3:], [100 - 40, 200 + 20, 360])
     np.testing.assert_allclose(np.degrees(given.poses[0, :3]), [0, 0, 90], atol=1e-9)
-    assert chunk.markers[0].sigma == (0.01, 0.01, 0.02)
-    assert np.isnan(chunk.markers[1].xyz).all()
+    assert points.sigma[0].tolist() == [0.01, 0.01, 0.02]
+    assert np.isnan(points.values[1]).all()
     assert given.pixels.tolist() == [[10, 20]]
 
 
@@ -92,7 +93,7 @@ def test_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
     extra = {"K4": 1e-32, "P3": 1e-9, "P4": 1e-16, "B2": 1e-4}
     skewed = replace(vision, cameras=tuple(own.changed(**extra) for own in vision.cameras))
     assert all(made.largest_px == 0 for made in write_metashape(tmp_path / "c.xml", skewed))
-    again = read_metashape(tmp_path / "c.xml").reconstruction
+    again = of_block(read_metashape(tmp_path / "c.xml").block)
     np.testing.assert_allclose(again.poses, skewed.poses, rtol=1e-9, atol=1e-9)
     for own, other in zip(skewed.cameras, again.cameras, strict=True):
         np.testing.assert_allclose(other.values, own.values, rtol=1e-9, atol=0)
@@ -117,7 +118,7 @@ def test_photoscan_project(shared: Path, tmp_path: Path) -> None:
     folder = shared / "data" / "dbat-sxb"
     with zipfile.ZipFile(folder / "psprojects" / "sxb.psz") as project:
         (tmp_path / "doc.xml").write_bytes(project.read("doc.xml"))
-    given = read_metashape(tmp_path / "doc.xml").reconstruction
+    given = of_block(read_metashape(tmp_path / "doc.xml").block)
     own = given.cameras[0]
     assert own.value("c") == 20656.5
     # Principal point 4430, 6468 from the corner of 8858 x 12996 px.

@@ -11,7 +11,10 @@ import pytest
 
 from photocal.adjustment.adjust import adjust
 from photocal.base.errors import InputMalformedError
+from photocal.block.model import ROLES
 from photocal.block.network import assemble
+from photocal.exchange.foreign_project import read_foreign_project
+from photocal.exchange.formats import named
 from photocal.exchange.micmac import (
     read_calibration,
     read_ground_points,
@@ -19,6 +22,7 @@ from photocal.exchange.micmac import (
     read_micmac,
     read_orientation,
 )
+from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import matrix_from_angles
@@ -82,3 +86,14 @@ def test_wrong_convention(folder: Path, tmp_path: Path) -> None:
         path.write_text(text.replace(old, new))
         with pytest.raises(InputMalformedError, match=message):
             read_calibration(path)
+
+
+def test_check_points_of_an_export_stay_check_points(tmp_path: Path, vision: Reconstruction) -> None:
+    plain = replace(vision, cameras=tuple(replace(own, id=f"c{k}") for k, own in enumerate(vision.cameras)))
+    named("micmac").write(tmp_path, plain, Choices())
+    points = read_foreign_project(tmp_path).block.points
+    role = dict(zip(points.names, (ROLES[k] for k in points.role), strict=True))
+    for name, own in zip(vision.point_names, vision.roles, strict=True):
+        if name in role:
+            assert role[name] == own
+    assert {"control", "check"} <= set(role.values())

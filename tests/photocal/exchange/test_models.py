@@ -11,7 +11,7 @@ import pytest
 from photocal.adjustment.adjust import adjust
 from photocal.base.errors import InputMalformedError
 from photocal.block.network import assemble
-from photocal.exchange.formats import export, named, read_foreign_block
+from photocal.exchange.formats import named, read_foreign_block
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import camera
 from tests.photocal.exchange.conftest import reconstruction_of
@@ -51,7 +51,7 @@ def exact() -> Reconstruction:
 def test_a_model_is_adjusted(
     tmp_path: Path, exact: Reconstruction, form: str, file: str, control: int
 ) -> None:
-    export(named(form), tmp_path, exact, Choices())
+    named(form).write(tmp_path, exact, Choices())
     if form == "jaicov":
         (tmp_path / "block.htm").write_text("S0 apriori: 0.005")
     block = read_foreign_block(tmp_path / file)
@@ -69,7 +69,7 @@ def test_a_model_is_adjusted(
 
 def test_metashape_markers_are_adjusted(tmp_path: Path, exact: Reconstruction) -> None:
     surveyed = replace(exact, roles=("control",) * len(exact.roles))
-    export(named("metashape"), tmp_path, surveyed, Choices())
+    named("metashape").write(tmp_path, surveyed, Choices())
     block = read_foreign_block(tmp_path / "cameras.xml")
     assert block.datum == "control"
     assert np.all(block.points.sigma == 1e-3)
@@ -77,12 +77,12 @@ def test_metashape_markers_are_adjusted(tmp_path: Path, exact: Reconstruction) -
 
 
 def test_what_cannot_be_adjusted(tmp_path: Path, exact: Reconstruction) -> None:
-    export(named("metashape"), tmp_path, exact, Choices())
+    named("metashape").write(tmp_path, exact, Choices())
     path = tmp_path / "cameras.xml"
     path.write_text(path.read_text().replace("LOCAL_CS[", "PROJCS[", 1))
     with pytest.raises(InputMalformedError, match="coordinate system"):
         read_foreign_block(path)
-    export(named("opensfm"), tmp_path, exact, Choices())
+    named("opensfm").write(tmp_path, exact, Choices())
     (tmp_path / "tracks.csv").unlink()
     with pytest.raises(InputMalformedError, match=r"put the tracks beside it as tracks\.csv"):
         read_foreign_block(tmp_path / "reconstruction.json")
@@ -95,7 +95,7 @@ def test_what_cannot_be_adjusted(tmp_path: Path, exact: Reconstruction) -> None:
             pixels=exact.pixels[:0],
             residuals_px=exact.pixels[:0],
         )
-        export(named(form), tmp_path / form, empty, Choices())
+        named(form).write(tmp_path / form, empty, Choices())
         with pytest.raises(InputMalformedError, match="no measurements of points"):
             read_foreign_block(tmp_path / form / ("cameras.txt" if form == "colmap" else "project.opf"))
 

@@ -1,37 +1,153 @@
-"""A new format is a module and one entry: it is exported, found again and read by that alone."""
+"""A new format is one file and one entry, also from another package: read, written, adjusted and adopted."""
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.exchange import formats
-from photocal.exchange.formats import read_any_block
+from photocal.exchange.foreign_project import read_foreign_project
 from photocal.exchange.reconstruction import Choices, Reconstruction
+from photocal.geometry.camera import camera
+from photocal.results.folder import read_result
+from tests.photocal.exchange import toy_format
+from tests.photocal.exchange.conftest import reconstruction_of
 
-TOY = formats.Format(
-    "toy", "Toy", formats.WHOLE, "own", formats.CENTRE, formats.PHOTO, "none", "px, m",
-    "tests.photocal.exchange.toy_format:export", "", "tests.photocal.exchange.toy_format:block", ("*.toy",),
-)  # fmt: skip
+ROOT = Path(__file__).resolve().parents[3]
 
 
-def test_one_entry_is_enough(vision: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(formats, "FORMATS", (*formats.FORMATS, TOY))
-    assert "toy" in formats.exported()
-    assert "| `toy` | Toy |" in formats.page()
-    formats.export(formats.named("toy"), tmp_path, vision, Choices())
-    block = read_any_block(tmp_path / "block.toy")
-    assert block.images.names == vision.image_names
-    np.testing.assert_array_equal(block.observations.values, vision.pixels)
+@pytest.fixture
+def given() -> Reconstruction:
+    """What a toy holds: a camera without distortion; points of two rays and more, every third is control."""
+    own = reconstruction_of((camera("1", "brown-ideal", "px", (4608, 3456), (1.0, 1.0), {"c": 3600.0}),))
+    seen = np.flatnonzero(np.bincount(own.point, minlength=len(own.xyz)) > 1)
+    keep = np.isin(own.point, seen)
+    return replace(
+        own,
+        point_names=tuple(own.point_names[j] for j in seen),
+        xyz=own.xyz[seen],
+        xyz_sigma=own.xyz_sigma[seen],
+        roles=tuple("tie" if k % 3 else "control" for k in range(len(seen))),
+        image=own.image[keep],
+        point=np.searchsorted(seen, own.point[keep]),
+        pixels=own.pixels[keep],
+        residuals_px=own.residuals_px[keep],
+    )
+
+
+def package(folder: Path, entry: str = "toyformat:TOY", module: str | None = None) -> Path:
+    """Install a package: a module and its entry point, as pip lays them down."""
+    folder.mkdir()
+    if module is None:
+        shutil.copy(toy_format.__file__, folder / "toyformat.py")
+    else:
+        (folder / "toyformat.py").write_text(module)
+    info = folder / "toyformat-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toyformat\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{formats.GROUP}]\ntoy = {entry}\n")
+    return folder
+
+
+@pytest.fixture
+def forgotten(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Entry points are looked for anew, before and after."""
+    formats.added.cache_clear()
+    yield
+    monkeypatch.undo()
+    sys.modules.pop("toyformat", None)
+    formats.added.cache_clear()
+
+
+def photocal(installed: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join([str(installed), str(ROOT), *os.environ.get("PYTHONPATH", "").split(os.pathsep)])
+    return subprocess.run(
+        [sys.executable, "-c", "from photocal.cli import main; main()", *map(str, words)],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_another_package_adds_a_format(tmp_path: Path, given: Reconstruction) -> None:
+    """`photocal adjust` reads its file, `photocal export` writes it: nothing of ours knows of it."""
+    toy_format.write(tmp_path / "field.toy", given, Choices())
+    # Without the package nothing takes the file.
+    alone = photocal(tmp_path / "none", "adjust", tmp_path / "field.toy", "-o", tmp_path / "run")
+    assert alone.returncode != 0
+    assert "holds no block that is known" in alone.stderr
+    installed = package(tmp_path / "installed")
+    made = photocal(installed, "adjust", tmp_path / "field.toy", "-o", tmp_path / "run", "--json")
+    assert made.returncode == 0, made.stderr
+    answer = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert answer["converged"]
+    out = tmp_path / "out"
+    written = photocal(installed, "export", tmp_path / "run", "--format", "toy", "-o", out, "--json")
+    assert written.returncode == 0, written.stderr
+    assert json.loads(written.stdout)["files"] == ["block.toy"]
+    again = toy_format.read(out / "block.toy").block
+    assert again.images.names == given.image_names
+    assert set(again.points.names) == set(given.point_names)
+    adjusted = read_result(tmp_path / "run").images
+    np.testing.assert_array_equal(again.images.values, adjusted.values)
+    # The noise is 0.4 px where the format states 1 px.
+    assert np.abs((adjusted.values - given.poses) / adjusted.sigma).max() < 3
+    refused = photocal(installed, "export", tmp_path / "run", "--format", "dwg", "-o", tmp_path / "dwg")
+    assert refused.stderr.rstrip().endswith("toy")
+
+
+@pytest.mark.usefixtures("forgotten")
+def test_its_folder_is_a_project_to_adopt(
+    tmp_path: Path, given: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "project" / "deep").mkdir(parents=True)
+    toy_format.write(tmp_path / "project" / "deep" / "field.toy", given, Choices())
+    with pytest.raises(InputNotFoundError, match="holds no project that is known"):
+        read_foreign_project(tmp_path / "project")
+    monkeypatch.syspath_prepend(package(tmp_path / "installed"))
+    formats.added.cache_clear()
+    foreign = read_foreign_project(tmp_path / "project")
+    assert foreign.program == "Toy"
+    assert foreign.block.images.names == given.image_names
+    assert np.isnan(foreign.position).all()
+    with pytest.raises(InputNotFoundError, match="Toy; Pix4D"):
+        read_foreign_project(tmp_path / "installed")
+
+
+@pytest.mark.usefixtures("forgotten")
+@pytest.mark.parametrize(
+    ("entry", "module", "message"),
+    [
+        ("toyformat:TOY", "import nothing_of_that_name", "cannot be used .ModuleNotFoundError"),
+        ("toyformat:TOY", "TOY = 7", "it is no Format"),
+        ("toyformat:NONE", "", "cannot be used .AttributeError"),
+    ],
+)
+def test_a_broken_package_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: str, module: str, message: str
+) -> None:
+    monkeypatch.syspath_prepend(package(tmp_path / "installed", entry, module))
+    formats.added.cache_clear()
+    with pytest.raises(ConfigurationError, match=message) as refusal:
+        formats.known()
+    assert "correct or uninstall that package" in str(refusal.value)
+    # What is ours works without a look at it.
+    assert formats.named("opf").module == "photocal.exchange.opf"
 
 
 def test_the_table_loads_no_format() -> None:
-    import subprocess
-    import sys
-
     code = (
         "import sys, photocal.exchange.formats; "
         "print([m for m in sys.modules if m.startswith('photocal.exchange.') or m == 'numpy'])"
@@ -42,6 +158,5 @@ def test_the_table_loads_no_format() -> None:
 
 def test_every_function_of_the_table_exists() -> None:
     for form in formats.FORMATS:
-        for name in (form.writes, form.reads, form.blocks, form.recognises):
-            module, function = (*name.split(":"), "")[:2]
-            assert not name or hasattr(import_module(f"photocal.exchange.{module}"), function), name
+        for name in filter(None, (form.writes, form.reads, form.detects)):
+            assert hasattr(import_module(form.module), name.split(":")[0]), name

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
-from photocal.exchange.opensfm import export as write_opensfm
 from photocal.exchange.opensfm import read_cameras, read_reconstruction
+from photocal.exchange.opensfm import write as write_opensfm
 from photocal.exchange.pinhole import to_vision
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
 
@@ -20,7 +20,7 @@ from photocal.geometry.distortion import projected
 def test_opensfm_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
     named = replace(vision, cameras=tuple(replace(own, id=f"v{k}") for k, own in enumerate(vision.cameras)))
     assert all(made.largest_px == 0 for made in write_opensfm(tmp_path, named))
-    again = read_reconstruction(tmp_path / "reconstruction.json")
+    again = of_block(read_reconstruction(tmp_path / "reconstruction.json"))
     np.testing.assert_allclose(again.poses, vision.poses, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(again.xyz, vision.xyz, rtol=1e-12)
     for own, other in zip(vision.cameras, read_cameras(tmp_path / "cameras.json"), strict=True):
@@ -39,7 +39,7 @@ def test_opensfm_normalised_coordinates(tmp_path: Path, vision: Reconstruction) 
 def test_opensfm_example(shared: Path) -> None:
     """Berlin: the published reconstruction reprojects into its published tracks."""
     folder = shared / "data" / "opensfm-berlin-gcp"
-    found = read_reconstruction(folder / "reconstruction_example.json")
+    found = of_block(read_reconstruction(folder / "reconstruction_example.json"))
     point = {name: k for k, name in enumerate(found.point_names)}
     image = {name: k for k, name in enumerate(found.image_names)}
     own = found.cameras[0]
@@ -77,4 +77,4 @@ def test_opensfm_example(shared: Path) -> None:
 def test_bad_reconstruction(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "r.json").write_text(text)
     with pytest.raises(InputMalformedError, match=message):
-        read_reconstruction(tmp_path / "r.json")
+        of_block(read_reconstruction(tmp_path / "r.json"))

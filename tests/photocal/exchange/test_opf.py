@@ -14,9 +14,9 @@ from pyopf.io import load  # type: ignore[import-untyped]
 from pyopf.resolve import resolve  # type: ignore[import-untyped]
 
 from photocal.base.errors import InputMalformedError, InputNotFoundError
-from photocal.exchange.opf import export as write_opf
-from photocal.exchange.opf import read_opf
-from photocal.exchange.reconstruction import Reconstruction
+from photocal.exchange.opf import read as read_opf
+from photocal.exchange.opf import write as write_opf
+from photocal.exchange.reconstruction import Reconstruction, of_block
 from tests.photocal.exchange.conftest import reconstruction_of, vision_camera
 
 
@@ -72,7 +72,7 @@ def test_its_own_library_reads_the_project(tmp_path: Path, plain: Reconstruction
 
 def test_round_trip(tmp_path: Path, plain: Reconstruction) -> None:
     write_opf(tmp_path, plain)
-    again = read_opf(tmp_path / "project.opf")
+    again = of_block(read_opf(tmp_path / "project.opf").block)
     assert (again.image_names, again.point_names, again.roles) == (
         plain.image_names,
         plain.point_names,

@@ -48,7 +48,8 @@ def test_matrices_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
 def test_inpho_round_trip(tmp_path: Path, photogrammetric: Reconstruction) -> None:
     path = tmp_path / "a.prj"
     (made,) = write_inpho(path, photogrammetric)
-    names, poses = read_inpho(path)
+    found = read_inpho(path).block.images
+    names, poses = found.names, found.values
     assert names == photogrammetric.image_names
     np.testing.assert_allclose(poses, photogrammetric.poses, rtol=1e-9)
     # The file has no distortion: what is lost is the distortion itself, largest in a corner.
@@ -70,7 +71,8 @@ def test_inpho_project_of_another_hand(tmp_path: Path) -> None:
         "  $EXT_ORI : 12:00:00 01/01/2026\n"
         "    124 380000 5680000 1000\n    0 1 0\n    -1 0 0\n    0 0 1\n$END\n"
     )
-    names, poses = read_inpho(path)
+    found = read_inpho(path).block.images
+    names, poses = found.names, found.values
     assert names == ("7",)
     np.testing.assert_allclose(np.degrees(poses[0, :3]), [0, 0, 90], atol=1e-12)
     assert poses[0, 3:].tolist() == [380000, 5680000, 1000]

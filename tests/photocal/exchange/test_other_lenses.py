@@ -10,12 +10,12 @@ import pytest
 
 from photocal.base.errors import InputMalformedError
 from photocal.exchange.colmap import read_colmap, write_colmap
-from photocal.exchange.formats import export, named
-from photocal.exchange.metashape import write_metashape
+from photocal.exchange.formats import named
+from photocal.exchange.metashape import write as write_metashape
 from photocal.exchange.opencv import read_opencv, write_opencv
-from photocal.exchange.opensfm import export as write_opensfm
 from photocal.exchange.opensfm import read_reconstruction
-from photocal.exchange.reconstruction import Choices, Reconstruction
+from photocal.exchange.opensfm import write as write_opensfm
+from photocal.exchange.reconstruction import Choices, Reconstruction, of_block
 from photocal.geometry.camera import Camera, Model, camera, plane_to_pixel
 from photocal.geometry.conversion import apart_px, converted, in_pixels
 from photocal.geometry.distortion import projected
@@ -39,7 +39,7 @@ def test_colmap_holds_them(tmp_path: Path, vision: Reconstruction, model: Model,
     own = lens(model)
     given = replace(vision, cameras=(own,) * len(vision.cameras))
     assert all(made.largest_px == 0 for made in write_colmap(tmp_path, given, binary=binary))
-    again = read_colmap(tmp_path).cameras[0]
+    again = of_block(read_colmap(tmp_path)).cameras[0]
     assert again.model == model
     assert again.values == pytest.approx(own.values, rel=1e-12, abs=1e-12)
     assert {"c", "x0", "y0", "K1", "K4"} <= set(again.free) <= set(again.lens.names)
@@ -48,7 +48,7 @@ def test_colmap_holds_them(tmp_path: Path, vision: Reconstruction, model: Model,
 def test_opensfm_holds_a_fisheye(tmp_path: Path, vision: Reconstruction) -> None:
     given = replace(vision, cameras=(lens("equidistant"),) * len(vision.cameras))
     assert all(made.largest_px == 0 for made in write_opensfm(tmp_path, given))
-    again = read_reconstruction(tmp_path / "reconstruction.json").cameras[0]
+    again = of_block(read_reconstruction(tmp_path / "reconstruction.json")).cameras[0]
     assert again.model == "equidistant"
     assert again.values == pytest.approx(lens("equidistant").values, rel=1e-9, abs=1e-9)
 
@@ -85,7 +85,7 @@ def test_who_has_no_fisheye_refuses(tmp_path: Path, vision: Reconstruction) -> N
         write_metashape(tmp_path / "out.xml", given)
     for name in ("pix4d", "micmac"):
         with pytest.raises(InputMalformedError, match="equidistant lens"):
-            export(named(name), tmp_path, given, Choices("gon"))
+            named(name).write(tmp_path, given, Choices("gon"))
     assert not list(tmp_path.iterdir())
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
-from photocal.exchange.photomodeler import read_photomodeler, write_photomodeler
+from photocal.exchange.photomodeler import read as read_photomodeler
+from photocal.exchange.photomodeler import write as write_photomodeler
 from photocal.exchange.reconstruction import Reconstruction
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
@@ -27,7 +28,7 @@ def test_round_trip_with_two_cameras(tmp_path: Path) -> None:
     given = two_cameras()
     path = tmp_path / "export.txt"
     assert [made.largest_px for made in write_photomodeler(path, given)] == [0, 0]
-    block = read_photomodeler(path)
+    block = read_photomodeler(path).block
     assert block.images.names == given.image_names
     np.testing.assert_allclose(block.images.values, given.poses, rtol=1e-12, atol=1e-12)
     assert np.array_equal(block.images.camera, given.image_camera)
@@ -44,7 +45,7 @@ def test_affinity_goes_into_the_width_of_a_pixel(tmp_path: Path) -> None:
     own = replace(observed_camera(), affinity="before").changed(B1=2e-4, B2=0.0)
     given = reconstruction_of((own,))
     write_photomodeler(tmp_path / "e.txt", given)
-    block = read_photomodeler(tmp_path / "e.txt")
+    block = read_photomodeler(tmp_path / "e.txt").block
     again = block.cameras[0]
     assert again.pitch[0] / again.pitch[1] == pytest.approx(1.0002, rel=1e-12)
     assert again.value("B1") == 0

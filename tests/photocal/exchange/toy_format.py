@@ -1,38 +1,51 @@
-"""A format that nobody uses: a line for each image, and points with their rays."""
+"""A format that nobody uses, as another package would have it: one file, with its entry."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
+from photocal.exchange.formats import CENTRE, PHOTO, WHOLE, Format
 
-from photocal.block.model import Block
-from photocal.exchange.reconstruction import Choices, Reconstruction, vision_block
-from photocal.geometry.conversion import Conversion
+if TYPE_CHECKING:
+    from photocal.exchange.foreign_project import ForeignProject
+    from photocal.exchange.reconstruction import Choices, Reconstruction
+    from photocal.geometry.conversion import Conversion
+
+TOY = Format(
+    "toy", __name__, "Toy", WHOLE, "cartesian", CENTRE, PHOTO, "none", "px, m", "read", "write:block.toy",
+    ("*.toy",),
+)  # fmt: skip
 
 
-def export(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
-    """Write names and numbers as they are."""
+def write(path: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, ...]:
+    """Write names and numbers as they are, and of the only camera its principal distance, px."""
+    (camera,) = given.cameras
     content = {
-        "images": given.image_names, "poses": given.poses.tolist(), "points": given.point_names,
-        "xyz": given.xyz.tolist(), "image": given.image.tolist(), "point": given.point.tolist(),
-        "pixels": given.pixels.tolist(),
+        "c": camera.value("c") / camera.pitch[0], "size": camera.size_px,
+        "images": given.image_names, "poses": given.poses.tolist(),
+        "points": given.point_names, "xyz": given.xyz.tolist(), "roles": given.roles,
+        "image": given.image.tolist(), "point": given.point.tolist(), "pixels": given.pixels.tolist(),
     }  # fmt: skip
-    (folder / "block.toy").write_text(json.dumps(content), encoding="utf-8")
+    path.write_text(json.dumps(content), encoding="utf-8")
     return ()
 
 
-def block(path: Path) -> Block:
-    """Read it with a camera of its own."""
+def read(path: Path) -> ForeignProject:
+    """Read it; control is known to a centimetre."""
+    import numpy as np
+
+    from photocal.block.model import ROLES, Images, ObjectPoints
+    from photocal.exchange.foreign_project import ForeignProject
+    from photocal.exchange.parts import block, pixels
     from photocal.geometry.camera import camera
 
     content = json.loads(path.read_text(encoding="utf-8"))
-    lens = camera("toy", "brown-ideal", "px", (100, 100), (1.0, 1.0), {"c": 100.0})
-    names = tuple(content["images"])
-    given = Reconstruction(
-        (lens,), names, np.zeros(len(names), dtype=np.int64), np.array(content["poses"]),
-        tuple(content["points"]), np.array(content["xyz"]), np.array(content["image"]),
-        np.array(content["point"]), np.array(content["pixels"]),
-    )  # fmt: skip
-    return vision_block("toy", given, [path])
+    lens = camera("toy", "brown-ideal", "px", tuple(content["size"]), (1.0, 1.0), {"c": content["c"]})
+    names, xyz = tuple(content["images"]), np.array(content["xyz"])
+    role = np.array([ROLES.index(word) for word in content["roles"]])
+    points = ObjectPoints(tuple(content["points"]), xyz, np.full(xyz.shape, 0.01), role)
+    images = Images(names, np.zeros(len(names), dtype=np.int64), np.array(content["poses"]))
+    seen = pixels(*(np.array(content[key]) for key in ("image", "point", "pixels")))
+    return ForeignProject("Toy", block("toy", (lens,), images, points, seen, [path]))

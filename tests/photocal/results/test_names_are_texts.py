@@ -15,8 +15,8 @@ import pytest
 import photocal
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
-from photocal.exchange.formats import FORMATS, export, read_foreign_block
-from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, of_result
+from photocal.exchange.formats import FORMATS, read_foreign_block
+from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, of_block, of_result
 from photocal.measurement.block_files import write_block
 from photocal.navigation.image_checks import oriented_images
 from photocal.results.folder import read_result, write_result
@@ -133,19 +133,19 @@ def test_exports_keep_them(form: object, result: Result, tmp_path: Path) -> None
         # What has numbers for names refuses others, or keeps them apart: never turns one into another.
         _refused_or_apart(form, given, tmp_path)
         return
-    export(form, tmp_path, given, CHOICES)
+    form.write(tmp_path, given, CHOICES)
     if not form.reads:
         files = [path for path in tmp_path.rglob("*") if path.is_file()]
         text = "".join(path.name + path.read_bytes().decode("latin-1") for path in files)
         wanted = ("007",) if form.holds == ("cameras",) else NAMES
         assert all(name in text for name in wanted)
         return
-    again = form.read(tmp_path)
+    again = of_block(form.read(tmp_path).block)
     if "orientations" in form.holds:
         assert again.image_names == NAMES
     if "points" in form.holds:
         assert set(again.point_names) == set(NAMES)
-    taken = [path for path in sorted(tmp_path.rglob("*")) if form.takes(path)]
+    taken = [path for path in sorted(tmp_path.rglob("*")) if form.detect(path)]
     if len(taken) == 1:
         assert set(read_foreign_block(taken[0]).points.names) == set(NAMES)
 
@@ -153,8 +153,8 @@ def test_exports_keep_them(form: object, result: Result, tmp_path: Path) -> None
 def _refused_or_apart(form: object, given: Reconstruction, folder: Path) -> None:
     assert isinstance(form, type(FORMATS[0]))
     try:
-        export(form, folder, given, CHOICES)
-        again = form.read(folder)
+        form.write(folder, given, CHOICES)
+        again = of_block(form.read(folder).block)
     except PhotocalError:
         return
     assert len(set(again.point_names)) == len(NAMES)

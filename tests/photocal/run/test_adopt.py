@@ -14,10 +14,9 @@ import pytest
 
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import ROLES
-from photocal.exchange.formats import export, named
+from photocal.exchange.foreign_project import read_foreign_project
+from photocal.exchange.formats import named
 from photocal.exchange.pinhole import to_pinhole, to_vision
-from photocal.exchange.pix4d_project import read_pix4d_project
-from photocal.exchange.project_detection import read_foreign_project
 from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, Model, camera
 from photocal.measurement.block_files import write_block
@@ -105,7 +104,7 @@ def test_the_same_camera(
     tmp_path: Path, request: pytest.FixtureRequest, form: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = request.getfixturevalue("observed" if form in ("photomodeler", "dbat") else "adjusted")
-    export(named(form), tmp_path, given, Choices())
+    named(form).write(tmp_path, given, Choices())
     figures = adopted(tmp_path, monkeypatch)
     assert largest(figures) < 0.1
     assert "theirs" in adoption_text(figures)
@@ -260,7 +259,7 @@ def test_a_table_of_errors_without_its_head_is_refused(
     errors = next(tmp_path.glob("*_error.txt"))
     errors.write_text(errors.read_text().replace(old, new, 1))
     with pytest.raises(InputMalformedError, match=message):
-        read_pix4d_project(tmp_path)
+        read_foreign_project(tmp_path)
 
 
 def test_surveyed_points_without_names_are_told(tmp_path: Path, adjusted: Reconstruction) -> None:
@@ -281,7 +280,7 @@ def test_a_damaged_pix4d_project_is_refused(tmp_path: Path, adjusted: Reconstruc
     assert bottom in text
     cameras.write_text(text.rsplit(" ", 1)[0] if cut else text.replace(bottom, bottom.replace(" 0", " x", 1)))
     with pytest.raises(InputMalformedError):
-        read_pix4d_project(tmp_path)
+        read_foreign_project(tmp_path)
 
 
 def test_a_pix4d_project_without_positions_is_the_same_camera(
@@ -309,7 +308,7 @@ def test_models_with_a_list_of_control(
         pixels=adjusted.pixels[rays],
         residuals_px=adjusted.residuals_px[rays],
     )
-    export(named(form), tmp_path, bare, Choices())
+    named(form).write(tmp_path, bare, Choices())
     rows = [
         " ".join([*(repr(float(v)) for v in adjusted.xyz[j] + OFFSET), repr(float(x)), repr(float(y))])
         + f" {adjusted.image_names[i]} P{adjusted.point_names[j]}"

@@ -1,0 +1,117 @@
+"""A project of another program, as it was read: what every reader of a format gives."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from photocal.base.arrays import Floats
+from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.block.model import ROLES, Block
+from photocal.block.network import observed_pixels
+from photocal.exchange.formats import known, read_foreign_file
+from photocal.geometry.camera import Camera, among
+
+# Sigmas of control points that nobody has given, X, Y, Z, m.
+ASSUMED_M = (0.02, 0.02, 0.03)
+# Affinities below are what a quotient of equal focal lengths leaves.
+_NOTHING = 1e-9
+
+
+@dataclass(frozen=True)
+class ForeignProject:
+    """What was read; what a program does not say is NaN.
+
+    block: cameras and orientations are the program's results, control is as surveyed.
+    position (images, 3): observed by GNSS, in the block's frame.
+    position_sigma (images, 3): as typed or stated.
+    pose_sigma (images, 6): that the program promises (rad, m).
+    adjusted: coordinates of control and check points as the program adjusted them.
+    cameras: as the program adjusted them, where the block has its start values; else empty.
+    camera_sigma: that the program promises, by camera and parameter.
+    weighted: whether the program states sigmas of image coordinates.
+    """
+
+    program: str
+    block: Block
+    position: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    position_sigma: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    pose_sigma: Floats = field(default_factory=lambda: np.empty((0, 6)))
+    adjusted: dict[str, Floats] = field(default_factory=dict)
+    cameras: tuple[Camera, ...] = ()
+    camera_sigma: dict[str, dict[str, float]] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    weighted: bool = False
+
+    def __post_init__(self) -> None:
+        """Fill what is not known."""
+        count = len(self.block.images.names)
+        for name, columns in (("position", 3), ("position_sigma", 3), ("pose_sigma", 6)):
+            if len(getattr(self, name)) != count:
+                object.__setattr__(self, name, np.full((count, columns), np.nan))
+
+
+def read_foreign_project(path: Path) -> ForeignProject:
+    """Read a project, its observations in px: a folder, or one of the files that `photocal adjust` takes.
+
+    raises InputNotFoundError: when nothing in it is known.
+    raises PhotocalError: for what cannot be read.
+    """
+    given = _of_folder(path) if path.is_dir() else read_foreign_file(path)
+    if not len(given.block.observations.image):
+        raise InputMalformedError("has no measurements of points", "export them too", where=path)
+    block = in_pixels(given.block)
+    # Positions are a datum, too.
+    placed = np.isfinite(given.position).any()
+    return replace(given, block=replace(block, datum="control") if placed else block)
+
+
+def _of_folder(folder: Path) -> ForeignProject:
+    refusal: PhotocalError | None = None
+    forms = [form for form in known() if form.reads and "marks" in form.holds]
+    for form in forms:
+        for file in form.found(folder):
+            try:
+                if form.fits(file):
+                    return form.read(file)
+            except PhotocalError as failure:
+                refusal = refusal or failure
+    if refusal is not None:
+        raise refusal
+    raise InputNotFoundError(
+        "holds no project that is known",
+        f"name the folder of a project of another program ({'; '.join(form.title for form in forms)})",
+        where=folder,
+    )
+
+
+def in_pixels(block: Block) -> Block:
+    """Give a block's observations in px of the stored grid, with their sigmas."""
+    seen = block.observations
+    if (seen.unit, seen.axes) == ("px", "pixel"):
+        return block
+    pitch = np.array([camera.pitch for camera in block.cameras])[block.images.camera[seen.image]]
+    sigma = seen.sigma / pitch if seen.unit == "mm" else seen.sigma
+    seen = replace(seen, unit="px", axes="pixel", values=observed_pixels(block), sigma=sigma)
+    return replace(block, observations=seen)
+
+
+def free_nonzero_parameters(block: Block, *, weighted: bool) -> Block:
+    """Estimate what the program's camera has that is not zero; with set-ups what they say is estimated."""
+    rest = np.where(among("B1", "B2"), _NOTHING, 0.0)
+    cameras = tuple(
+        camera
+        if weighted and camera.estimated.any()
+        else replace(camera, estimated=np.abs(camera.values) > rest)
+        for camera in block.cameras
+    )
+    return replace(block, cameras=cameras)
+
+
+def without_weak_points(block: Block) -> tuple[Block, int]:
+    """Leave out tie and check points with one ray; control may have one."""
+    rays = np.bincount(block.observations.point, minlength=len(block.points.names))
+    keep = (rays >= 2) | ((block.points.role == ROLES.index("control")) & (rays >= 1))
+    seen = block.observations.rows(keep[block.observations.point])
+    seen = replace(seen, point=(np.cumsum(keep) - 1)[seen.point])
+    return replace(block, points=block.points.only(keep), observations=seen), int((~keep).sum())
