@@ -1,15 +1,12 @@
 """A project of another program, as it was read: what every reader of a format gives."""
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 from photocal.block.model import ROLES, Block
 from photocal.block.network import observed_pixels
-from photocal.exchange.formats import known, read_foreign_file
 from photocal.geometry.camera import Camera, among
 
 # Sigmas of control points that nobody has given, X, Y, Z, m.
@@ -49,40 +46,6 @@ class ForeignProject:
         for name, columns in (("position", 3), ("position_sigma", 3), ("pose_sigma", 6)):
             if len(getattr(self, name)) != count:
                 object.__setattr__(self, name, np.full((count, columns), np.nan))
-
-
-def read_foreign_project(path: Path) -> ForeignProject:
-    """Read a project, its observations in px: a folder, or one of the files that `photocal adjust` takes.
-
-    raises InputNotFoundError: when nothing in it is known.
-    raises PhotocalError: for what cannot be read.
-    """
-    given = _of_folder(path) if path.is_dir() else read_foreign_file(path)
-    if not len(given.block.observations.image):
-        raise InputMalformedError("has no measurements of points", "export them too", where=path)
-    block = in_pixels(given.block)
-    # Positions are a datum, too.
-    placed = np.isfinite(given.position).any()
-    return replace(given, block=replace(block, datum="control") if placed else block)
-
-
-def _of_folder(folder: Path) -> ForeignProject:
-    refusal: PhotocalError | None = None
-    forms = [form for form in known() if form.reads and "marks" in form.holds]
-    for form in forms:
-        for file in form.found(folder):
-            try:
-                if form.fits(file):
-                    return form.read(file)
-            except PhotocalError as failure:
-                refusal = refusal or failure
-    if refusal is not None:
-        raise refusal
-    raise InputNotFoundError(
-        "holds no project that is known",
-        f"name the folder of a project of another program ({'; '.join(form.title for form in forms)})",
-        where=folder,
-    )
 
 
 def in_pixels(block: Block) -> Block:

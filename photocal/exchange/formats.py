@@ -52,7 +52,12 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.errors import (
+    ConfigurationError,
+    InputMalformedError,
+    InputNotFoundError,
+    PhotocalError,
+)
 
 if TYPE_CHECKING:
     from photocal.block.model import Block
@@ -278,6 +283,43 @@ def read_foreign_file(path: Path) -> ForeignProject:
             where=path,
         )
     return form.read(path)
+
+
+def read_foreign_project(path: Path) -> ForeignProject:
+    """Read a project, its observations in px: a folder, or one of the files that `photocal adjust` takes.
+
+    raises InputNotFoundError: when nothing in it is known.
+    raises PhotocalError: for what cannot be read.
+    """
+    from numpy import isnan
+
+    from photocal.exchange.foreign_project import in_pixels
+
+    given = _of_folder(path) if path.is_dir() else read_foreign_file(path)
+    if not len(given.block.observations.image):
+        raise InputMalformedError("has no measurements of points", "export them too", where=path)
+    # Positions are a datum, too.
+    datum = given.block.datum if isnan(given.position).all() else "control"
+    return replace(given, block=replace(in_pixels(given.block), datum=datum))
+
+
+def _of_folder(folder: Path) -> ForeignProject:
+    refusal: PhotocalError | None = None
+    forms = [form for form in known() if form.reads and "marks" in form.holds]
+    for form in forms:
+        for file in form.found(folder):
+            try:
+                if form.fits(file):
+                    return form.read(file)
+            except PhotocalError as failure:
+                refusal = refusal or failure
+    if refusal is not None:
+        raise refusal
+    raise InputNotFoundError(
+        "holds no project that is known",
+        f"name the folder of a project of another program ({'; '.join(form.title for form in forms)})",
+        where=folder,
+    )
 
 
 _SPACES = {

@@ -29,9 +29,9 @@ from photocal.block.setup import MountingKeys
 from photocal.exchange.foreign_project import (
     ForeignProject,
     free_nonzero_parameters,
-    read_foreign_project,
     without_weak_points,
 )
+from photocal.exchange.formats import read_foreign_project
 from photocal.geometry.camera import Camera, among
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import aligned_similarity, robust_similarity

@@ -41,8 +41,7 @@ from photocal.base.errors import PhotocalError
 from photocal.block.folder import read_block
 from photocal.cli import app
 from photocal.exchange.colmap import read_colmap
-from photocal.exchange.foreign_project import read_foreign_project
-from photocal.exchange.formats import FORMATS, read_foreign_block
+from photocal.exchange.formats import FORMATS, read_foreign_block, read_foreign_project
 from photocal.exchange.ground_points import read_gcp_list, read_geo
 from photocal.exchange.metashape import read_metashape
 from photocal.exchange.opensfm import read_reconstruction

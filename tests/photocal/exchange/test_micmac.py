@@ -13,8 +13,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import ROLES
 from photocal.block.network import assemble
-from photocal.exchange.foreign_project import read_foreign_project
-from photocal.exchange.formats import named
+from photocal.exchange.formats import named, read_foreign_project
 from photocal.exchange.micmac import (
     read_calibration,
     read_ground_points,

@@ -17,7 +17,7 @@ import pytest
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.exchange import formats
-from photocal.exchange.foreign_project import read_foreign_project
+from photocal.exchange.formats import read_foreign_project
 from photocal.exchange.reconstruction import Choices, Reconstruction
 from photocal.geometry.camera import camera
 from photocal.results.folder import read_result

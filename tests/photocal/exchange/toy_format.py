@@ -47,5 +47,6 @@ def read(path: Path) -> ForeignProject:
     role = np.array([ROLES.index(word) for word in content["roles"]])
     points = ObjectPoints(tuple(content["points"]), xyz, np.full(xyz.shape, 0.01), role)
     images = Images(names, np.zeros(len(names), dtype=np.int64), np.array(content["poses"]))
-    seen = pixels(*(np.array(content[key]) for key in ("image", "point", "pixels")))
+    image, point, values = (np.array(content[key]) for key in ("image", "point", "pixels"))
+    seen = pixels(image, point, values)
     return ForeignProject("Toy", block("toy", (lens,), images, points, seen, [path]))

@@ -14,8 +14,7 @@ import pytest
 
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import ROLES
-from photocal.exchange.foreign_project import read_foreign_project
-from photocal.exchange.formats import named
+from photocal.exchange.formats import named, read_foreign_project
 from photocal.exchange.pinhole import to_pinhole, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, Model, camera
