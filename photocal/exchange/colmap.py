@@ -353,7 +353,7 @@ def write_text_model(
 
 def read(path: Path) -> ForeignProject:
     """Read a model by one of its files."""
-    return ForeignProject("COLMAP", read_colmap(path.parent))
+    return ForeignProject("COLMAP", read_colmap(path.parent), normalised=True)
 
 
 def read_colmap(folder: Path) -> Block:

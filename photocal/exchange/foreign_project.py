@@ -27,6 +27,7 @@ class ForeignProject:
     cameras: as the program adjusted them, where the block has its start values; else empty.
     camera_sigma: that the program promises, by camera and parameter.
     weighted: whether the program states sigmas of image coordinates.
+    normalised: whether its distortion is one of coordinates divided by the principal distance.
     """
 
     program: str
@@ -39,6 +40,7 @@ class ForeignProject:
     camera_sigma: dict[str, dict[str, float]] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     weighted: bool = False
+    normalised: bool = False
 
     def __post_init__(self) -> None:
         """Fill what is not known."""

@@ -268,7 +268,7 @@ def project(program: str, given: Block, chunk: Chunk, **more: Any) -> ForeignPro
     """A project with the positions of a chunk; those whose accuracy is not said weigh nothing."""
     stated = (chunk.position_sigma > 0).all(axis=1, keepdims=True)
     position, sigma = (np.where(stated, values, np.nan) for values in (chunk.position, chunk.position_sigma))
-    return ForeignProject(program, given, position, sigma, **more)
+    return ForeignProject(program, given, position, sigma, normalised=True, **more)
 
 
 def _camera_sigmas(path: Path, given: Block) -> dict[str, dict[str, float]]:

@@ -45,7 +45,7 @@ def read(path: Path) -> ForeignProject:
         raise InputMalformedError(
             "has no measurements", f"put the tracks beside it as {tracks.name}", where=path
         )
-    return ForeignProject("OpenSfM", given)
+    return ForeignProject("OpenSfM", given, normalised=True)
 
 
 def read_reconstruction(path: Path) -> Block:

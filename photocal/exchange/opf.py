@@ -86,7 +86,8 @@ class _Resources:
 
 def read(path: Path) -> ForeignProject:
     """Read a calibrated project."""
-    return ForeignProject("OPF", structured(path, "an OPF project", lambda: _read(path)))
+    given = structured(path, "an OPF project", lambda: _read(path))
+    return ForeignProject("OPF", given, normalised=True)
 
 
 def _read(path: Path) -> Block:

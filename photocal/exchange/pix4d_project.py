@@ -143,7 +143,7 @@ def read(path: Path) -> ForeignProject:
         )
         position, sigma = np.full_like(position, np.nan), np.full_like(sigma, np.nan)
     return ForeignProject(
-        "Pix4D", given, position, sigma, pose_sigma, ground.adjusted, remarks=tuple(remarks)
+        "Pix4D", given, position, sigma, pose_sigma, ground.adjusted, remarks=tuple(remarks), normalised=True
     )
 
 

@@ -1,5 +1,6 @@
 """What the project of another program says of itself, and what is found anew, side by side."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from photocal.adjustment.rig import OF_HEAD
 from photocal.base.arrays import Flags, Floats
 from photocal.exchange.foreign_project import ForeignProject
-from photocal.geometry.camera import PARAMETERS
+from photocal.geometry.camera import MODELS, PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.results.result import Result
 
@@ -23,6 +24,7 @@ def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
     for camera in stated.values():
         ours, promised = result.cameras[camera.id], foreign.camera_sigma.get(camera.id, {})
         figures[camera.id] = {"unit": camera.unit, "model": camera.model, "parameters": {}}
+        figures[camera.id]["normalised"] = foreign.normalised
         for name in PARAMETERS:
             if name not in ours.free and not camera.value(name):
                 continue
@@ -186,6 +188,30 @@ def exterior_figures(foreign: ForeignProject, result: Result) -> dict[str, Any] 
     }
 
 
+def _parameter(camera: dict[str, Any], name: str, figures: dict[str, Any]) -> str:
+    """A line of a camera, its distortion as the program has it."""
+    power = -MODELS[camera["model"]].power(name) if camera["normalised"] else 0
+    distances = camera["parameters"].get("c", {"theirs": 1.0, "ours": 1.0})
+    theirs_by, by = (distances[whose] ** max(power, 0) for whose in ("theirs", "ours"))
+    promised = figures["their_sigma"] and figures["their_sigma"] * theirs_by
+    sigma = figures["sigma"] and figures["sigma"] * by
+    theirs = rounded(figures["theirs"] * theirs_by, promised or sigma)
+    theirs += f" +- {promised:.2g}" if promised else ""
+    ours = rounded(figures["ours"] * by, sigma) + (f" +- {sigma:.2g}" if sigma else " held")
+    away = f"{figures['difference_in_sigmas']:+.2f} sd" if sigma else ""
+    return f"  {name:<4}{theirs:>28}{ours:>28}{away:>14}"
+
+
+def rounded(value: float, sigma: float | None) -> str:
+    """Write a number to the second digit of its standard deviation; one that is nothing beside it is 0."""
+    if not sigma:
+        return f"{value:.6g}"
+    last = math.floor(math.log10(sigma)) - 1
+    if abs(value) < 0.5 * 10.0**last:
+        return "0"
+    return f"{value:.{max(math.floor(math.log10(abs(value))) - last + 1, 1)}g}"
+
+
 def adoption_text(figures: dict[str, Any]) -> str:
     """Write it for people, side by side."""
     size = f"{figures['images']} images, {figures['points']} points, {figures['observations']} observations"
@@ -194,17 +220,9 @@ def adoption_text(figures: dict[str, Any]) -> str:
         *(f"note: {remark}" for remark in figures["remarks"]),
     ]
     for name, camera in figures["cameras"].items():
-        lines.append(
-            f"camera {name} ({camera['unit']})          theirs            ours +- sigma     difference"
-        )
-        for key, parameter in camera["parameters"].items():
-            sigma = parameter["sigma"]
-            theirs = f"{parameter['theirs']:.8g}" + (
-                f" +- {parameter['their_sigma']:.2g}" if parameter["their_sigma"] else ""
-            )
-            ours = f"{parameter['ours']:.8g}" + (f" +- {sigma:.2g}" if sigma else " held")
-            away = "" if sigma is None else f"{parameter['difference_in_sigmas']:+.2f} sd"
-            lines.append(f"  {key:<4}{theirs:>28}{ours:>28}{away:>14}")
+        unit = camera["unit"] + ("; distortion of coordinates divided by c" if camera["normalised"] else "")
+        lines.append(f"camera {name} ({unit})          theirs            ours +- sigma     difference")
+        lines += [_parameter(camera, key, parameter) for key, parameter in camera["parameters"].items()]
     for head in figures["heads"]:
         turns, places = (
             ", ".join(

@@ -22,7 +22,7 @@ from photocal.measurement.block_files import write_block
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from photocal.run import adopt as module
-from photocal.run.adoption_figures import adoption_text
+from photocal.run.adoption_figures import adoption_text, rounded
 from tests.photocal.exchange.conftest import reconstruction_of
 
 ESTIMATED = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
@@ -187,6 +187,33 @@ def test_a_pix4d_project(tmp_path: Path, adjusted: Reconstruction, monkeypatch: 
     assert shift["common_shift_m"]["z"] == pytest.approx(SHIFT_M, abs=4 * shift["sigma_m"]["z"])
     assert "not of one datum" in adoption_text(figures)
     assert largest(figures) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (3650.25431, 0.0384, "3650.254"),
+        (-9.41e-33, 2e-9, "0"),
+        (-0.0175091796, 0.00031, "-0.01751"),
+        (12345.678, 230.0, "1.235e+04"),
+        (0.25, None, "0.25"),
+    ],
+)
+def test_parameters_are_rounded_by_their_sigma(value: float, sigma: float | None, text: str) -> None:
+    assert rounded(value, sigma) == text
+
+
+def test_parameters_are_in_the_units_of_the_program(
+    tmp_path: Path, adjusted: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pix4D's radial coefficients are of coordinates divided by the focal length."""
+    pix4d(tmp_path, adjusted)
+    next(tmp_path.glob("*_error.txt")).unlink()
+    text = adoption_text(adopted(tmp_path, monkeypatch))
+    pinhole, _ = to_pinhole(adjusted.cameras[0], "Pix4D")
+    shown = {line.split()[0]: line.split()[1] for line in text.splitlines() if line.startswith("  ")}
+    assert float(shown["K1"]) == pytest.approx(pinhole.k1, rel=0.01)
+    assert float(shown["c"]) == pytest.approx(pinhole.fy, rel=1e-5)
 
 
 def test_manual_tie_points_are_no_control(tmp_path: Path, adjusted: Reconstruction) -> None:
