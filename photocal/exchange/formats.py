@@ -121,17 +121,33 @@ class Format:
         """Read a project from one of its files, or from the folder that has it."""
         if path.is_dir():
             path = next((file for file in self.found(path) if self.fits(file)), path)
-        given: ForeignProject = self._function(self.reads)(path)
+        given = self._read(path)
         # Files that were read are named within the folder that has them all.
         files = given.block.inputs
         root = os.path.commonpath([Path(file.path).parent for file in files]) if files else ""
         inputs = (replace(file, path=Path(file.path).relative_to(root).as_posix()) for file in files)
         return replace(given, block=replace(given.block, inputs=tuple(inputs)))
 
+    def _read(self, path: Path) -> ForeignProject:
+        try:
+            given: ForeignProject = self._function(self.reads)(path)
+        except PhotocalError:
+            raise
+        except Exception as failure:
+            if self in FORMATS:
+                raise
+            raise InputMalformedError(
+                f"could not be read as {self.title} ({type(failure).__name__}: {failure})",
+                f"is it whole? Else ask the makers of {self.module}",
+                where=path,
+            ) from failure
+        return given
+
     def found(self, folder: Path) -> list[Path]:
         """Files named as a project is: what lies least deep is the project, what lies deeper its parts."""
-        pattern = self.search or self.opens[0]
-        return sorted(folder.rglob(pattern), key=lambda file: (len(file.parts), file.name))
+        patterns = (self.search,) if self.search else self.opens[:1]
+        files = (file for pattern in patterns for file in folder.rglob(pattern))
+        return sorted(files, key=lambda file: (len(file.parts), file.name))
 
     def write(self, folder: Path, given: Reconstruction, choices: Choices) -> tuple[Conversion, ...]:
         """Write a block.
@@ -264,10 +280,7 @@ def read_any_block(source: Path) -> Block:
 
 def read_foreign_block(path: Path) -> Block:
     """Read a block of another program from one of its files."""
-    block = read_foreign_file(path).block
-    if not len(block.observations.image):
-        raise InputMalformedError("has no measurements of points", "export them too", where=path)
-    return block
+    return read_foreign_file(path).block
 
 
 def read_foreign_file(path: Path) -> ForeignProject:
@@ -282,7 +295,14 @@ def read_foreign_file(path: Path) -> ForeignProject:
             f"name a block folder, or a file of another program ({names})",
             where=path,
         )
-    return form.read(path)
+    return _measured(form, path)
+
+
+def _measured(form: Format, path: Path) -> ForeignProject:
+    given = form.read(path)
+    if not len(given.block.observations.image):
+        raise InputMalformedError("has no measurements of points", "export them too", where=path)
+    return given
 
 
 def read_foreign_project(path: Path) -> ForeignProject:
@@ -296,8 +316,6 @@ def read_foreign_project(path: Path) -> ForeignProject:
     from photocal.exchange.foreign_project import in_pixels
 
     given = _of_folder(path) if path.is_dir() else read_foreign_file(path)
-    if not len(given.block.observations.image):
-        raise InputMalformedError("has no measurements of points", "export them too", where=path)
     # Positions are a datum, too.
     datum = given.block.datum if isnan(given.position).all() else "control"
     return replace(given, block=replace(in_pixels(given.block), datum=datum))
@@ -310,7 +328,7 @@ def _of_folder(folder: Path) -> ForeignProject:
         for file in form.found(folder):
             try:
                 if form.fits(file):
-                    return form.read(file)
+                    return _measured(form, file)
             except PhotocalError as failure:
                 refusal = refusal or failure
     if refusal is not None:

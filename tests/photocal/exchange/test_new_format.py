@@ -104,6 +104,11 @@ def test_another_package_adds_a_format(tmp_path: Path, given: Reconstruction) ->
     np.testing.assert_array_equal(again.images.values, adjusted.values)
     # The noise is 0.4 px where the format states 1 px.
     assert np.abs((adjusted.values - given.poses) / adjusted.sigma).max() < 3
+    (tmp_path / "damaged.toy").write_text("{}")
+    damaged = photocal(installed, "adjust", tmp_path / "damaged.toy", "-o", tmp_path / "none")
+    assert damaged.returncode != 0
+    assert "damaged.toy: could not be read as Toy (KeyError: 'size')" in damaged.stderr.replace("\n", " ")
+    assert "Traceback" not in damaged.stderr
     refused = photocal(installed, "export", tmp_path / "run", "--format", "dwg", "-o", tmp_path / "dwg")
     assert refused.stderr.rstrip().endswith("toy")
 
