@@ -14,8 +14,8 @@ from photocal.measurement.options import MeasureOptions
 if TYPE_CHECKING:
     from photocal.base.workers import Workers
     from photocal.measurement.block_files import Measured
-    from photocal.measurement.image_block import GivenControl
     from photocal.measurement.match_images import MatchingPlan
+    from photocal.measurement.picture_block import GivenControl
 
 Work: TypeAlias = "Callable[[], Measured]"
 # A principal distance that is known no better than this is worth a warning.
@@ -73,7 +73,7 @@ def measure(
             board = parse_board(options.board, options.square_m, options.charuco)
             work = partial(measure_board, pictures, board, name, progress)
         else:
-            from photocal.measurement.image_block import measure_images
+            from photocal.measurement.picture_block import measure_images
 
             control = None if options.gcp is None else _control(options.gcp, options)
             plan = _plan(crew, options.cache, images)
@@ -89,7 +89,7 @@ def measure(
 
 def _project(path: Path, marks: Sequence[Path], crew: Workers, cache: Path | None) -> Work:
     from photocal.measurement.orientation import of_exposures
-    from photocal.measurement.project_block import measure_project
+    from photocal.measurement.picture_block import measure_project
     from photocal.project import read_project
 
     project = read_project(path)
@@ -101,7 +101,7 @@ def _project(path: Path, marks: Sequence[Path], crew: Workers, cache: Path | Non
 
 
 def _control(gcp: Path, options: MeasureOptions) -> GivenControl:
-    from photocal.measurement.image_block import GivenControl
+    from photocal.measurement.picture_block import GivenControl
 
     form = "HORIZONTAL,VERTICAL: metres, such as 0.02,0.03"
     horizontal, vertical = numbers_of(options.gcp_sigma, "--gcp-sigma", form)

@@ -18,8 +18,8 @@ from photocal.geometry.camera import Camera
 from photocal.measurement.features import Arrays, FeatureSettings, cached, combined_key, detect
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import as_eight_bit, read_grey
+from photocal.measurement.image_tracks import stated_footprints
 from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all, select_pairs
-from photocal.measurement.measure_ties import stated_footprints
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block

@@ -127,7 +127,7 @@ def pictures_of(project: Project) -> dict[str, Path]:
 
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import SCHEMA, write_block
-    from photocal.measurement.project_block import control_points
+    from photocal.measurement.picture_block import control_points
     from photocal.run.project_checks import check_near, picture_places
 
     if exposures is None:
@@ -145,7 +145,7 @@ def _make(project: Project, exposures: Path | None, folder: Path, show: Progress
     from photocal.base.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan
     from photocal.measurement.orientation import of_exposures
-    from photocal.measurement.project_block import measure_project
+    from photocal.measurement.picture_block import measure_project
 
     plan = MatchingPlan(cache_folder(), os.cpu_count() or 1)
     oriented = None if exposures is None else of_exposures(project, exposures)
