@@ -1,5 +1,6 @@
 """Features and matches of a set of images: cached, on several processes, bounded in memory."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import PhotocalError
+from photocal.base.operating_system import cache_folder
 from photocal.base.workers import Workers, run_tasks
 from photocal.block.model import digest
 from photocal.measurement.features import (
@@ -115,8 +117,8 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
 class MatchingPlan:
     """Where results are kept, how they are made and by how many processes."""
 
-    cache: Path
-    processes: Workers
+    cache: Path = field(default_factory=cache_folder)
+    processes: Workers = field(default_factory=lambda: os.cpu_count() or 1)
     features: FeatureSettings = field(default_factory=FeatureSettings)
     matches: MatchSettings = field(default_factory=MatchSettings)
 
