@@ -13,9 +13,8 @@ from photocal.base.progress import Progress
 from photocal.measurement import match_images
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture
-from photocal.measurement.maker_camera import stated_camera
-from photocal.measurement.position_files import local_places
-from photocal.measurement.refine import Source
+from photocal.measurement.image_pairs import Footprints, select_pairs
+from photocal.measurement.patch_matching import Source
 from photocal.measurement.tracks import Tracks, of_images
 
 # Why a picture is left out that is there twice: nothing is lost with it.
@@ -63,7 +62,7 @@ def track_images(
     paths: Sequence[Path],
     plan: match_images.MatchingPlan,
     progress: Progress,
-    looking: Callable[[Sequence[ImageFacts]], match_images.Footprints],
+    looking: Callable[[Sequence[ImageFacts]], Footprints],
     given: Callable[[ImageFacts], ImageFacts],
 ) -> ImageTracks:
     """Find features in images, match them and join the matches to tracks.
@@ -93,22 +92,10 @@ def track_images(
             "; ".join(f"{e['image']}: {e['reason']}" for e in left_out[:3]),
             where=paths[0].parent,
         )
-    pairs, rule = match_images.select_pairs(looking(facts), len(facts))
+    pairs, rule = select_pairs(looking(facts), len(facts))
     with progress("matching pairs of images", len(pairs)) as done:
         tracks, counts = match_images.match_all(keys, pairs, plan, done)
     sources = tuple(Source(readable[k], key, plan.cache) for k, key in zip(good, keys, strict=True))
     return ImageTracks(
         tuple(facts), sources, tracks, pairs, int(np.count_nonzero(counts)), rule, tuple(left_out)
-    )
-
-
-def stated_footprints(facts: Sequence[ImageFacts]) -> match_images.Footprints:
-    """Footprints of images as they say where they are, how high and which way they look."""
-    places, _ = local_places(facts)
-    return match_images.footprints(
-        places[:, :2],
-        np.array([f.relative_altitude_m for f in facts]),
-        np.radians([[f.gimbal_deg[2], f.gimbal_deg[1]] for f in facts]),
-        np.array([f.size_px for f in facts], dtype=float),
-        np.array([stated_camera("", f).camera.value("c") for f in facts]),
     )

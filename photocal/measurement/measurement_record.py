@@ -14,21 +14,21 @@ from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding, Severity
 from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.image_file import as_eight_bit, read_grey
+from photocal.measurement.image_file import BLACK, WHITE, as_eight_bit, read_grey
 from photocal.measurement.image_tracks import SAME, ImageTracks
 from photocal.measurement.oriented_ties import Oriented
 from photocal.measurement.tie_adjustment import (
-    Adjusted,
+    AdjustedTies,
     by_ray,
     camera_figures,
     pixel_residuals,
     with_released_c,
 )
-from photocal.measurement.tie_block import GROSS
+from photocal.measurement.tie_block import GROSS, LEAST_REDUNDANCY
 
-# Shares of a picture that are white or black, of which nothing can be seen; and its sharpness beside that of
-# the others when it is blurred.
-WHITE, BLACK, BURNT = 250, 5, 0.4
+# Share of a picture without detail, white or black, of which nothing can be seen; and its sharpness beside
+# that of the others when it is blurred.
+BURNT = 0.4
 BLURRED = 0.4
 # Pictures that sharpness is compared with.
 OTHERS = 3
@@ -86,7 +86,7 @@ def explained(
     entries = [dict(entry) for entry in left_out]
     gone = {entry["image"] for entry in entries}
     of_image = {image.name: image for image in facts}
-    cameras = Counter(_camera_text(image) for image in facts if image.name not in gone)
+    cameras = Counter(_camera_name(image) for image in facts if image.name not in gone)
     usual = cameras.most_common(1)[0][0] if cameras else ""
     others = [path for name, path in paths.items() if name not in gone] if gone & set(paths) else []
     pictures = [grey for path in others[:OTHERS] if (grey := _read(path)) is not None]
@@ -96,8 +96,8 @@ def explained(
         if image is None or path is None:
             continue
         also = (
-            [f"taken by another camera ({_camera_text(image)})"]
-            if usual and _camera_text(image) != usual
+            [f"taken by another camera ({_camera_name(image)})"]
+            if usual and _camera_name(image) != usual
             else []
         )
         also += _appearance(_read(path), sharp)
@@ -105,7 +105,7 @@ def explained(
     return entries
 
 
-def _camera_text(image: ImageFacts) -> str:
+def _camera_name(image: ImageFacts) -> str:
     width, height = image.size_px
     return " ".join(part for part in (image.model or image.make, f"{width} x {height} px") if part)
 
@@ -138,12 +138,12 @@ def _sharpness(grey: Bytes) -> float:
     return float(fine.std() / max(float(grey.std()), 1.0))
 
 
-def suspected_marks(adjusted: Adjusted, control: ObjectPoints) -> list[dict[str, Any]]:
+def suspected_marks(adjusted: AdjustedTies, control: ObjectPoints) -> list[dict[str, Any]]:
     """Marks whose residual is too large for their sigma, the largest first."""
     block = adjusted.block
     size, redundancy = by_ray(adjusted.assembly, adjusted.solution)
     seen = block.observations
-    spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, 0.05))
+    spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, LEAST_REDUNDANCY))
     share = size / spread
     marked = seen.point < len(control.names)
     # What the model of this stage lacks, such as vibration within a readout, moves all marks: none is off.

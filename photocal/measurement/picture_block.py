@@ -19,13 +19,11 @@ from photocal.block.table import known_rows, read_table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import as_record
 from photocal.geometry.camera import Camera, among
-from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
-from photocal.geometry.oriented_images import local_poses
-from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.block_files import Measured
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, list_images
-from photocal.measurement.image_tracks import ImageTracks, stated_footprints, track_images
+from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
+from photocal.measurement.image_tracks import ImageTracks, track_images
 from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
 from photocal.measurement.marks import (
     ControlMarks,
@@ -36,7 +34,7 @@ from photocal.measurement.marks import (
     read_marks,
     with_marks,
 )
-from photocal.measurement.match_images import Footprints, MatchingPlan, footprints
+from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.measurement_record import (
     findings_of_marks,
     position_figures,
@@ -45,11 +43,11 @@ from photocal.measurement.measurement_record import (
 )
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
+from photocal.measurement.patch_matching import Source
 from photocal.measurement.placing import pictures_turned
 from photocal.measurement.plain_targets import Targets, targets_of_project
 from photocal.measurement.position_files import Given, local_places, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
-from photocal.measurement.refine import Source
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
 from photocal.measurement.start_block import POSITION_SIGMA_M, start_block
 from photocal.measurement.tie_block import marked_control
@@ -203,7 +201,7 @@ def measure_project(
         project.name,
         paths,
         better_known(project, [path.name for path in paths]),
-        stated_footprints if starts is None else partial(_footprints, project, starts, points),
+        stated_footprints if starts is None else partial(exposed_footprints, project, starts, points),
         lambda _: ControlMarks(project.crs, points, tuple(by_hand)),
         project.height if project.crs != "local" else "",
         lambda *_: {"kind": "project"},
@@ -235,7 +233,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
             raise _nowhere(known.name)
         block = replace(block, datum="free")
     tracks = from_two_exposures(tracked.tracks, start.images.exposure)
-    soft = _softened(block, any_surface=project is None)
+    soft = _with_loose_positions(block, any_surface=project is None)
     oriented = orient_ties(soft, tracked.sources, tracks, tracked.pairs, plan.processes, progress)
     final, measured, findings = oriented.adjusted, oriented.adjusted.block, list(oriented.findings)
     if project is not None:
@@ -374,33 +372,6 @@ def control_points(project: Project) -> ObjectPoints:
     return NO_POINTS if path is None else read_points(path)
 
 
-def _footprints(
-    project: Project, starts: Images, control: ObjectPoints, facts: Sequence[ImageFacts]
-) -> Footprints:
-    """Footprints by the exposures, on the level of the control points."""
-    places = np.vstack([starts.values[:, 3:], control.values])
-    middle = np.nanmean(places, axis=0)
-    local = project.crs == "local"
-    frame: Frame = ShiftedFrame(middle) if local else reference_frame(project.crs, project.height, middle)
-    poses = local_poses(frame, starts.values)
-    view = -matrix_from_angles(poses[:, :3])[:, 2]
-    ground = float(np.mean(frame.to_local(control.values)[:, 2]))
-    row = {name: k for k, name in enumerate(starts.names)}
-    rows = [row.get(f.name) for f in facts]
-    unknown = np.full(6, np.nan)
-    image_poses = np.array([unknown if k is None else poses[k] for k in rows])
-    looks = np.array([unknown[:3] if k is None else view[k] for k in rows])
-    yaw_pitch = np.column_stack([np.arctan2(looks[:, 0], looks[:, 1]), np.arcsin(looks[:, 2])])
-    cameras = [project.cameras[0 if k is None else starts.camera[k]] for k in rows]
-    return footprints(
-        image_poses[:, 3:5],
-        image_poses[:, 5] - ground,
-        yaw_pitch,
-        np.array([f.size_px for f in facts], dtype=float),
-        np.array([camera.value("c") / camera.pitch[0] for camera in cameras]),
-    )
-
-
 def _nowhere(name: str) -> InputNotFoundError:
     return InputNotFoundError(
         "neither the images nor marks of control points say where the block is",
@@ -409,7 +380,7 @@ def _nowhere(name: str) -> InputNotFoundError:
     )
 
 
-def _softened(block: Block, *, any_surface: bool) -> Block:
+def _with_loose_positions(block: Block, *, any_surface: bool) -> Block:
     """Block for finding gross errors: positions without sigma are loosely observed, c is held.
 
     any_surface: whether the heights of the positions are of no known kind; control is better, where it places

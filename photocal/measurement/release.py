@@ -10,12 +10,12 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, among
-from photocal.measurement.lens_choice import before_the_choice, with_chosen_lenses
+from photocal.measurement.lens_choice import with_chosen_lenses, with_shutters_closed
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, Oriented
 from photocal.measurement.placing import KEPT_MISFIT, OF_POSITIONS, position_sigmas
 from photocal.measurement.start_block import without_images, without_single_rays
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, assembled, scatter
-from photocal.measurement.tie_block import brought_nearer, marked_control, place, with_ties
+from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties, assembled, ray_rms_px
+from photocal.measurement.tie_block import marked_control, place, rescaled_poses, with_ties
 from photocal.measurement.tracks import of_images
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,
@@ -35,7 +35,7 @@ ROUGH_PX, MOVES = 0.3, 0.5
 
 def with_released_cameras(
     oriented: Oriented, block: Block, holding: Sequence[Sequence[str]], *, open_lens: bool
-) -> tuple[Adjusted, Block, list[Finding]]:
+) -> tuple[AdjustedTies, Block, list[Finding]]:
     """Adjust with all that the cameras of a block estimate, and restore what was given in the block.
 
     holding: what is held, step by step, where the block does not bear it all.
@@ -44,7 +44,7 @@ def with_released_cameras(
     """
     # Positions of a flight log come later, and with them what determines c.
     held, wanted = oriented.adjusted, block.cameras
-    released, block, findings = release(before_the_choice(held) if open_lens else held, block, holding)
+    released, block, findings = release(with_shutters_closed(held) if open_lens else held, block, holding)
     if open_lens:
         # What one lens refused may fit the other.
         stay = np.isin(held.block.images.names, released.block.images.names)
@@ -57,8 +57,8 @@ def with_released_cameras(
 
 
 def release(
-    held: Adjusted, block: Block, holding: Sequence[Sequence[str]]
-) -> tuple[Adjusted, Block, list[Finding]]:
+    held: AdjustedTies, block: Block, holding: Sequence[Sequence[str]]
+) -> tuple[AdjustedTies, Block, list[Finding]]:
     """Adjust once more with all parameters that the project estimates and the block bears.
 
     Only now the residuals are those of the measurements: a principal point that is held wrongly would go
@@ -68,7 +68,7 @@ def release(
     """
     asked = {camera.id: camera for camera in block.cameras}
     refusal: dict[str, Figure] = {}
-    apart: Adjusted | None = None
+    apart: AdjustedTies | None = None
     for held_here in holding:
         # Nobody asks for a readout: that it has one, an unknown shutter has shown.
         free, readout = ~among(*held_here), among("readout")
@@ -87,7 +87,7 @@ def release(
             [a.value("c") / b.value("c") for a, b in zip(cameras, held.start.cameras, strict=True)]
         )
         if np.abs(ratio - 1.0).max() > ANOTHER_C:
-            poses = brought_nearer(held.start, poses, held.tracks, ratio[start.images.camera])
+            poses = rescaled_poses(held.start, poses, held.tracks, ratio[start.images.camera])
         try:
             released = adjust_ties(start, poses, held.tracks)
             why = _not_borne(released, asked, cameras)
@@ -100,7 +100,7 @@ def release(
         refusal = refusal or why
         if "value" in why:
             apart = released
-    if apart is not None and scatter(released) > KEPT_MISFIT * scatter(apart):
+    if apart is not None and ray_rms_px(released) > KEPT_MISFIT * ray_rms_px(apart):
         refuted = str(refusal["camera"])
         cameras = tuple(
             replace(
@@ -131,7 +131,7 @@ def release(
 
 
 def _not_borne(
-    released: Adjusted, given: Mapping[str, Camera], wanted: Sequence[Camera]
+    released: AdjustedTies, given: Mapping[str, Camera], wanted: Sequence[Camera]
 ) -> dict[str, Figure]:
     """What shows that a block does not bear the parameters that were to be estimated; empty when it does."""
     ids = {camera.id for camera in released.start.cameras}
@@ -148,7 +148,7 @@ def _not_borne(
     return {}
 
 
-def _restored(held: Adjusted, released: Adjusted, block: Block) -> tuple[Block, list[Finding]]:
+def _restored(held: AdjustedTies, released: AdjustedTies, block: Block) -> tuple[Block, list[Finding]]:
     """The measured block with cameras, surveyed coordinates and observed values as they were given.
 
     Also what the rays say of its positions, beside the released cameras: a principal point that is held
@@ -187,9 +187,9 @@ def _outdated(finding: Finding, cameras: Sequence[Camera]) -> bool:
     return bool(camera.estimated[0]) and change <= CREDIBLE_SIGMAS * float(camera.prior_sigma[0])
 
 
-def _moving(adjusted: Adjusted) -> list[Finding]:
+def _moving(adjusted: AdjustedTies) -> list[Finding]:
     """Images that move while they are read, where the flight does not tell how long that takes."""
-    cameras, px = adjusted.start.cameras, scatter(adjusted)
+    cameras, px = adjusted.start.cameras, ray_rms_px(adjusted)
     doubtful = [camera.id for camera in cameras if camera.shutter == "unknown" and not camera.rolling]
     if not doubtful or px < ROUGH_PX:
         return []

@@ -27,7 +27,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from photocal.base.errors import PhotocalError
-from photocal.measurement.image_tracks import ImageTracks, stated_footprints, track_images
+from photocal.measurement.image_pairs import stated_footprints
+from photocal.measurement.image_tracks import ImageTracks, track_images
 from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.position_files import local_places
