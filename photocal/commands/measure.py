@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
-from photocal.base.console import answer, argument, numbers_of, option, progress, spread
+from photocal.base.console import answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
 from photocal.measurement.options import MeasureOptions
 
-if TYPE_CHECKING:
-    from photocal.base.workers import Workers
-    from photocal.measurement.block_files import Measured
-    from photocal.measurement.image_block import GivenControl
-    from photocal.measurement.match_images import MatchingPlan
-
-Work: TypeAlias = "Callable[[], Measured]"
 # A principal distance that is known no better than this is worth a warning.
 WEAK = 0.005
 
@@ -41,44 +32,12 @@ def measure(
     `photocal measure --images lab --field 4x4_250 --distances tape.csv -o block --run run`;
     with --images alone, tie points.
     """
-    from photocal.measurement.maker_camera import GivenLens
-
     if (project is None) == (images is None):
         raise ConfigurationError("what to measure is not clear", "give PROJECT.toml or --images FOLDER")
-    if options.marks and project is None:
-        raise ConfigurationError(
-            "--marks has no coordinates of its points",
-            "give PROJECT.toml, whose control table has them, or --gcp with both",
-        )
-    crew, lens = _crew(options), GivenLens(options.c_px, options.focal_mm)
     if options.cluster:
         # Workers have working folders of their own.
         project, images = (path and path.absolute() for path in (project, images))
-    if images is None:
-        if options.board or options.gcp is not None:
-            raise ConfigurationError("a project names its own control", "give --images with --board or --gcp")
-        work = _project(project or Path(), options.marks, crew, options.cache)
-    else:
-        from photocal.measurement.image_file import list_images
-
-        pictures, name = list_images(images), images.resolve().name
-        if options.field:
-            from photocal.measurement.target_block import measure_field
-
-            work = partial(measure_field, pictures, options.field, options.distances, name, lens, progress)
-        elif options.board:
-            from photocal.measurement.boards import parse_board
-            from photocal.measurement.target_block import measure_board
-
-            board = parse_board(options.board, options.square_m, options.charuco)
-            work = partial(measure_board, pictures, board, name, progress)
-        else:
-            from photocal.measurement.image_block import measure_images
-
-            control = None if options.gcp is None else _control(options.gcp, options)
-            plan = _plan(crew, options.cache, images)
-            work = partial(measure_images, pictures, name, plan, progress, lens, control)
-    record = _written(work, output)
+    record = _written(project, images or Path(), options, output)
     adjusted = []
     if options.run is not None and options.field:
         from photocal.results.adjusted import adjust_block
@@ -87,57 +46,17 @@ def measure(
     answer(as_json, lambda: record, lambda: "\n".join([*_text(record, output), *adjusted]))
 
 
-def _project(path: Path, marks: Sequence[Path], crew: Workers, cache: Path | None) -> Work:
-    from photocal.measurement.orientation import of_exposures
-    from photocal.measurement.project_block import measure_project
-    from photocal.project import read_project
-
-    project = read_project(path)
-    # What `photocal exposures` or `photocal run` left in the work folder: good to start from.
-    folder = project.output / "exposures"
-    exposures = of_exposures(project, folder) if (folder / "images.csv").exists() else None
-    plan = _plan(crew, cache, project.picture_folder)
-    return partial(measure_project, project, exposures, plan, progress, marks)
-
-
-def _control(gcp: Path, options: MeasureOptions) -> GivenControl:
-    from photocal.measurement.image_block import GivenControl
-
-    form = "HORIZONTAL,VERTICAL: metres, such as 0.02,0.03"
-    horizontal, vertical = numbers_of(options.gcp_sigma, "--gcp-sigma", form)
-    if not (horizontal > 0 and vertical > 0):
-        raise ConfigurationError(f"--gcp-sigma {options.gcp_sigma} is not positive", f"give {form}")
-    return GivenControl(gcp, (horizontal, vertical), options.crs, options.height)
-
-
-def _crew(options: MeasureOptions) -> Workers:
-    import os
-
-    from photocal.base.workers import Cluster
-
-    return Cluster(options.cluster) if options.cluster else options.workers or os.cpu_count() or 1
-
-
-def _plan(crew: Workers, cache: Path | None, images: Path) -> MatchingPlan:
-    from photocal.base.operating_system import cache_folder
-    from photocal.base.workers import Cluster
-    from photocal.measurement.match_images import MatchingPlan
-
-    folder = (cache or cache_folder()).resolve()
-    if isinstance(crew, Cluster):
-        crew.require_shared(images, folder)
-    return MatchingPlan(folder, crew)
-
-
-def _written(work: Work, output: Path) -> dict[str, Any]:
+def _written(project: Path | None, images: Path, options: MeasureOptions, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
     from photocal.base.files import output_folder
     from photocal.measurement.block_files import SCHEMA, Measured, write_block
+    from photocal.measurement.measure import measure as measured_pictures
     from photocal.measurement.oriented_ties import UnorientedError
+    from photocal.project import read_project
 
     refused = None
     try:
-        measured = work()
+        measured = measured_pictures(images if project is None else read_project(project), options, progress)
     except UnorientedError as refusal:
         refused = refusal
         measured = Measured(refusal.block, {"schema": SCHEMA, "refused": str(refusal)})

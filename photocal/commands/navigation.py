@@ -147,7 +147,6 @@ def exposures(
 
     Example: `photocal exposures FLIGHT.mcap --images DIR -o exposures`
     """
-    import os
     import tempfile
     from dataclasses import replace
 
@@ -155,7 +154,6 @@ def exposures(
 
     from photocal.base.errors import ConfigurationError
     from photocal.base.files import output_folder, write_json
-    from photocal.base.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan
     from photocal.navigation.engine import Rtklib
     from photocal.navigation.exposure_files import write_run
@@ -199,7 +197,7 @@ def exposures(
         choices = Choices(sources, images, mrk, edge, delay, delay_sigma, rig, clock_offset)
     choices = replace(choices, oriented=oriented)
     if check_images:
-        plan = MatchingPlan(cache_folder(), os.cpu_count() or 1)
+        plan = MatchingPlan()
         choices = replace(choices, ties=TieMatching(plan, progress))
     with tempfile.TemporaryDirectory() as scratch:
         run = run_exposures(choices, Rtklib(), Path(scratch))

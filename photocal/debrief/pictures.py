@@ -17,9 +17,9 @@ from photocal.findings.finding import Finding, untested
 from photocal.geometry.camera import Camera
 from photocal.measurement.features import Arrays, FeatureSettings, cached, combined_key, detect
 from photocal.measurement.image_facts import ImageFacts, read_facts
-from photocal.measurement.image_file import as_eight_bit, read_grey
-from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all, select_pairs
-from photocal.measurement.measure_ties import stated_footprints
+from photocal.measurement.image_file import BLACK, WHITE, as_eight_bit, read_grey
+from photocal.measurement.image_pairs import select_pairs, stated_footprints
+from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
@@ -35,8 +35,8 @@ _TILE, _TILES = 384, 3
 _PLAIN = 4.0
 # A picture whose edges are softer than the flight's usual ones by this much, and by so many deviations.
 _SOFTER, _DEVIATIONS = 1.35, 6.0
-# Grey values at which nothing is told apart, share of the picture, and the least range of the rest.
-_WHITE, _BLACK, _SHARE, _RANGE = 250, 5, 0.2, 40.0
+# Share of the picture without detail, and the least range of grey values of the rest.
+_SHARE, _RANGE = 0.2, 40.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def look(task: tuple[Path, MatchingPlan]) -> Look:
         features = detect(grey, plan.features)
         few = grey[::4, ::4]
         low, high = np.quantile(few, [0.02, 0.98])
-        figures = np.array([_softness(grey), np.mean(few >= _WHITE), np.mean(few <= _BLACK), high - low])
+        figures = np.array([_softness(grey), np.mean(few >= WHITE), np.mean(few <= BLACK), high - low])
         return {"figures": figures, **{name: getattr(features, name) for name in _NAMES[1:]}}
 
     try:

@@ -14,6 +14,8 @@ from photocal.measurement.template import Fit, Window, odd_variance
 
 # A contrast below this multiple of the noise is no target.
 WEAKEST_CONTRAST = 3.0
+# A target that was found has at least this contrast, grey values.
+LEAST_CONTRAST = 20.0
 # Targets are drawn on paper; a centre that claims more than this trusts the model too much.
 FINEST_PX = 0.003
 
@@ -111,7 +113,7 @@ def ground_bend(camera: Camera, rotation: Floats, pixel: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Look:
+class TargetImage:
     """A target as an image should show it.
 
     affine (2, 2): from the target's plane, in half sides, to px.
@@ -163,9 +165,9 @@ class Look:
         """Even ground around it that may be used, px."""
         return max(_BESIDE_PX, _BESIDE * 1.8 * self.semi_axes[1])
 
-    def smaller(self, factor: float) -> "Look":
+    def smaller(self, factor: float) -> "TargetImage":
         """Give the look in an image that is reduced by a factor."""
-        return Look(self.kind, self.affine / factor, self.part, self.bend * factor)
+        return TargetImage(self.kind, self.affine / factor, self.part, self.bend * factor)
 
     def in_plane(self, direction: float) -> float:
         """Turn in the target's plane of a direction in the image, radians."""

@@ -41,6 +41,8 @@ _WORKING_BYTES = 4
 _STORED_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2, "I;16N": 2}
 # What a PNG says beside its pixels: EXIF, and texts, of which one may be XMP.
 _PNG_NOTES, _PNG_HEAD, _LONGEST_NOTE = (b"eXIf", b"iTXt", b"tEXt", b"zTXt"), 33, 1 << 24
+# Grey values from and to which a picture shows no detail.
+WHITE, BLACK = 250, 5
 # EXIF orientations that exchange width and height.
 _ON_END = (5, 6, 7, 8)
 

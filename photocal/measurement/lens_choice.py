@@ -12,7 +12,13 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, Model, among
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties, assembled, scatter, without_readouts
+from photocal.measurement.tie_adjustment import (
+    AdjustedTies,
+    adjust_ties,
+    assembled,
+    ray_rms_px,
+    without_readouts,
+)
 from photocal.measurement.tracks import Tracks
 
 # By how much another lens must lower v'Pv, and for each unknown more.
@@ -25,7 +31,7 @@ Chosen = tuple[Camera, dict[str, Figure]]
 _POLYNOMIALS = slice(PARAMETERS.index("K1"), PARAMETERS.index("P4") + 1)
 
 
-def before_the_choice(held: Adjusted) -> Adjusted:
+def with_shutters_closed(held: AdjustedTies) -> AdjustedTies:
     """Leave untested shutters closed until the lens is chosen: a wrong one looks like a readout."""
     cameras = tuple(
         camera if camera.rolling else replace(camera, shutter="global") for camera in held.start.cameras
@@ -34,8 +40,8 @@ def before_the_choice(held: Adjusted) -> Adjusted:
 
 
 def with_chosen_lenses(
-    adjusted: Adjusted, block: Block, tracks: Tracks
-) -> tuple[Adjusted, Block, list[Finding]]:
+    adjusted: AdjustedTies, block: Block, tracks: Tracks
+) -> tuple[AdjustedTies, Block, list[Finding]]:
     """Adjust with the lens that the rays prefer: `brown-ideal` or `brown-observed`, more terms or not.
 
     These are K4, and a scale of y against x. A rolling shutter feigns that one: it is observed as one until
@@ -64,7 +70,7 @@ def with_chosen_lenses(
             better = adjust_ties(replace(adjusted.start, cameras=tuple(cameras)), adjusted.values, tracks)
         except (IllPosedError, NotConvergedError):
             continue
-        smaller = scatter(better) <= NOT_WORSE * scatter(adjusted)
+        smaller = ray_rms_px(better) <= NOT_WORSE * ray_rms_px(adjusted)
         if not lenses or (smaller and all(_still_pays(better, adjusted, name) for name in lenses)):
             break
     else:
@@ -95,7 +101,7 @@ def _is_open(camera: Camera) -> bool:
     return bool(plain and (free & lens).any() and not (lens & ~free & (camera.values != 0.0)).any())
 
 
-def _preferred(adjusted: Adjusted, place: int) -> list[Chosen]:
+def _preferred(adjusted: AdjustedTies, place: int) -> list[Chosen]:
     """Lenses of least v'Pv and what is to be said of them, with a scale and without; none that is the own."""
     cameras = without_readouts(adjusted.start.cameras)
     camera = cameras[place]
@@ -144,7 +150,7 @@ def _needed(lens: Camera, given: Camera) -> float:
     return GAIN * (unknowns + (lens.model != given.model))
 
 
-def _still_pays(better: Adjusted, before: Adjusted, name: str) -> bool:
+def _still_pays(better: AdjustedTies, before: AdjustedTies, name: str) -> bool:
     """Whether a lens lowers v'Pv beside a readout, too: without it the rays prefer any lens that bends."""
     names = [camera.id for camera in better.start.cameras]
     place = names.index(name)
@@ -172,7 +178,7 @@ def _still_pays(better: Adjusted, before: Adjusted, name: str) -> bool:
     return True
 
 
-def _least(adjusted: Adjusted, cameras: Sequence[Camera], place: int) -> tuple[float, Camera]:
+def _least(adjusted: AdjustedTies, cameras: Sequence[Camera], place: int) -> tuple[float, Camera]:
     """Least v'Pv of the same rays with other cameras, and the camera as it is there."""
     assembly, state = assembled(replace(adjusted.block, cameras=tuple(cameras)), adjusted.values)
     _, minimum = minimum_of(assembly.network, None, state)

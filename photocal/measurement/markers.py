@@ -12,10 +12,10 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.workers import Workers, run_tasks
 from photocal.exchange.parts import Mark
 from photocal.measurement import patterns
-from photocal.measurement.centre import Centre, accepted, half_contrast, measurable
+from photocal.measurement.centre import LEAST_CONTRAST, Centre, accepted, half_contrast, measurable
 from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_file import Grey, as_eight_bit, read_grey
-from photocal.measurement.refine import Source
+from photocal.measurement.patch_matching import Source
 from photocal.measurement.template import cut_window, fit_template
 
 DICTIONARIES = (
@@ -29,7 +29,6 @@ DICTIONARIES = (
 )
 # A marker whose picture differs from the ideal one by more than this part of its contrast is none.
 WORST_MISFIT = 0.2
-LEAST_CONTRAST = 20.0
 # A cell of a code has at least so many pixels.
 _SMALLEST_CELL_PX = 1.25
 # Raised whenever the meaning of cached results changes.

@@ -13,11 +13,11 @@ from photocal.block.model import Block, Images
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.placing import oriented, position_sigmas, softened
-from photocal.measurement.refine import HALF, Source, refine_reduced
+from photocal.measurement.patch_matching import HALF, Source, refine_reduced
+from photocal.measurement.placing import oriented, position_sigmas, reweighted
 from photocal.measurement.start_block import without_images
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties
-from photocal.measurement.tie_block import GROSS, intersected, marked_control, misses, with_ties
+from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
+from photocal.measurement.tie_block import GROSS, intersected, marked_control, reprojection_errors, with_ties
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.results.adjusted import movements
 
@@ -53,7 +53,7 @@ class Oriented:
     verified: all tracks that fit the final orientation, before they were thinned.
     """
 
-    adjusted: Adjusted
+    adjusted: AdjustedTies
     verified: Tracks
     left_out: tuple[dict[str, str], ...]
     findings: tuple[Finding, ...]
@@ -75,7 +75,7 @@ class First:
     kept: which of the images these are.
     """
 
-    adjusted: Adjusted
+    adjusted: AdjustedTies
     kept: Integers
     left_out: tuple[dict[str, str], ...]
     findings: tuple[Finding, ...]
@@ -104,8 +104,8 @@ def first_orientation(start: Block, tracks: Tracks) -> First:
     return First(first, kept[reached][holds], (*left_out, *first.left_out), tuple(findings))
 
 
-def _by_positions(adjusted: Adjusted, stated: Mapping[str, Floats]) -> Adjusted:
-    """Adjusted anew while the positions, which now hold the block from bending, are borne out better.
+def _by_positions(adjusted: AdjustedTies, stated: Mapping[str, Floats]) -> AdjustedTies:
+    """AdjustedTies anew while the positions, which now hold the block from bending, are borne out better.
 
     A block of rays alone bends by far more than good positions are wrong: what these miss by beside it says
     nothing about them.
@@ -115,7 +115,7 @@ def _by_positions(adjusted: Adjusted, stated: Mapping[str, Floats]) -> Adjusted:
         if adjusted.start.datum == "free":
             break
         as_stated, shifted = _as_stated(adjusted.start, stated), _controlled(adjusted.start)
-        better = softened(as_stated, adjusted.values, shifted=shifted)
+        better = reweighted(as_stated, adjusted.values, shifted=shifted)
         with np.errstate(invalid="ignore"):
             change = better.sigma[:, 3:] / images.sigma[:, 3:]
         if not (np.isfinite(better.sigma) != np.isfinite(images.sigma)).any() and not (change < _LESS).any():
@@ -230,7 +230,7 @@ def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:
     return thin(many if (seen >= ENOUGH_STRONG).all() else tracks, sizes, CELLS, in_a_cell)
 
 
-def _views(adjusted: Adjusted) -> OrientedImages:
+def _views(adjusted: AdjustedTies) -> OrientedImages:
     """The images as adjusted, with their movement while a rolling shutter reads them, in a local frame."""
     block = adjusted.block
     movement = movements(adjusted.assembly, adjusted.solution, adjusted.values)
@@ -244,7 +244,7 @@ def _placed(views: OrientedImages, tracks: Tracks, most_px: float) -> tuple[Trac
     """Tracks whose rays meet, and where."""
     points = intersected(views, tracks)
     with np.errstate(invalid="ignore"):
-        tracks = tracks.some(misses(views, tracks, points) < most_px)
+        tracks = tracks.some(reprojection_errors(views, tracks, points) < most_px)
     points = intersected(views, tracks)
     met: Flags = np.asarray(np.isfinite(points).all(axis=1))
     return tracks.some(met[tracks.track]), points[met]
@@ -258,9 +258,9 @@ def _partners(pairs: Integers, kept: Integers, count: int) -> list[Integers]:
     return [np.unique(np.r_[both[both[:, 0] == k, 1], both[both[:, 1] == k, 0]]) for k in range(len(kept))]
 
 
-def _verified(final: Adjusted, tracks: Tracks) -> Tracks:
+def _verified(final: AdjustedTies, tracks: Tracks) -> Tracks:
     """All tracks whose rays fit the final orientation."""
     views = _views(final)
     points = intersected(views, tracks)
     with np.errstate(invalid="ignore"):
-        return tracks.some(misses(views, tracks, points) < GROSS * np.sqrt(2) * final.tie_sigma)
+        return tracks.some(reprojection_errors(views, tracks, points) < GROSS * np.sqrt(2) * final.tie_sigma)

@@ -124,7 +124,7 @@ def oriented(block: Block, tracks: Tracks) -> Placed:
         block = replace(block, images=replace(images, values=values, sigma=stated))
         findings.append(Finding("positions-in-line", "doubtful", figures={"turn_deg": math.degrees(turn)}))
     if (determined or turn > 0) and block.datum == "control":
-        block = replace(block, images=softened(block.images, poses, shifted=False))
+        block = replace(block, images=reweighted(block.images, poses, shifted=False))
     return Placed(block, poses, tuple(reasons), tuple(findings))
 
 
@@ -312,7 +312,7 @@ def pictures_turned(names: Sequence[str], values: Floats, gimbal: Floats) -> lis
     return [Finding("pictures-turned", "doubtful", figures={"names": listed, "count": len(listed)})]
 
 
-def softened(images: Images, values: Floats, *, shifted: bool) -> Images:
+def reweighted(images: Images, values: Floats, *, shifted: bool) -> Images:
     """Images whose positions weigh as much as they fit: what bends a block is not drawn straight at once."""
     sigma, shift, _ = position_sigmas(images, values, shifted=shifted)
     sigma[:, 3:] = np.hypot(sigma[:, 3:], np.abs(shift))

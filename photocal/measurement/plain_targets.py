@@ -15,12 +15,12 @@ from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.measurement.centre import PARTS, SMALLEST_PX, Look, ground_bend, measurable
+from photocal.measurement.centre import PARTS, SMALLEST_PX, TargetImage, ground_bend, measurable
 from photocal.measurement.features import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.markers import COMMON_PX, find_coded_targets
 from photocal.measurement.orientation import Orientation, predict
-from photocal.measurement.refine import Source
+from photocal.measurement.patch_matching import Source
 from photocal.measurement.target_search import find_targets
 from photocal.project import PlainTargets, Project
 
@@ -34,7 +34,7 @@ UNKNOWN_CAMERA = 0.01
 
 
 @dataclass(frozen=True)
-class Sight:
+class PredictedTarget:
     """Where an image should show the target of a point.
 
     place (2,): column and row, px.
@@ -44,7 +44,7 @@ class Sight:
     point: str
     place: Floats
     covariance: Floats
-    look: Look
+    look: TargetImage
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,11 @@ def find_plain_targets(
     done: Callable[[float], None],
 ) -> PlainMarks:
     """Find uncoded targets in images."""
-    predicted = predicted_sights(orientation, points, wanted)
-    sights = {name: tuple(s for s in in_image if s.look.large_enough) for name, in_image in predicted.items()}
-    tasks = [(source, sights.get(source.path.name, ())) for source in sources]
+    predicted = predicted_targets(orientation, points, wanted)
+    expected = {
+        name: tuple(s for s in in_image if s.look.large_enough) for name, in_image in predicted.items()
+    }
+    tasks = [(source, expected.get(source.path.name, ())) for source in sources]
     marks: list[Mark] = []
     doubts: dict[str, list[str]] = {}
     for (source, predictions), targets in zip(tasks, run_tasks(_find, tasks, processes, done), strict=True):
@@ -90,27 +92,27 @@ def find_plain_targets(
     return PlainMarks(sure, ambiguous, sought, _too_small(predicted.values()))
 
 
-def _too_small(predicted: Iterable[Sequence[Sight]]) -> tuple[str, ...]:
-    largest: dict[str, Sight] = {}
-    for sight in (candidate for in_image in predicted for candidate in in_image):
-        known = largest.get(sight.point)
-        if known is None or sight.look.semi_axes[1] > known.look.semi_axes[1]:
-            largest[sight.point] = sight
+def _too_small(predicted: Iterable[Sequence[PredictedTarget]]) -> tuple[str, ...]:
+    largest: dict[str, PredictedTarget] = {}
+    for target in (candidate for in_image in predicted for candidate in in_image):
+        known = largest.get(target.point)
+        if known is None or target.look.semi_axes[1] > known.look.semi_axes[1]:
+            largest[target.point] = target
     return tuple(
         f"point {name}: its {look.kind} is seen {2 * look.semi_axes[1]:.1f} px wide at most, "
         f"{SMALLEST_PX[look.kind]:g} px are needed"
-        for name, look in ((name, sight.look) for name, sight in largest.items())
+        for name, look in ((name, target.look) for name, target in largest.items())
         if not look.large_enough
     )
 
 
-def predicted_sights(
+def predicted_targets(
     orientation: Orientation, points: ObjectPoints, wanted: Iterable[PlainTargets]
-) -> dict[str, tuple[Sight, ...]]:
+) -> dict[str, tuple[PredictedTarget, ...]]:
     """Predict where images should show targets."""
     images = replace(orientation.images, cameras=tuple(map(_unsure, orientation.images.cameras)))
     unsure = replace(orientation, images=images)
-    sights: dict[str, list[Sight]] = {}
+    expected: dict[str, list[PredictedTarget]] = {}
     for targets in wanted:
         part = targets.part or PARTS[targets.kind]
         for k, name in enumerate(points.names):
@@ -123,51 +125,51 @@ def predicted_sights(
                     continue
                 camera = images.cameras[images.camera[i]]
                 bend = ground_bend(camera, rotation[i], seen.pixels[i])
-                look = Look(targets.kind, seen.slope[i, :, :2] * targets.side_m / 2, part, bend)
-                sight = Sight(name, seen.pixels[i], seen.covariance[i], look)
-                sights.setdefault(images.names[i], []).append(sight)
-    return {name: tuple(of_image) for name, of_image in sights.items()}
+                look = TargetImage(targets.kind, seen.slope[i, :, :2] * targets.side_m / 2, part, bend)
+                target = PredictedTarget(name, seen.pixels[i], seen.covariance[i], look)
+                expected.setdefault(images.names[i], []).append(target)
+    return {name: tuple(of_image) for name, of_image in expected.items()}
 
 
-def identified(sights: Sequence[Sight], targets: Floats) -> tuple[list[Mark], dict[str, str]]:
+def identified(expected: Sequence[PredictedTarget], targets: Floats) -> tuple[list[Mark], dict[str, str]]:
     """Give the targets of an image the names of the points that predict them, where that is beyond doubt."""
     marks, doubts = [], {}
-    for k, sight in enumerate(sights):
+    for k, target in enumerate(expected):
         fitting = targets[targets[:, 0] == k]
         if len(fitting) > 1:
-            doubts[sight.point] = f"{len(fitting)} targets fit it"
+            doubts[target.point] = f"{len(fitting)} targets fit it"
         if len(fitting) != 1:
             continue
         _, x, y, sx, sy = fitting[0].tolist()
-        here = np.hypot(*(targets[:, 1:3] - (x, y)).T) < sight.look.size / 3
-        rivals = sorted({sights[int(row[0])].point for row in targets[here & (targets[:, 0] != k)]})
+        here = np.hypot(*(targets[:, 1:3] - (x, y)).T) < target.look.size / 3
+        rivals = sorted({expected[int(row[0])].point for row in targets[here & (targets[:, 0] != k)]})
         if rivals:
-            doubts[sight.point] = f"its target fits {' and '.join(rivals)}, too,"
+            doubts[target.point] = f"its target fits {' and '.join(rivals)}, too,"
             continue
         sigma = (math.hypot(sx, COMMON_PX), math.hypot(sy, COMMON_PX))
-        marks.append(Mark("", sight.point, x, y, sigma, sight.look.kind))
+        marks.append(Mark("", target.point, x, y, sigma, target.look.kind))
     return marks, doubts
 
 
-def _find(task: tuple[Source, tuple[Sight, ...]]) -> Floats:
-    source, sights = task
-    if not sights:
+def _find(task: tuple[Source, tuple[PredictedTarget, ...]]) -> Floats:
+    source, expected = task
+    if not expected:
         return np.empty((0, 5))
 
     def make() -> Arrays:
         grey = measurable(read_grey(source.path))
         rows = [
             (k, centre.column, centre.row, *centre.sigma)
-            for k, sight in enumerate(sights)
+            for k, target in enumerate(expected)
             for centre in find_targets(
-                grey, (float(sight.place[0]), float(sight.place[1])), sight.covariance, sight.look
+                grey, (float(target.place[0]), float(target.place[1])), target.covariance, target.look
             )
         ]
         return {"targets": np.array(rows, dtype=float).reshape(-1, 5)}
 
-    parts = [(s.place, s.covariance, s.look.affine, s.look.part, s.look.bend) for s in sights]
-    numbers = [np.concatenate([np.ravel(part) for part in sight]) for sight in parts]
-    kinds = ",".join(sight.look.kind for sight in sights)
+    parts = [(s.place, s.covariance, s.look.affine, s.look.part, s.look.bend) for s in expected]
+    numbers = [np.concatenate([np.ravel(part) for part in target]) for target in parts]
+    kinds = ",".join(target.look.kind for target in expected)
     key = combined_key(VERSION, "plain targets", source.key, kinds, array_key(*numbers))
     return np.asarray(cached(source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
 

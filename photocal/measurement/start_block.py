@@ -1,18 +1,14 @@
 """The block that tie points are added to: cameras and images, from what the images say of themselves."""
 
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from photocal.base.arrays import Bytes, Flags, Floats
-from photocal.base.errors import PhotocalError
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.block.model import Block, Images
-from photocal.geometry.camera import among
+from photocal.geometry.camera import Camera, among
 from photocal.measurement.image_facts import ImageFacts, clock_seconds
-from photocal.measurement.image_file import as_eight_bit, read_grey
 from photocal.measurement.maker_camera import group_cameras, stated_camera
 
 # Shares of a picture that are white or black, of which nothing can be seen; and its sharpness beside that of
@@ -30,63 +26,8 @@ ESTIMATE = ("K1", "K2")
 FEWEST_POSITIONS = 3
 
 
-def explained(
-    left_out: Iterable[Mapping[str, str]], paths: Mapping[str, Path], facts: Sequence[ImageFacts]
-) -> list[dict[str, str]]:
-    """Reasons with what the picture itself has to do with them."""
-    entries = [dict(entry) for entry in left_out]
-    gone = {entry["image"] for entry in entries}
-    of_image = {image.name: image for image in facts}
-    cameras = Counter(_camera(image) for image in facts if image.name not in gone)
-    usual = cameras.most_common(1)[0][0] if cameras else ""
-    others = [path for name, path in paths.items() if name not in gone] if gone & set(paths) else []
-    pictures = [grey for path in others[:OTHERS] if (grey := _read(path)) is not None]
-    sharp = [_sharpness(grey) for grey in pictures]
-    for entry in entries:
-        image, path = of_image.get(entry["image"]), paths.get(entry["image"])
-        if image is None or path is None:
-            continue
-        also = [f"taken by another camera ({_camera(image)})"] if usual and _camera(image) != usual else []
-        also += _appearance(_read(path), sharp)
-        entry["reason"] = "; ".join([entry["reason"], *also])
-    return entries
-
-
-def _camera(image: ImageFacts) -> str:
-    width, height = image.size_px
-    return " ".join(part for part in (image.model or image.make, f"{width} x {height} px") if part)
-
-
-def _read(path: Path) -> Bytes | None:
-    try:
-        return as_eight_bit(read_grey(path))
-    except PhotocalError:
-        return None
-
-
-def _appearance(grey: Bytes | None, sharp: Sequence[float]) -> list[str]:
-    if grey is None:
-        return []
-    white, black = float(np.mean(grey >= WHITE)), float(np.mean(grey <= BLACK))
-    if white > BURNT:
-        return [f"over-exposed: {white:.0%} of it is white"]
-    if black > BURNT:
-        return [f"under-exposed: {black:.0%} of it is black"]
-    if len(sharp) == OTHERS and _sharpness(grey) < BLURRED * float(np.median(sharp)):
-        return ["blurred"]
-    return []
-
-
-def _sharpness(grey: Bytes) -> float:
-    """Finest detail over all contrast."""
-    import cv2
-
-    fine = cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 1.0), cv2.CV_32F)
-    return float(fine.std() / max(float(grey.std()), 1.0))
-
-
-def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block:
-    """Make a block of images without points."""
+def stated_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[Camera, ...], Integers]:
+    """Cameras as images state them, little of them estimated, and which of them took each image."""
     names, member = group_cameras(facts)
     cameras = []
     for k, camera_name in enumerate(names):
@@ -94,14 +35,31 @@ def start_block(facts: Sequence[ImageFacts], places: Floats, name: str) -> Block
         stated = stated_camera(camera_name, image)
         free, guessed = among(*ESTIMATE), stated.guessed
         cameras.append(replace(stated.camera, estimated=free, guessed=guessed, shutter="unknown"))
+    return tuple(cameras), member
+
+
+def start_block(
+    facts: Sequence[ImageFacts],
+    places: Floats,
+    name: str,
+    assumed: tuple[float, float, float] | None = POSITION_SIGMA_M,
+    given: tuple[tuple[Camera, ...], Integers] | None = None,
+) -> Block:
+    """Make a block of images without points.
+
+    assumed: sigma of positions that the images do not state; None leaves all of them free.
+    given: cameras, and which of them took each image; without, as the images state.
+    """
+    cameras, member = stated_cameras(facts) if given is None else given
     poses = np.full((len(facts), 6), np.nan)
     poses[:, 3:] = places
     sigma = np.full((len(facts), 6), np.inf)
-    sigma[:, 3:] = position_sigma(facts)
+    if assumed is not None:
+        sigma[:, 3:] = position_sigma(facts, assumed)
     sigma[np.isnan(places).any(axis=1)] = np.inf
     enough = np.isfinite(places).all(axis=1).sum() >= FEWEST_POSITIONS
     images = Images(tuple(f.name for f in facts), member, poses, sigma, time=clock_seconds(facts))
-    return Block(name, "local", "", "control" if enough else "free", tuple(cameras), images)
+    return Block(name, "local", "", "control" if enough else "free", cameras, images)
 
 
 def position_sigma(

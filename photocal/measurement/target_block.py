@@ -31,7 +31,7 @@ FEWEST_PICTURES, FEWEST_TARGETS = 4, 8
 
 
 @dataclass(frozen=True)
-class View:
+class TargetView:
     """Points that a picture shows.
 
     point (n,): numbers of the points.
@@ -44,7 +44,7 @@ class View:
     pixels: Floats
     sigma: Floats
 
-    def some(self, points: Integers) -> "View":
+    def some(self, points: Integers) -> "TargetView":
         """Keep what is seen of these points."""
         kept = np.isin(self.point, points)
         return replace(self, point=self.point[kept], pixels=self.pixels[kept], sigma=self.sigma[kept])
@@ -57,11 +57,11 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Prog
     raises PhotocalError: when the views do not determine the camera.
     """
 
-    def measure(path: Path) -> View:
+    def measure(path: Path) -> TargetView:
         facts, view = read_facts(path), find_board(read_grey(path), board)
         if view is None:
             raise InputNotFoundError("the board was not found", where=path)
-        return View(facts, view.corners, view.pixels, view.sigmas)
+        return TargetView(facts, view.corners, view.pixels, view.sigmas)
 
     with progress("measuring the board", len(paths)) as done:
         views, left_out = each_picture(paths, measure, done)
@@ -102,13 +102,15 @@ def measure_field(
     """
     dictionary(dictionary_name)
 
-    def measure(path: Path) -> View:
+    def measure(path: Path) -> TargetView:
         markers = find_markers(read_grey(path), dictionary_name)
         # Two edges make a corner, each about as good as the centre that four of them make.
         sigma = np.array([2.0 * np.hypot(*m.centre.sigma) / np.sqrt(2.0) for m in markers])
         corner = np.array([[4 * m.identity + k for k in range(4)] for m in markers], dtype=np.int64).ravel()
         pixels = np.array([m.corners for m in markers]).reshape(-1, 2)
-        return View(lens.of(read_facts(path)), corner, pixels, np.repeat(sigma, 4)[:, None].repeat(2, axis=1))
+        return TargetView(
+            lens.of(read_facts(path)), corner, pixels, np.repeat(sigma, 4)[:, None].repeat(2, axis=1)
+        )
 
     with progress("measuring the targets", len(paths)) as done:
         views, left_out = each_picture(paths, measure, done)
@@ -143,7 +145,7 @@ def measure_field(
     return Measured(block, {"schema": SCHEMA, "kind": "field of coded targets", **given, **record})
 
 
-def _block(views: Sequence[View], numbers: Integers, points: ObjectPoints, name: str) -> Block:
+def _block(views: Sequence[TargetView], numbers: Integers, points: ObjectPoints, name: str) -> Block:
     """Block of the views of points with these numbers; of a flat board with coordinates, oriented to it."""
     facts = [view.facts for view in views]
     names, member = group_cameras(facts)
@@ -188,7 +190,7 @@ def _block(views: Sequence[View], numbers: Integers, points: ObjectPoints, name:
 
 
 def _measured(
-    block: Block, views: Sequence[View], left_out: list[dict[str, str]]
+    block: Block, views: Sequence[TargetView], left_out: list[dict[str, str]]
 ) -> tuple[Block, dict[str, Any]]:
     """The block with the sigmas that its residuals tell, and what the record of both kinds says."""
     block, figures = with_common_sigma(block)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.measurement.centre import Centre, Look
+from photocal.measurement.centre import LEAST_CONTRAST, Centre, TargetImage
 from photocal.measurement.image_file import Grey
 from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
 
@@ -22,9 +22,8 @@ LIKE = {"disc": 0.92, "ring": 0.85, "cross": 0.85, "hourglass": 0.85}
 _SMALL_PX = 18.0
 # More places than this in a window are texture; the likest are tried.
 _MOST = 15
-# The picture must explain the grey values: noise as a part of the contrast; and the contrast itself.
+# The picture must explain the grey values: noise as a part of the contrast.
 WORST_MISFIT = {"disc": 0.10, "ring": 0.12, "cross": 0.12, "hourglass": 0.12}
-LEAST_CONTRAST = 20.0
 # Edges of a target are sharp, px or parts of its size; a small dark spot whose edges fill it is a blot.
 _BLUNTEST_PX, _BLUNTEST_PART, _BLOT_PART = 1.8, 0.06, 0.14
 # Sizes agree to this part, and this many pixels of blur.
@@ -37,7 +36,7 @@ _ANGLE, _PART = 0.22, 0.3
 _CROSS, _HOURGLASS = 0.92, 0.85
 
 
-def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tuple[Centre, ...]:
+def find_targets(grey: Grey, place: Place, covariance: Floats, look: TargetImage) -> tuple[Centre, ...]:
     """Find all targets of a look where one is predicted."""
     inverse = np.linalg.inv(covariance + 1e-6 * np.eye(2))
     candidates: list[tuple[float, Centre]] = []
@@ -61,7 +60,9 @@ def find_targets(grey: Grey, place: Place, covariance: Floats, look: Look) -> tu
     return tuple(kept)
 
 
-def _worth_a_fit(grey: Grey, place: Place, covariance: Floats, look: Look) -> Iterator[tuple[Place, float]]:
+def _worth_a_fit(
+    grey: Grey, place: Place, covariance: Floats, look: TargetImage
+) -> Iterator[tuple[Place, float]]:
     """Places where the image is like the target, with its turn; those that are likest first."""
     import cv2
 
@@ -101,14 +102,14 @@ def _worth_a_fit(grey: Grey, place: Place, covariance: Floats, look: Look) -> It
         yield (float(middle[0]), float(middle[1])), float(look.turns[which[row, column]])
 
 
-def _clear(centre: Centre, look: Look) -> bool:
+def _clear(centre: Centre, look: TargetImage) -> bool:
     blur = abs(float(centre.shape[-1]))
     sharp = blur <= min(max(_BLUNTEST_PX, _BLUNTEST_PART * look.size), _BLOT_PART * look.size)
     plain = centre.noise <= WORST_MISFIT[look.kind] * centre.contrast
     return sharp and plain and centre.contrast >= LEAST_CONTRAST
 
 
-def _likeness(grey: Grey, centre: Centre, look: Look, turn: float) -> float:
+def _likeness(grey: Grey, centre: Centre, look: TargetImage, turn: float) -> float:
     """Correlation of the image about a centre with the ideal picture there."""
     column, row = round(centre.column), round(centre.row)
     columns, rows = look.reach
@@ -127,7 +128,7 @@ def _likeness(grey: Grey, centre: Centre, look: Look, turn: float) -> float:
     return abs(float(np.corrcoef(ideal[covered], seen[covered])[0, 1]))
 
 
-def _fitted(grey: Grey, place: Place, look: Look) -> Centre | None:
+def _fitted(grey: Grey, place: Place, look: TargetImage) -> Centre | None:
     if look.kind == "cross":
         size = 2 * _CROSS * look.semi_axes[1]
         return cross_centre(grey, place, size, look.part * look.size, look.bend)
@@ -137,7 +138,7 @@ def _fitted(grey: Grey, place: Place, look: Look) -> Centre | None:
     return round_centre(grey, place, look.semi_axes, look.direction, look.bend, look.margin, hole)
 
 
-def _agrees(centre: Centre, look: Look) -> bool:
+def _agrees(centre: Centre, look: TargetImage) -> bool:
     """Whether what was fitted has the form and the size of the target."""
     if look.kind in ("disc", "ring"):
         hollow = look.kind == "disc" or abs(centre.shape[3] / look.part - 1) <= _PART
@@ -149,7 +150,7 @@ def _agrees(centre: Centre, look: Look) -> bool:
     return bool(broad and abs(np.cos(first - second)) <= np.sin(_ANGLE))
 
 
-def _round(centre: Centre, look: Look) -> bool:
+def _round(centre: Centre, look: TargetImage) -> bool:
     """Whether an ellipse is a circle of the right size in the target's plane."""
     a, b, direction = centre.shape[:3]
     turn = np.array([[np.cos(direction), -np.sin(direction)], [np.sin(direction), np.cos(direction)]])

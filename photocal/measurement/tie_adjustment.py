@@ -6,11 +6,9 @@ from typing import Any, Self
 import numpy as np
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.datum import with_datum
-from photocal.adjustment.normal import prepare
 from photocal.adjustment.readout import READOUT, rolls_whatever_the_lens, with_readouts
-from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.solution import Solution
+from photocal.adjustment.start.model import UNLIKE, robust_adjustment
 from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
@@ -20,7 +18,7 @@ from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.measurement.start_block import without_images, without_single_rays
-from photocal.measurement.tie_block import GROSS, START_GROSS, fitting, place, ray_sigmas, with_ties
+from photocal.measurement.tie_block import GROSS, LEAST_REDUNDANCY, fitting, place, ray_sigmas, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
 
@@ -37,7 +35,7 @@ CREDIBLE = 0.05
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class AdjustedTies:
     """An adjusted block of tie points.
 
     block: with its tie points; start values are the adjusted ones, observed values stay as observed.
@@ -122,7 +120,7 @@ class _Ties:
         )
 
 
-def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
+def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
     """Adjust a block with tie points; rays that do not fit and images without hold are taken out."""
     total, given = len(tracks.track), start.cameras
     ties, block = _Ties(start, poses, tracks, np.ones(total)).held()
@@ -142,7 +140,9 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         tie_rays = slice(len(start.observations.image), None)
         sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
         # A residual shows the part of the error that the redundancy number says.
-        standardised = size[tie_rays] / (sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], 0.05)))
+        standardised = size[tie_rays] / (
+            sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], LEAST_REDUNDANCY))
+        )
         good = standardised <= (GROSS if round_ else 2 * GROSS)
         ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and np.mean(~good) <= FEW_LEFT:
@@ -165,7 +165,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> Adjusted:
         points=replace(block.points, values=points),
     )
     rejected = total - len(ties.tracks.track)
-    return Adjusted(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
+    return AdjustedTies(block, start, ties.tracks, values, assembly, solution, rejected, ties.left_out)
 
 
 def _kept(start: Block, poses: Floats) -> Images:
@@ -296,12 +296,11 @@ def _free(block: Block) -> Block:
 def _robustly(ties: _Ties, block: Block) -> _Ties:
     """Ties without the rays that a robust adjustment leaves far off, at its poses."""
     assembly, start = assembled(replace(block, cameras=_held(block.cameras)), ties.poses)
-    problem = with_datum(prepare(assembly.network), start)
-    state = robust_state(problem, start)
+    state, ray_fits = robust_adjustment(assembly.network, start)
     fit = np.empty(len(assembly.rays))
-    fit[assembly.rays] = ray_fit(problem, state)
+    fit[assembly.rays] = ray_fits
     poses = np.hstack([angles_from_matrix(state.rotation), state.centre])
-    good = fit <= START_GROSS * np.median(fit)
+    good = fit <= UNLIKE * np.median(fit)
     ties = ties.some(good[len(ties.start.observations.image) :])
     return replace(ties, poses=given_poses(assembly.frame, poses))
 
@@ -345,12 +344,12 @@ def by_ray(assembly: NetworkOfBlock, solution: Solution) -> tuple[Floats, Floats
     return size, redundancy
 
 
-def scatter(adjusted: Adjusted) -> float:
+def ray_rms_px(adjusted: AdjustedTies) -> float:
     """What is left in the rays, each as its redundancy shows it, px."""
     return float(adjusted.tie_sigma * np.sqrt(adjusted.solution.variance_factor))
 
 
-def camera_figures(adjusted: Adjusted, freed: Solution | None) -> list[dict[str, Any]]:
+def camera_figures(adjusted: AdjustedTies, freed: Solution | None) -> list[dict[str, Any]]:
     """Parameters of each camera, and what its principal distance becomes when it is released.
 
     It is released after the last gross error was taken out: before, errors would go into it.
@@ -376,7 +375,7 @@ def camera_figures(adjusted: Adjusted, freed: Solution | None) -> list[dict[str,
     return figures
 
 
-def with_released_c(adjusted: Adjusted, loosely: float = 1.0) -> Solution | None:
+def with_released_c(adjusted: AdjustedTies, loosely: float = 1.0) -> Solution | None:
     """Adjust with free principal distances; None where the block does not bear them.
 
     loosely: factor of the sigmas of positions and angles.
@@ -395,7 +394,7 @@ def with_released_c(adjusted: Adjusted, loosely: float = 1.0) -> Solution | None
         return None
 
 
-def _released(adjusted: Adjusted, freed: Solution, k: int) -> dict[str, Any]:
+def _released(adjusted: AdjustedTies, freed: Solution, k: int) -> dict[str, Any]:
     solution = adjusted.solution
     change = float(freed.cameras[k, 0] / solution.cameras[k, 0] - 1)
     view = -solution.state.rotation[:, 2].mean(axis=0)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from photocal.adjustment.start.model import UNLIKE
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.block.model import ROLES, Block
 from photocal.block.network import block_frame, observed_pixels, observed_plane
@@ -15,8 +16,6 @@ from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.tracks import Tracks
 
 TIE = ROLES.index("tie")
-# At the start, when the camera is not calibrated, a ray is wrong when its residual exceeds so many medians.
-START_GROSS = 8.0
 # Points whose rays deviate less from their mean lie too far away to be determined, rad.
 LEAST_SPREAD = 0.005
 # A ray is wrong when its residual exceeds so many of its standard deviations.
@@ -30,7 +29,7 @@ _ROUNDS = 8
 # Classes and images in turn, until neither changes.
 _TURNS = 4
 # Of errors with less redundancy nothing shows.
-_SEEN = 0.05
+LEAST_REDUNDANCY = 0.05
 
 
 def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Block:
@@ -64,7 +63,7 @@ def place(block: Block, tracks: Tracks, least_spread: float = LEAST_SPREAD) -> F
     return given_places(frame, points)
 
 
-def brought_nearer(block: Block, poses: Floats, tracks: Tracks, ratio: Floats) -> Floats:
+def rescaled_poses(block: Block, poses: Floats, tracks: Tracks, ratio: Floats) -> Floats:
     """Poses of images whose principal distances become others: as much nearer to what they see."""
     frame = block_frame(block)
     placed = place(replace(block, images=replace(block.images, values=poses)), tracks, 0.0)
@@ -91,7 +90,7 @@ def fitting(block: Block) -> Flags:
     tie = block.points.role[seen.point] == TIE
     typical = np.nanmedian(np.where(np.isfinite(miss) & tie, miss, np.nan))
     with np.errstate(invalid="ignore"):
-        return np.asarray(miss <= START_GROSS * typical)
+        return np.asarray(miss <= UNLIKE * typical)
 
 
 def intersected(views: OrientedImages, tracks: Tracks) -> Floats:
@@ -101,7 +100,7 @@ def intersected(views: OrientedImages, tracks: Tracks) -> Floats:
     return intersect(tracks.track, tracks.count, station, rotation, ideal, c)
 
 
-def misses(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
+def reprojection_errors(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
     """Distance of each ray from where its image should show its point, px; NaN where it cannot."""
     return np.asarray(
         np.hypot(*(views.project(tracks.image, points[tracks.track]) - tracks.pixels).T), dtype=np.float64
@@ -138,7 +137,7 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
     # Height, light and blur make images differently sharp; with one sigma for all, those that are worse would
     # weigh too much, and what depends on them would seem surer than it is.
     images = int(image.max(initial=-1)) + 1
-    seen = redundancy > _SEEN
+    seen = redundancy > LEAST_REDUNDANCY
     count = np.bincount(image[seen], minlength=images)
     judged = np.flatnonzero(count >= FEWEST_IN_IMAGE)
     factor = np.ones(images)
@@ -164,7 +163,7 @@ def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
     member = np.searchsorted(edges, scale)
     sigma = np.ones(len(scale))
     for k in range(classes):
-        of_class = (member == k) & (redundancy > _SEEN)
+        of_class = (member == k) & (redundancy > LEAST_REDUNDANCY)
         if of_class.any():
             sigma[member == k] = _sigma_of_the_kept(size[of_class] ** 2, 2 * redundancy[of_class])
     return np.maximum(sigma, FINEST_PX)

@@ -15,8 +15,8 @@ from photocal.block.table import read_wider_table
 from photocal.findings.finding import Finding, untested
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.similarity import similarity
-from photocal.measurement.image_block import measure_images
 from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.picture_block import measure_images
 from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.position_comparison import judge_positions

@@ -1,7 +1,6 @@
 """Stage `measurements`: tie points, targets and marks in the images, or observations that were given."""
 
 import json
-import os
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
@@ -127,7 +126,7 @@ def pictures_of(project: Project) -> dict[str, Path]:
 
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import SCHEMA, write_block
-    from photocal.measurement.project_block import control_points
+    from photocal.measurement.picture_block import control_points
     from photocal.run.project_checks import check_near, picture_places
 
     if exposures is None:
@@ -142,12 +141,10 @@ def _make(project: Project, exposures: Path | None, folder: Path, show: Progress
         block = given_block(project, starts, unmatched)
         write_block(folder, block, {"schema": SCHEMA, "kind": "given observations"})
         return
-    from photocal.base.operating_system import cache_folder
     from photocal.measurement.match_images import MatchingPlan
     from photocal.measurement.orientation import of_exposures
-    from photocal.measurement.project_block import measure_project
+    from photocal.measurement.picture_block import measure_project
 
-    plan = MatchingPlan(cache_folder(), os.cpu_count() or 1)
     oriented = None if exposures is None else of_exposures(project, exposures)
-    measured = measure_project(project, oriented, plan, show)
+    measured = measure_project(project, oriented, MatchingPlan(), show)
     write_block(folder, measured.block, measured.record)

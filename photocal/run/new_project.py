@@ -14,10 +14,10 @@ from photocal.base.files import output_file, rows_text
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.measurement.camera_heads import HeadGroup, recognised_heads
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after
-from photocal.measurement.rigs import Frame, recognised
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
@@ -64,7 +64,9 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
         )
     pictures = max(seen.pictures, key=lambda where: len(seen.pictures[where]), default=None)
     facts = seen.pictures[pictures] if pictures is not None else ()
-    frame = recognised({where / image.name: image for where, some in seen.pictures.items() for image in some})
+    frame = recognised_heads(
+        {where / image.name: image for where, some in seen.pictures.items() for image in some}
+    )
     if frame is not None:
         facts = tuple(
             image for w, some in seen.pictures.items() for image in some if w / image.name in frame.head
@@ -131,7 +133,7 @@ class _Text:
         control: ControlFile | None,
         crs: str,
         height: str,
-        frame: Frame | None = None,
+        frame: HeadGroup | None = None,
     ) -> None:
         self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, control
         self.crs, self.height, self.frame = crs, height, frame

@@ -21,8 +21,8 @@ from photocal.geometry.oriented_images import given_places
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.marks import ControlMarks, in_map_system
+from photocal.measurement.picture_block import better_known, control_points
 from photocal.measurement.position_files import map_places
-from photocal.measurement.project_block import better_known, control_points
 from photocal.measurement.tie_block import intersected, views_of
 from photocal.measurement.tracks import Tracks
 from photocal.project import Project

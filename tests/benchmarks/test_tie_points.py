@@ -21,9 +21,9 @@ from photocal.adjustment.adjust import adjust
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.similarity import similarity
-from photocal.measurement.image_block import measure_images
 from photocal.measurement.image_file import list_images
 from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.picture_block import measure_images
 
 pytestmark = [pytest.mark.shared, pytest.mark.timeout(7200)]
 Floats = NDArray[np.float64]

@@ -29,8 +29,8 @@ from photocal.block.model import Block
 from photocal.block.network import assemble
 from photocal.cli import app
 from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE_DEGREES, Camera
-from photocal.measurement.image_block import measure_images
 from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.picture_block import measure_images
 from photocal.results.adjusted import adjust_network
 from photocal.results.result import Result
 

@@ -27,8 +27,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from photocal.base.errors import PhotocalError
+from photocal.measurement.image_pairs import stated_footprints
+from photocal.measurement.image_tracks import ImageTracks, track_images
 from photocal.measurement.match_images import MatchingPlan
-from photocal.measurement.measure_ties import Sighted, sight, stated_footprints
 from photocal.measurement.oriented_ties import first_orientation
 from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
@@ -95,10 +96,10 @@ def quiet(_: str, __: float | None) -> Iterator[Callable[[float], None]]:
     yield lambda _: None
 
 
-def connected(sighted: Sighted) -> int:
+def connected(tracked: ImageTracks) -> int:
     """Pictures of the largest group that shares points, whatever their orientation."""
-    tracks = sighted.tracks.some((sighted.tracks.rays >= 3)[sighted.tracks.track])
-    images = len(sighted.facts)
+    tracks = tracked.tracks.some((tracked.tracks.rays >= 3)[tracked.tracks.track])
+    images = len(tracked.facts)
     seen = csr_array((np.ones(len(tracks.track)), (tracks.image, tracks.track)), (images, tracks.count))
     together = (seen @ seen.T).toarray() >= SHARED
     _, label = connected_components(together, directed=False)
@@ -110,23 +111,23 @@ def oriented(
 ) -> Outcome:
     """Orient a subset with a wrong start."""
     began = time.process_time()
-    sighted = sight(
+    tracked = track_images(
         [*paths, *strangers], MatchingPlan(cache, 1), quiet, stated_footprints, lambda facts: facts
     )
-    places, _ = local_places(sighted.facts)
+    places, _ = local_places(tracked.facts)
     wrong = rng.normal(size=places.shape)
     wrong *= WRONG_M * rng.random((len(places), 1)) / np.linalg.norm(wrong, axis=1)[:, None]
-    start = start_block(sighted.facts, places + wrong, name)
+    start = start_block(tracked.facts, places + wrong, name)
     share = 1 + rng.uniform(-WRONG_C, WRONG_C)
     cameras = []
     for own in start.cameras:
         values = own.values.copy()
         values[0] *= share
         cameras.append(own.with_values(values))
-    group, names = connected(sighted), [f.name for f in sighted.facts]
+    group, names = connected(tracked), [f.name for f in tracked.facts]
     c_start = float(cameras[int(start.images.camera[names.index(paths[0].name)])].values[0])
     try:
-        first = first_orientation(replace(start, cameras=tuple(cameras)), sighted.tracks)
+        first = first_orientation(replace(start, cameras=tuple(cameras)), tracked.tracks)
     except PhotocalError as refusal:
         spent = time.process_time() - began
         nan = float("nan")

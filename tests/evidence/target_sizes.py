@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from photocal.base.workers import run_tasks
 from photocal.geometry.camera import camera
 from photocal.measurement.boards import Board, charuco_board, find_board
-from photocal.measurement.centre import PARTS, SMALLEST_PX, Look, ground_bend
+from photocal.measurement.centre import PARTS, SMALLEST_PX, TargetImage, ground_bend
 from photocal.measurement.markers import COMMON_PX, dictionary, find_markers
 from photocal.measurement.marking.snap import snap
 from photocal.measurement.target_search import find_targets
@@ -187,7 +187,7 @@ Found = list[tuple[float, float, float, float, float, float]]
 def by_prediction(kind: str, seen: View, rng: np.random.Generator) -> Found:
     """`photocal measure` of a project with exposures: a window about the predicted place."""
     place = seen.centre + rng.normal(0, PREDICTED_PX, 2)
-    look = Look(kind, seen.affine * (1 + rng.normal(0, SCALE)), PARTS[kind], seen.bend)  # type: ignore[arg-type]
+    look = TargetImage(kind, seen.affine * (1 + rng.normal(0, SCALE)), PARTS[kind], seen.bend)  # type: ignore[arg-type]
     if not look.large_enough:
         return []
     found = find_targets(

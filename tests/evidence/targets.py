@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from photocal.base.workers import run_tasks
 from photocal.measurement.boards import Board, find_board
-from photocal.measurement.centre import PARTS, SMALLEST_PX, Kind, Look
+from photocal.measurement.centre import PARTS, SMALLEST_PX, Kind, TargetImage
 from photocal.measurement.image_file import as_eight_bit, list_images, read_grey
 from photocal.measurement.markers import find_markers
 from photocal.measurement.target_search import WITHIN, find_targets
@@ -84,7 +84,7 @@ def searched(piece: Piece) -> list[tuple[str, str]]:
             found += [("chessboard", where)] * (find_board(patch, CHESSBOARD) is not None)
         for kind in get_args(Kind):
             size = float(np.exp(rng.uniform(np.log(SMALLEST_PX[kind]), np.log(LARGEST))))
-            look = Look(kind, size / 2 * np.eye(2), PARTS[kind])
+            look = TargetImage(kind, size / 2 * np.eye(2), PARTS[kind])
             middle = (SIDE - 1) / 2
             centres = find_targets(patch, (middle, middle), (middle / WITHIN) ** 2 * np.eye(2), look)
             found += [(kind, f"{where}, {look.size:.1f} px")] * len(centres)

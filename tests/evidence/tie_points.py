@@ -31,11 +31,12 @@ from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.geometry.similarity import similarity
 from photocal.measurement.block_files import Measured
-from photocal.measurement.image_block import GivenControl, measure_images
 from photocal.measurement.image_file import list_images
-from photocal.measurement.match_images import MatchingPlan, footprints, select_pairs
-from photocal.measurement.measure_ties import sight, stated_footprints
+from photocal.measurement.image_pairs import footprints, select_pairs, stated_footprints
+from photocal.measurement.image_tracks import track_images
+from photocal.measurement.match_images import MatchingPlan
 from photocal.measurement.oriented_ties import Oriented, orient_ties
+from photocal.measurement.picture_block import GivenControl, measure_images
 from photocal.measurement.tie_block import TIE
 from photocal.results.adjusted import given_exposures, given_points
 
@@ -164,8 +165,8 @@ def _marks_only(block: Block) -> Block:
 def _with_ties(start: Block, folder: Path, plan: MatchingPlan) -> Oriented:
     """Measure tie points in the pictures of a block, and orient it."""
     paths = [path for path in list_images(folder) if path.name in start.images.names]
-    sighted = sight(paths, plan, quiet, stated_footprints, lambda facts: facts)
-    order = [start.images.names.index(own.name) for own in sighted.facts]
+    tracked = track_images(paths, plan, quiet, stated_footprints, lambda facts: facts)
+    order = [start.images.names.index(own.name) for own in tracked.facts]
     images, seen = start.images, start.observations
     turned = replace(
         start,
@@ -178,7 +179,7 @@ def _with_ties(start: Block, folder: Path, plan: MatchingPlan) -> Oriented:
         ),
         observations=replace(seen, image=np.argsort(order)[seen.image]),
     )
-    return orient_ties(turned, sighted.sources, sighted.tracks, sighted.pairs, plan.processes, quiet)
+    return orient_ties(turned, tracked.sources, tracked.tracks, tracked.pairs, plan.processes, quiet)
 
 
 def brighton(shared: Path, plan: MatchingPlan) -> list[str]:

@@ -7,9 +7,9 @@ import numpy as np
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.network import Exposures, Network, Points, Rays
 from photocal.adjustment.normal import prepare
-from photocal.adjustment.snooping import robust_state
+from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.start.bearings import Bearings
-from photocal.adjustment.state import start_state
+from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.resection import intersect, ray_residuals, resection
@@ -208,7 +208,7 @@ def adjusted(model: Model) -> Model:
     )
     start = replace(start_state(network), cameras=np.array([camera.values for camera in seen.cameras]))
     with np.errstate(all="ignore"):
-        state = robust_state(with_datum(prepare(network), start), start)
+        state, _ = robust_adjustment(network, start)
     rotation, centre = model.rotation.copy(), model.centre.copy()
     rotation[images], centre[images] = state.rotation, state.centre
     where = model.points.copy()
@@ -218,6 +218,13 @@ def adjusted(model: Model) -> Model:
         cameras = tuple(camera.with_values(v) for camera, v in zip(seen.cameras, state.cameras, strict=True))
         better = replace(better, bearings=seen.by(cameras))
     return better if misfit(better) < STRAINED * misfit(model) else model
+
+
+def robust_adjustment(network: Network, start: State) -> tuple[State, Floats]:
+    """State that gross errors do not bend, from start values, and how its rays fit."""
+    problem = with_datum(prepare(network), start)
+    state = robust_state(problem, start)
+    return state, ray_fit(problem, state)
 
 
 def _to_calibrate(seen: Bearings, rays: Integers) -> tuple[Camera, ...]:

@@ -37,7 +37,7 @@ class Residual:
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class AdjustedMarks:
     """What an adjustment of marks found.
 
     orientation: improved where images took part.
@@ -50,7 +50,7 @@ class Adjusted:
     left_out: tuple[str, ...]
 
 
-def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]) -> Adjusted:
+def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence[Mark]) -> AdjustedMarks:
     """Adjust marks."""
     from photocal.block.network import assemble
     from photocal.results.adjusted import adjusted, given_exposures, observed_residuals
@@ -82,7 +82,9 @@ def adjust_marks(orientation: Orientation, points: ObjectPoints, marks: Sequence
     poses[rows], covariances[rows] = values, covariance
     images = replace(images, values=poses, covariance=covariances)
     improved = replace(orientation, images=images, source="adjusted marks")
-    return Adjusted(residuals, improved, float(np.sqrt(factor)) if np.isfinite(factor) else None, left_out)
+    return AdjustedMarks(
+        residuals, improved, float(np.sqrt(factor)) if np.isfinite(factor) else None, left_out
+    )
 
 
 def block_of_marks(

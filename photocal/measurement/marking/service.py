@@ -25,7 +25,7 @@ from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
 from photocal.measurement.centre import ground_bend, measurable
 from photocal.measurement.image_file import Grey, read_grey
-from photocal.measurement.marking.adjustment import Adjusted, adjust_marks
+from photocal.measurement.marking.adjustment import AdjustedMarks, adjust_marks
 from photocal.measurement.marking.scene import Picture, Scene
 from photocal.measurement.marking.snap import KINDS, Kind, snap
 from photocal.measurement.marking.store import MarkStore
@@ -69,7 +69,7 @@ class MarkingService:
 
     def __init__(self, scene: Scene, store: MarkStore, cache: Path) -> None:
         self._scene, self._store, self._tiles = scene, store, Tiles(cache)
-        self._adjusted: Adjusted | None = None
+        self._adjusted: AdjustedMarks | None = None
         self._adjusted_marks: dict[tuple[str, str], tuple[float, float]] = {}
 
     def project(self) -> dict[str, Any]:

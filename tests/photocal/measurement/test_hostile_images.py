@@ -20,7 +20,7 @@ from rasterio.errors import NotGeoreferencedWarning  # type: ignore[import-untyp
 
 from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.measurement.boards import find_board, parse_board
-from photocal.measurement.centre import Look
+from photocal.measurement.centre import TargetImage
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images, read_grey
 from photocal.measurement.markers import dictionary, find_markers
@@ -148,7 +148,7 @@ def test_targets_lie_on_the_stored_grid(folder: Path, name: str) -> None:
 
 def test_sixteen_bits_have_the_same_uncoded_targets(folder: Path) -> None:
     for name in ("grey.png", "deep.tif"):
-        look = Look("disc", 15 * np.eye(2), 1.0)
+        look = TargetImage("disc", 15 * np.eye(2), 1.0)
         (centre,) = find_targets(read_grey(folder / name), (342.0, 229.0), 4 * np.eye(2), look)
         assert (centre.column, centre.row) == pytest.approx(DISC, abs=0.05)
 

@@ -10,8 +10,8 @@ import pytest
 from photocal.block.model import Block, Images
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.lens_choice import before_the_choice, with_chosen_lenses
-from photocal.measurement.tie_adjustment import Adjusted, adjust_ties
+from photocal.measurement.lens_choice import with_chosen_lenses, with_shutters_closed
+from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
 from photocal.measurement.tracks import Tracks
 
 SIZE, C = (2000, 1500), 1500.0
@@ -27,7 +27,7 @@ def lens(model: Model, k: tuple[float, ...], estimate: tuple[str, ...] = ()) -> 
 
 def flown(
     true: Camera, seed: int, unknown: bool = False, readout: float = 0.0
-) -> tuple[Adjusted, Block, Tracks]:
+) -> tuple[AdjustedTies, Block, Tracks]:
     """Two heights of strips over hills, positions to 3 cm, half a pixel of noise; adjusted without K4.
 
     With a readout (s) at 8 m/s there and back in gusts of 2 deg/s.
@@ -98,7 +98,7 @@ def test_a_lens_that_is_right_stays(seed: int) -> None:
 def test_a_wrong_lens_is_no_readout() -> None:
     """Shutters are tested only with the lens that was chosen."""
     adjusted, block, tracks = flown(lens("brown-observed", (-0.25, 0.12)), 8, unknown=True)
-    closed = before_the_choice(adjusted)
+    closed = with_shutters_closed(adjusted)
     assert [own.shutter for own in closed.start.cameras] == ["global"]
     better, chosen, _ = with_chosen_lenses(closed, block, tracks)
     assert chosen.cameras[0].model == "brown-observed"
@@ -110,7 +110,7 @@ def test_a_wrong_lens_is_no_readout() -> None:
 def test_a_readout_is_no_other_lens(seed: int, readout: float) -> None:
     """Where the shutter rolls and its readout is left out, the rays prefer any lens that bends."""
     adjusted, block, tracks = flown(lens("brown-ideal", (-0.10, 0.05, -0.02)), seed, True, readout)
-    better, chosen, findings = with_chosen_lenses(before_the_choice(adjusted), block, tracks)
+    better, chosen, findings = with_chosen_lenses(with_shutters_closed(adjusted), block, tracks)
     assert findings == []
     assert (chosen.cameras[0].model, chosen.cameras[0].free) == ("brown-ideal", ESTIMATE)
     assert better.start.cameras[0].rolling
@@ -121,7 +121,7 @@ def test_pixels_that_are_not_square_are_no_readout(seed: int) -> None:
     """Sides that differ by 0.04 %, there and back over hills and with a crossing height."""
     true = lens("brown-ideal", (-0.10, 0.05, -0.02)).changed(B1=4e-4)
     adjusted, block, tracks = flown(true, seed, unknown=True)
-    better, chosen, findings = with_chosen_lenses(before_the_choice(adjusted), block, tracks)
+    better, chosen, findings = with_chosen_lenses(with_shutters_closed(adjusted), block, tracks)
     assert chosen.cameras[0].free == (*ESTIMATE, "B1")
     assert [one.figures["names"][-1] for one in findings] == ["B1"]
     assert not better.start.cameras[0].rolling

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from photocal.findings.texts import catalogue, finding_text, plain
-from photocal.measurement.project_block import findings_of_marks
+from photocal.measurement.measurement_record import findings_of_marks
 
 
 def suspects(count: int) -> list[dict[str, Any]]:

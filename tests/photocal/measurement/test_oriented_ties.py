@@ -18,7 +18,7 @@ from photocal.measurement.oriented_ties import _views, first_orientation, orient
 from photocal.measurement.placing import oriented, position_sigmas
 from photocal.measurement.start_block import without_single_rays
 from photocal.measurement.tie_adjustment import _Ties, _where_rays_meet, adjust_ties
-from photocal.measurement.tie_block import brought_nearer, intersected, place, with_ties
+from photocal.measurement.tie_block import intersected, place, rescaled_poses, with_ties
 from photocal.measurement.tracks import Tracks
 from tests.photocal import flights
 from tests.photocal.findings.english import english
@@ -154,7 +154,7 @@ def test_a_wrong_principal_distance_costs_iterations_only(share: float) -> None:
 def test_poses_of_another_principal_distance_come_as_much_nearer() -> None:
     places = np.array([[x, y, 40.0] for x in (-6.0, 6) for y in (-6.0, 6)])
     poses = np.hstack([np.zeros((4, 3)), places])
-    found = brought_nearer(_block(places), poses, _tracks(places), np.full(4, 0.75))
+    found = rescaled_poses(_block(places), poses, _tracks(places), np.full(4, 0.75))
     assert found[:, :5] == pytest.approx(poses[:, :5], abs=1e-9)
     # The ground lies 40 m below, within its hills.
     assert found[:, 5] == pytest.approx(np.full(4, 30.0), abs=0.25)

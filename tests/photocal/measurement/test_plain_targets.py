@@ -18,13 +18,13 @@ from photocal.block.folder import read_block, read_points
 from photocal.block.model import digest
 from photocal.measurement.image_file import list_images
 from photocal.measurement.orientation import of_exposures
+from photocal.measurement.patch_matching import Source
 from photocal.measurement.plain_targets import (
     PlainMarks,
     find_plain_targets,
-    predicted_sights,
+    predicted_targets,
     targets_of_project,
 )
-from photocal.measurement.refine import Source
 from photocal.project import Project, read_project
 
 from .site import GROUND_PX_M, SIDE, Site, flight, plate_place, texture, with_plate
@@ -228,7 +228,7 @@ def test_windows_are_as_large_as_the_covariance(field: Field) -> None:
     """The truth lies within 99.9 % ellipses; an exposure ten times as unsure has ellipses as much larger."""
     project, points = field.project, read_points(field.folder / "control.csv")
     own = of_exposures(project, field.folder / "work/exposures")
-    sights = predicted_sights(own, points, project.control.plain_targets)
+    sights = predicted_targets(own, points, project.control.plain_targets)
     squares = []
     for image, seen in sights.items():
         for sight in seen:
@@ -238,12 +238,12 @@ def test_windows_are_as_large_as_the_covariance(field: Field) -> None:
     assert 0.8 < np.mean(squares) < 3
     wide = replace(own, images=replace(own.images, covariance=own.images.covariances * 100))
     name = field.site.names[0]
-    broad = {s.point: s for s in predicted_sights(wide, points, project.control.plain_targets)[name]}
+    broad = {s.point: s for s in predicted_targets(wide, points, project.control.plain_targets)[name]}
     for narrow in sights[name]:
         ratio = np.linalg.det(broad[narrow.point].covariance) / np.linalg.det(narrow.covariance)
         assert 50 < np.sqrt(ratio) <= 100
     silent = replace(own, images=replace(own.images, covariance=None))
-    assert predicted_sights(silent, points, project.control.plain_targets) == {}
+    assert predicted_targets(silent, points, project.control.plain_targets) == {}
 
 
 def test_a_second_search_reads_no_image(field: Field, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.readout import left_by_movement
-from photocal.measurement.project_block import HOLDING, MOVES, release
+from photocal.measurement.release import HOLDING, MOVES, release
 from photocal.measurement.tie_adjustment import adjust_ties, assembled
 from tests.photocal.measurement.test_lens_choice import ESTIMATE, C, flown, lens
 

@@ -17,15 +17,8 @@ from photocal.base.workers import run_tasks
 from photocal.block.folder import read_block
 from photocal.measurement.features import Features, FeatureSettings, cached, detect
 from photocal.measurement.image_facts import read_facts
-from photocal.measurement.match_images import (
-    Footprints,
-    MatchingPlan,
-    detect_all,
-    footprints,
-    match_all,
-    same_pictures,
-    select_pairs,
-)
+from photocal.measurement.image_pairs import Footprints, footprints, select_pairs
+from photocal.measurement.match_images import MatchingPlan, detect_all, match_all, same_pictures
 from photocal.measurement.matching import MatchSettings, match, mutual_matches, search_windows
 from photocal.measurement.tracks import Tracks, join_tracks, spaced, thin
 

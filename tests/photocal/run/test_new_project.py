@@ -15,7 +15,7 @@ from photocal.block.folder import read_points
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.marks import read_marks
-from photocal.measurement.project_block import pictures_of_heads
+from photocal.measurement.picture_block import pictures_of_heads
 from photocal.project import read_project
 from photocal.run.campaign import stages
 from photocal.run.new_project import new_project

@@ -14,8 +14,8 @@ from PIL import Image
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.patch_kernel import compile_kernels, match_patches
-from photocal.measurement.refine import Source, refine, refine_reduced
-from photocal.measurement.tie_block import intersected, misses
+from photocal.measurement.patch_matching import Source, refine, refine_reduced
+from photocal.measurement.tie_block import intersected, reprojection_errors
 from photocal.measurement.tracks import Tracks, of_images, without_twins
 
 Floats = NDArray[np.float64]
@@ -130,8 +130,8 @@ def test_tracks_become_precise_and_find_their_other_images(tmp_path: Path) -> No
     assert np.array_equal(found[0].pixels, found[1].pixels)
     precise = found[0]
     assert np.mean(precise.rays == 4) > 0.95
-    miss = misses(views, precise, intersected(views, precise))
-    before = misses(views, rough, intersected(views, rough))
+    miss = reprojection_errors(views, precise, intersected(views, precise))
+    before = reprojection_errors(views, rough, intersected(views, rough))
     assert np.sqrt(np.mean(miss**2)) < 0.06 < 0.2 < np.sqrt(np.mean(before**2))
 
 
@@ -166,7 +166,7 @@ def test_rays_farther_off_than_matching_reaches_are_found_in_reduced_pictures(tm
     ]
     full, reduced = (np.mean(one.rays[: one.count] == 3) * one.count / 60 for one in tracks)
     assert full < 0.5 < 0.8 < reduced
-    miss = misses(views, tracks[1], intersected(views, tracks[1]))
+    miss = reprojection_errors(views, tracks[1], intersected(views, tracks[1]))
     assert np.sqrt(np.mean(miss**2)) < 0.5
 
 

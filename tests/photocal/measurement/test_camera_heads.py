@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from photocal.measurement.camera_heads import HeadGroup, recognised_heads
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.rigs import Frame, recognised
 
 
-def seen(names: list[str], times: list[str] | None = None) -> Frame | None:
+def seen(names: list[str], times: list[str] | None = None) -> HeadGroup | None:
     taken = times or [""] * len(names)
-    return recognised(
+    return recognised_heads(
         {Path(n): ImageFacts(Path(n).name, (100, 80), taken=t) for n, t in zip(names, taken, strict=True)}
     )
 

@@ -1,4 +1,4 @@
-"""Cameras on one frame, recognised by the names of their pictures: which belong to one exposure."""
+"""Cameras on one frame, recognised_heads by the names of their pictures: which belong to one exposure."""
 
 import re
 from collections import Counter, defaultdict
@@ -17,7 +17,7 @@ Keys = dict[Path, tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class Frame:
+class HeadGroup:
     """Pictures of several cameras that expose together.
 
     heads: names of the heads, the one that the others refer to first.
@@ -31,7 +31,7 @@ class Frame:
     by: str
 
 
-def recognised(pictures: Mapping[Path, ImageFacts]) -> Frame | None:
+def recognised_heads(pictures: Mapping[Path, ImageFacts]) -> HeadGroup | None:
     """Recognise pictures of cameras on one frame; None where each picture stands for itself."""
     for by, split in (("names", _by_name), ("folders", _by_folder)):
         if frames := list(split(pictures, by)):
@@ -39,7 +39,7 @@ def recognised(pictures: Mapping[Path, ImageFacts]) -> Frame | None:
     return None
 
 
-def _by_name(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[Frame]:
+def _by_name(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[HeadGroup]:
     """One part of the names tells the heads, the others the exposure."""
     for at in (-1, 0, -2):
         keys: Keys = {}
@@ -51,7 +51,7 @@ def _by_name(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[Frame]:
         yield from _frame(pictures, keys, by)
 
 
-def _by_folder(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[Frame]:
+def _by_folder(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[HeadGroup]:
     """Folders with equally many pictures hold a head each, and the pictures follow in their order."""
     folders = defaultdict[Path, list[Path]](list)
     for path in sorted(pictures):
@@ -67,7 +67,7 @@ def _by_folder(pictures: Mapping[Path, ImageFacts], by: str) -> Iterable[Frame]:
         yield from _frame(pictures, keys, by)
 
 
-def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable[Frame]:
+def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable[HeadGroup]:
     """Give the frame of a division into heads and exposures, if it is one."""
     heads = Counter(head for head, _ in keys.values())
     exposures = defaultdict[str, list[Path]](list)
@@ -80,14 +80,14 @@ def _frame(pictures: Mapping[Path, ImageFacts], keys: Keys, by: str) -> Iterable
     head = {path: name for path, (name, _) in keys.items() if name in often}
     for name in often:
         # A head is one camera.
-        if len({_camera(pictures[path]) for path, other in head.items() if other == name}) > 1:
+        if len({_camera_key(pictures[path]) for path, other in head.items() if other == name}) > 1:
             return
     if all(_together([pictures[path] for path in paths]) for paths in shared.values()):
         order = sorted(often, key=lambda name: _rank(name, head, pictures))
-        yield Frame(tuple(order), head, {path: keys[path][1] for path in head}, by)
+        yield HeadGroup(tuple(order), head, {path: keys[path][1] for path in head}, by)
 
 
-def _camera(facts: ImageFacts) -> tuple[object, ...]:
+def _camera_key(facts: ImageFacts) -> tuple[object, ...]:
     return facts.make, facts.model, facts.size_px, facts.maker_camera.get("RigCameraIndex", "")
 
 

@@ -1,25 +1,20 @@
-"""From a folder of images to a block of tie points."""
+"""Features of a set of images, matched and joined to tracks."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Integers
 from photocal.base.errors import InputNotFoundError
 from photocal.base.progress import Progress
 from photocal.measurement import match_images
-from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture
-from photocal.measurement.maker_camera import stated_camera
-from photocal.measurement.oriented_ties import Oriented
-from photocal.measurement.position_files import local_places
-from photocal.measurement.refine import Source
-from photocal.measurement.start_block import explained
-from photocal.measurement.tie_adjustment import camera_figures, pixel_residuals, with_released_c
+from photocal.measurement.image_pairs import Footprints, select_pairs
+from photocal.measurement.patch_matching import Source
 from photocal.measurement.tracks import Tracks, of_images
 
 # Why a picture is left out that is there twice: nothing is lost with it.
@@ -27,8 +22,8 @@ SAME = "same-picture"
 
 
 @dataclass(frozen=True)
-class Sighted:
-    """What features alone say of a set of images.
+class ImageTracks:
+    """Images and the tracks of their features, before anything is oriented.
 
     facts: of the images that can be used.
     pairs (k, 2).
@@ -63,13 +58,13 @@ def _entry(image: str, reason: str, code: str) -> dict[str, str]:
     return {"image": image, "reason": reason, "code": code}
 
 
-def sight(
+def track_images(
     paths: Sequence[Path],
     plan: match_images.MatchingPlan,
     progress: Progress,
-    looking: Callable[[Sequence[ImageFacts]], match_images.Footprints],
+    looking: Callable[[Sequence[ImageFacts]], Footprints],
     given: Callable[[ImageFacts], ImageFacts],
-) -> Sighted:
+) -> ImageTracks:
     """Find features in images, match them and join the matches to tracks.
 
     given: what is known better of an image than it states.
@@ -97,61 +92,10 @@ def sight(
             "; ".join(f"{e['image']}: {e['reason']}" for e in left_out[:3]),
             where=paths[0].parent,
         )
-    pairs, rule = match_images.select_pairs(looking(facts), len(facts))
+    pairs, rule = select_pairs(looking(facts), len(facts))
     with progress("matching pairs of images", len(pairs)) as done:
         tracks, counts = match_images.match_all(keys, pairs, plan, done)
     sources = tuple(Source(readable[k], key, plan.cache) for k, key in zip(good, keys, strict=True))
-    return Sighted(tuple(facts), sources, tracks, pairs, int(np.count_nonzero(counts)), rule, tuple(left_out))
-
-
-def tie_record(sighted: Sighted, oriented: Oriented) -> dict[str, Any]:
-    """What was measured and how, for `measurement.json`."""
-    paths = {source.path.name: source.path for source in sighted.sources}
-    final = oriented.adjusted
-    residuals = pixel_residuals(final.assembly, final.solution)[-len(final.tracks.track) :]
-    return {
-        "schema": SCHEMA,
-        "images": list(final.block.images.names),
-        "turned_by_exif": [f.name for f in sighted.facts if f.orientation != 1],
-        "left_out": [*sighted.left_out, *explained(oriented.left_out, paths, sighted.facts)],
-        "pairs": {"rule": sighted.rule, "examined": len(sighted.pairs), "verified": sighted.verified_pairs},
-        "tracks": {
-            "of_features": sighted.tracks.count,
-            "conflicts_removed": sighted.tracks.conflicts,
-            "all": oriented.verified.count,
-            "three_and_more_rays": int(np.count_nonzero(oriented.verified.rays >= 3)),
-        },
-        "pixel_origin": PIXEL_ORIGIN,
-        "points": final.tracks.count,
-        "observations": len(final.tracks.track),
-        "rejected_observations": final.rejected,
-        "points_by_rays": {str(n): int(c) for n, c in enumerate(np.bincount(final.tracks.rays)) if c},
-        "share_of_four_and_more": float(np.mean(final.tracks.rays >= 4)),
-        "rms_px": float(np.sqrt(np.mean(residuals**2))),
-        "sigma_px": final.tie_sigma,
-        "variance_factor": float(final.solution.variance_factor),
-        "cameras": camera_figures(final, with_released_c(final)),
-    }
-
-
-def position_figures(facts: Sequence[ImageFacts], sigma: Floats) -> dict[str, Any]:
-    """How well the positions were taken to be known, and who said so; `sigma` (images, 3)."""
-    stated = [bool(np.isfinite(f.position_sigma_m).all()) for f in facts if f.has_position]
-    known = sigma[np.isfinite(sigma).all(axis=1)]
-    return {
-        "images": len(stated),
-        "sigma_stated_by_image": sum(stated),
-        "sigma_m": np.sqrt(np.mean(known**2, axis=0)).tolist() if len(known) else None,
-    }
-
-
-def stated_footprints(facts: Sequence[ImageFacts]) -> match_images.Footprints:
-    """Footprints of images as they say where they are, how high and which way they look."""
-    places, _ = local_places(facts)
-    return match_images.footprints(
-        places[:, :2],
-        np.array([f.relative_altitude_m for f in facts]),
-        np.radians([[f.gimbal_deg[2], f.gimbal_deg[1]] for f in facts]),
-        np.array([f.size_px for f in facts], dtype=float),
-        np.array([stated_camera("", f).camera.value("c") for f in facts]),
+    return ImageTracks(
+        tuple(facts), sources, tracks, pairs, int(np.count_nonzero(counts)), rule, tuple(left_out)
     )

@@ -1,0 +1,139 @@
+"""Which images to match: those whose footprints overlap, as far as these are known beforehand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from photocal.base.arrays import Floats, Integers
+from photocal.block.model import Images, ObjectPoints
+from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
+from photocal.geometry.oriented_images import local_poses
+from photocal.geometry.rotation import matrix_from_angles
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.maker_camera import stated_camera
+from photocal.measurement.position_files import local_places
+from photocal.project import Project
+
+Rule = Literal["footprints", "neighbours", "sequence", "all"]
+
+# Each image is matched with so many others at most: the number of pairs grows with the images, not
+# with their square.
+MOST_PARTNERS = 24
+# Without any exposure: all pairs up to so many images, then those that follow each other.
+ALL_UP_TO, SEQUENCE = 60, 12
+# Footprints that overlap by less than about a fifth are of no use.
+USEFUL = 0.8
+
+
+@dataclass(frozen=True)
+class Footprints:
+    """Where images look, as far as it is known before they are oriented.
+
+    centre (n, 2): middle of the footprint, m; NaN when unknown.
+    radius (n,): of a circle with the area of the footprint, m; NaN when the height above ground is unknown.
+    """
+
+    centre: Floats
+    radius: Floats
+
+
+def footprints(
+    places: Floats, height_m: Floats, yaw_pitch: Floats, size_px: Floats, c_px: Floats
+) -> Footprints:
+    """Footprints on level ground.
+
+    places (n, 2): east and north of the projection centres, m.
+    height_m (n,): above ground.
+    yaw_pitch (n, 2): of the camera, radians; pitch -90 degrees looks down, which is assumed where it is
+        unknown.
+    size_px (n, 2).
+    c_px (n,).
+    """
+    yaw = np.nan_to_num(yaw_pitch[:, 0])
+    pitch = np.where(np.isnan(yaw_pitch[:, 1]), -np.pi / 2, yaw_pitch[:, 1])
+    # Views to the horizon see everything; what is useful of them ends at 60 degrees from the vertical.
+    tilt = np.clip(np.pi / 2 + pitch, 0.0, np.radians(60))
+    ahead = height_m * np.tan(tilt)
+    centre = places + ahead[:, None] * np.column_stack([np.sin(yaw), np.cos(yaw)])
+    radius = height_m / np.cos(tilt) * np.sqrt(size_px.prod(axis=1) / np.pi) / c_px
+    return Footprints(np.where(np.isfinite(centre), centre, places), radius)
+
+
+def stated_footprints(facts: Sequence[ImageFacts]) -> Footprints:
+    """Footprints of images as they say where they are, how high and which way they look."""
+    places, _ = local_places(facts)
+    return footprints(
+        places[:, :2],
+        np.array([f.relative_altitude_m for f in facts]),
+        np.radians([[f.gimbal_deg[2], f.gimbal_deg[1]] for f in facts]),
+        np.array([f.size_px for f in facts], dtype=float),
+        np.array([stated_camera("", f).camera.value("c") for f in facts]),
+    )
+
+
+def exposed_footprints(
+    project: Project, starts: Images, control: ObjectPoints, facts: Sequence[ImageFacts]
+) -> Footprints:
+    """Footprints by the exposures, on the level of the control points."""
+    places = np.vstack([starts.values[:, 3:], control.values])
+    middle = np.nanmean(places, axis=0)
+    local = project.crs == "local"
+    frame: Frame = ShiftedFrame(middle) if local else reference_frame(project.crs, project.height, middle)
+    poses = local_poses(frame, starts.values)
+    view = -matrix_from_angles(poses[:, :3])[:, 2]
+    ground = float(np.mean(frame.to_local(control.values)[:, 2]))
+    row = {name: k for k, name in enumerate(starts.names)}
+    rows = [row.get(f.name) for f in facts]
+    unknown = np.full(6, np.nan)
+    image_poses = np.array([unknown if k is None else poses[k] for k in rows])
+    looks = np.array([unknown[:3] if k is None else view[k] for k in rows])
+    yaw_pitch = np.column_stack([np.arctan2(looks[:, 0], looks[:, 1]), np.arcsin(looks[:, 2])])
+    cameras = [project.cameras[0 if k is None else starts.camera[k]] for k in rows]
+    return footprints(
+        image_poses[:, 3:5],
+        image_poses[:, 5] - ground,
+        yaw_pitch,
+        np.array([f.size_px for f in facts], dtype=float),
+        np.array([camera.value("c") / camera.pitch[0] for camera in cameras]),
+    )
+
+
+def select_pairs(seen: Footprints, count: int) -> tuple[Integers, Rule]:
+    """Choose the pairs of images to match.
+
+    Few images of which nobody knows where they were taken go with all; many, with those before and after.
+    """
+    placed = np.isfinite(seen.centre).all(axis=1)
+    lost = np.flatnonzero(~placed)
+    if len(lost) and count <= ALL_UP_TO:
+        return np.column_stack(np.triu_indices(count, 1)).astype(np.int64), "all"
+    span = count if len(lost) <= ALL_UP_TO else SEQUENCE
+    near = np.arange(-span, span + 1)
+    first = np.repeat(lost, len(near))
+    second = first + np.tile(near, len(lost))
+    good = (second >= 0) & (second < count) & (second != first)
+    pairs = [np.column_stack([first, second])[good]]
+    rule: Rule = "sequence"
+    if placed.sum() >= 2:
+        some, rule = _near(seen, np.flatnonzero(placed))
+        pairs.append(some)
+    return np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0).astype(np.int64), rule
+
+
+def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
+    """Pairs of neighbours, of those whose footprints overlap where these are known."""
+    from scipy.spatial import KDTree
+
+    partners = min(len(rows), MOST_PARTNERS + 1)
+    nearest = KDTree(seen.centre[rows]).query(seen.centre[rows], k=partners)
+    distance, other = (np.reshape(part, (len(rows), -1)) for part in nearest)
+    first = np.broadcast_to(np.arange(len(rows))[:, None], other.shape)
+    near, radius = first != other, seen.radius[rows]
+    # Where a height is not known the nearest go together, however far.
+    known = np.isfinite(radius[first] + radius[other])
+    with np.errstate(invalid="ignore"):
+        near &= ~known | (distance < USEFUL * (radius[first] + radius[other]))
+    pairs = np.column_stack([rows[first[near]], rows[other[near]]])
+    return pairs, "footprints" if known.all() else "neighbours"

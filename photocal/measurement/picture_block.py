@@ -1,0 +1,400 @@
+"""From pictures to their block: of a project, or of a folder that is a project of pictures only."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photocal.base.arrays import Flags, Integers
+from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.progress import Progress
+from photocal.base.workers import one_crew
+from photocal.block.folder import read_points
+from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
+from photocal.block.rig import make_heads
+from photocal.block.table import known_rows, read_table
+from photocal.findings.finding import Finding
+from photocal.findings.texts import as_record
+from photocal.geometry.camera import Camera, among
+from photocal.measurement.block_files import Measured
+from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_facts
+from photocal.measurement.image_file import each_picture, list_images
+from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
+from photocal.measurement.image_tracks import ImageTracks, track_images
+from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
+from photocal.measurement.marks import (
+    ControlMarks,
+    in_map_system,
+    named_after,
+    read_any_marks,
+    read_control_marks,
+    read_marks,
+    with_marks,
+)
+from photocal.measurement.match_images import MatchingPlan
+from photocal.measurement.measurement_record import (
+    findings_of_marks,
+    position_figures,
+    suspected_marks,
+    tie_record,
+)
+from photocal.measurement.orientation import Orientation
+from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
+from photocal.measurement.patch_matching import Source
+from photocal.measurement.placing import pictures_turned
+from photocal.measurement.plain_targets import Targets, targets_of_project
+from photocal.measurement.position_files import Given, local_places, map_places, read_positions
+from photocal.measurement.recorded_turns import motion_while_read
+from photocal.measurement.release import HELD, HOLDING, with_released_cameras
+from photocal.measurement.start_block import POSITION_SIGMA_M, start_block
+from photocal.measurement.tie_block import marked_control
+from photocal.measurement.tracks import Tracks
+from photocal.project import Project
+
+# How far heads move (m) and turn (rad) on their frame while gross errors are sought.
+LOOSE_FRAME = 0.05, 0.002
+# With enough control points heights of the images are hardly needed; they may count from another surface.
+OTHER_SURFACE_M = 50.0
+Sizes = Mapping[str, tuple[int, int]]
+NO_CONTROL = ControlMarks("", NO_POINTS, ())
+
+
+@dataclass(frozen=True)
+class GivenControl:
+    """A file of marked control points, and what it does not say itself.
+
+    sigma_m: in plane and height, of points without.
+    crs: reference system in place of the file's, or empty.
+    height: kind of the heights.
+    """
+
+    path: Path
+    sigma_m: tuple[float, float]
+    crs: str
+    height: str
+
+    def read(self, sizes: Sizes) -> ControlMarks:
+        """Points and marks, in a map system or local, as the images of these sizes show them."""
+        given = read_control_marks(self.path, self.sigma_m, sizes)
+        given = replace(given, crs=self.crs) if self.crs else in_map_system(given)
+        return replace(given, marks=named_after(given.marks, sizes))
+
+    def require_heights(self) -> None:
+        """Refuse a file of which nobody says what its heights are."""
+        given = read_control_marks(self.path, self.sigma_m, {})
+        if given.crs != "local" and self.height not in ("ellipsoidal", "orthometric"):
+            raise ConfigurationError(
+                "does not say what its heights are",
+                "give --height ellipsoidal or --height orthometric",
+                where=self.path,
+            )
+
+
+@dataclass(frozen=True)
+class KnownPictures:
+    """Pictures to measure, and what is known of them beside what they state.
+
+    stated: a picture's facts, with what is known better.
+    control: points and marks, as pictures of these sizes show them; its system is empty where nobody names
+        one: then coordinates are local, about the positions of the pictures.
+    height: kind of the heights.
+    position_sigma: of positions without; None leaves all positions free.
+    told: what the record says besides.
+    project: its cameras are released in the end, and its targets sought. Without one the pictures state
+        their cameras, and c, x0, y0 are held.
+    camera_of, exposure_of: cameras of pictures, and what those of heads on one frame have in common.
+    starts, exposures: orientations from a flight log, to start from and to predict targets.
+    """
+
+    name: str
+    paths: Sequence[Path]
+    stated: Given
+    footprints: Callable[[Sequence[ImageFacts]], Footprints]
+    control: Callable[[Sizes], ControlMarks]
+    height: str
+    told: Callable[[ImageTracks, ControlMarks], dict[str, Any]]
+    project: Project | None = None
+    position_sigma: tuple[float, float, float] | None = POSITION_SIGMA_M
+    camera_of: Mapping[str, int] = field(default_factory=dict)
+    exposure_of: Mapping[str, str] = field(default_factory=dict)
+    starts: Images | None = None
+    exposures: Orientation | None = None
+
+
+def measure_images(
+    paths: Sequence[Path],
+    name: str,
+    plan: MatchingPlan,
+    progress: Progress,
+    lens: GivenLens = NO_LENS,
+    control: GivenControl | None = None,
+) -> Measured:
+    """Measure tie points in images, join them with marked control points, and make their block.
+
+    raises PhotocalError: when the file or too few images can be read, or the images are not oriented.
+    """
+    if control is not None:
+        # What is wrong with the file is told before the images are looked at.
+        control.require_heights()
+
+    def told(tracked: ImageTracks, given: ControlMarks) -> dict[str, Any]:
+        sources = sorted({stated_camera("", facts).source for facts in tracked.facts})
+        if control is None:
+            _, origin = local_places(tracked.facts)
+            at = dict(zip(("latitude_deg", "longitude_deg", "height_m"), origin, strict=True))
+            own: dict[str, Any] = {"kind": "tie points", "origin": at if np.isfinite(origin[0]) else None}
+        else:
+            file = {"file": control.path.name, "sigma_assumed_m": list(control.sigma_m)}
+            own = {
+                "kind": "tie and control points",
+                "system": {"crs": given.crs, "height": control.height},
+                "control": {**file, "marks": len(given.marks)},
+            }
+        return {"principal_distance_from": sources, **own}
+
+    read = (lambda _: NO_CONTROL) if control is None else control.read
+    height = "" if control is None else control.height
+    return _measured(
+        KnownPictures(name, paths, lens.of, stated_footprints, read, height, told), plan, progress
+    )
+
+
+def measure_project(
+    project: Project,
+    exposures: Orientation | None,
+    plan: MatchingPlan,
+    progress: Progress,
+    marks_files: Sequence[Path] = (),
+) -> Measured:
+    """Measure the images of a project.
+
+    exposures: exterior orientations of some or all images in the project's system, NaN where unknown: good to
+        start from, and with their covariances to predict targets. Without: the positions that the images
+        state.
+    returns: block in the project's system with the project's cameras; exterior orientations without sigma are
+        those of the tie points, good enough to start from.
+    raises PhotocalError: when too few images can be read, fit a camera, or are oriented.
+    """
+    points = control_points(project)
+    paths, marks_file = list_images(project.picture_folder), project.control.marks
+    by_hand = read_marks(marks_file) if marks_file is not None and marks_file.exists() else ()
+    if marks_files:
+        sizes = {facts.name: facts.size_px for facts in each_picture(paths, read_facts)[0]}
+        by_hand += tuple(mark for file in marks_files for mark in read_any_marks(file, sizes))
+    # What was observed of them stands elsewhere: in the block they are start values.
+    starts: Images | None = None
+    if exposures is not None:
+        starts = Images.observed(replace(exposures.images, covariance=None))
+    unmarked = not by_hand and not project.control.coded_targets
+    if starts is None and project.crs == "local" and unmarked and points.of_role("control").any():
+        raise _nowhere(project.name)
+    if not project.cameras:
+        raise ConfigurationError("the project has no [[camera]]", "add one: see docs/block-folder.md")
+    camera_of, exposure_of = pictures_of_heads(project)
+    if starts is not None:
+        camera_of |= dict(zip(starts.names, starts.camera.tolist(), strict=True))
+    sigma = project.images.position_sigma_m
+    known = KnownPictures(
+        project.name,
+        paths,
+        better_known(project, [path.name for path in paths]),
+        stated_footprints if starts is None else partial(exposed_footprints, project, starts, points),
+        lambda _: ControlMarks(project.crs, points, tuple(by_hand)),
+        project.height if project.crs != "local" else "",
+        lambda *_: {"kind": "project"},
+        project,
+        None if sigma == "free" else sigma or POSITION_SIGMA_M,
+        camera_of,
+        exposure_of,
+        starts,
+        exposures,
+    )
+    return _measured(known, plan, progress)
+
+
+@one_crew()
+def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> Measured:
+    """Track features, orient the images by them, and measure tie points; targets and marks with them."""
+    tracked = track_images(known.paths, plan, progress, known.footprints, known.stated)
+    project, given = known.project, None
+    if project is not None:
+        tracked, member = _with_cameras(tracked, project.cameras, known.camera_of)
+        given = project.cameras, member
+    control = known.control({image.name: image.size_px for image in tracked.facts})
+    start = _start(known, control, tracked.facts, given)
+    targets = _targets(known, tracked.sources, control.points, plan, progress)
+    block, unknown = with_marks(start, (*control.marks, *targets.marks))
+    placed = np.isfinite(start.images.values[:, 3:]).all(axis=1).any() or len(marked_control(block))
+    if project is not None and not placed:
+        if control.crs != "local" or control.points.of_role("control").any():
+            raise _nowhere(known.name)
+        block = replace(block, datum="free")
+    tracks = from_two_exposures(tracked.tracks, start.images.exposure)
+    soft = _with_loose_positions(block, any_surface=project is None)
+    oriented = orient_ties(soft, tracked.sources, tracks, tracked.pairs, plan.processes, progress)
+    final, measured, findings = oriented.adjusted, oriented.adjusted.block, list(oriented.findings)
+    if project is not None:
+        holding = HOLDING if known.starts is None else ((),)
+        open_lens = project.images.lens == "unknown"
+        final, measured, findings = with_released_cameras(oriented, block, holding, open_lens=open_lens)
+        oriented = replace(oriented, adjusted=final, left_out=(*oriented.left_out, *final.left_out))
+        if known.starts is None:
+            gimbal = {facts.name: facts.gimbal_deg for facts in tracked.facts}
+            recorded = np.radians([gimbal[name] for name in measured.images.names])
+            findings += pictures_turned(measured.images.names, final.values, recorded)
+            above = any(facts.altitude_kind == ABOVE_TAKE_OFF for facts in tracked.facts)
+            if above and control.crs != "local" and len(marked_control(block)) < FEWEST_CONTROL:
+                findings.append(Finding("heights-above-take-off", "doubtful"))
+    suspects = suspected_marks(final, control.points)
+    bare = [Finding("no-coordinates", "doubtful", point) for point in control.without_coordinates]
+    left_out = (*tracked.left_out, *oriented.left_out)
+    marks = findings_of_marks(unknown, targets.strangers, suspects, left_out)
+    used = int(np.count_nonzero(final.block.observations.point < len(control.points.names)))
+    positions = position_figures(tracked.facts, start.images.sigma[:, 3:])
+    record: dict[str, Any] = {
+        **tie_record(tracked, oriented),
+        **known.told(tracked, control),
+        "marks": {"by_hand": len(control.marks), "targets": len(targets.marks), "used": used},
+        "targets": targets.record,
+        "positions": positions if known.starts is None else None,
+        "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
+        "unknown_targets": list(targets.strangers),
+        "suspected_marks": suspects,
+        **as_record([*targets.findings, *bare, *findings, *marks]),
+    }
+    return Measured(measured, record)
+
+
+def _start(
+    known: KnownPictures,
+    control: ControlMarks,
+    facts: Sequence[ImageFacts],
+    given: tuple[tuple[Camera, ...], Integers] | None,
+) -> Block:
+    """The block that marks and tie points are added to."""
+    places, starts = np.full((len(facts), 3), np.nan), known.starts
+    if not control.crs:
+        return start_block(facts, local_places(facts)[0], known.name)
+    # Where the images say they are; in a local system that says nothing.
+    if control.crs != "local" and starts is None:
+        places = map_places(facts, control.crs)
+    block = start_block(facts, places, known.name, known.position_sigma, given)
+    block = replace(
+        block,
+        frame=control.crs,
+        height="" if control.crs == "local" else known.height,
+        datum="control",
+        points=control.points,
+    )
+    if known.project is None:
+        return block
+    images, cameras = block.images, block.cameras
+    if starts is not None:
+        place = {name: k for k, name in enumerate(starts.names)}
+        rows = np.array([place.get(image.name, -1) for image in facts])
+        oriented = (rows >= 0)[:, None]
+        values = np.where(oriented, starts.values[rows], np.nan)
+        images = replace(images, values=values, sigma=np.where(oriented, starts.sigma[rows], np.inf))
+    # The grid's axes are east and north but for its convergence.
+    velocity = np.array([picture.velocity_m_s for picture in facts]).reshape(-1, 3)
+    readout = np.array([camera.value("readout") for camera in cameras])[images.camera]
+    motion, motion_sigma = motion_while_read(velocity, [picture.turns for picture in facts], readout)
+    exposure = tuple(known.exposure_of.get(image.name, "") for image in facts)
+    return replace(
+        block,
+        images=replace(images, motion=motion, motion_sigma=motion_sigma, exposure=exposure),
+        heads=make_heads(known.project.contents.head, [own.id for own in cameras], known.project.path),
+    )
+
+
+def _targets(
+    known: KnownPictures,
+    sources: Sequence[Source],
+    points: ObjectPoints,
+    plan: MatchingPlan,
+    progress: Progress,
+) -> Targets:
+    if known.project is None:
+        return Targets((), (), {}, ())
+    return targets_of_project(known.project, sources, known.exposures, points, plan.processes, progress)
+
+
+def _with_cameras(
+    tracked: ImageTracks, cameras: Sequence[Camera], stated: Mapping[str, int]
+) -> tuple[ImageTracks, Integers]:
+    """Camera of each image: as the table says, else the one of its size; others are left out."""
+    member, reasons = [], []
+    for image in tracked.facts:
+        alike = [k for k, camera in enumerate(cameras) if camera.size_px == image.size_px]
+        k = stated.get(image.name, alike[0] if alike else 0)
+        member.append(k)
+        fits = cameras[k].size_px == image.size_px
+        width, height = image.size_px
+        reasons.append("" if fits else f"its {width} x {height} px are not those of camera {cameras[k].id}")
+    tracked = tracked.without(reasons)
+    return tracked, np.array([k for k, why in zip(member, reasons, strict=True) if not why], dtype=np.int64)
+
+
+def from_two_exposures(tracks: Tracks, exposure: Sequence[str]) -> Tracks:
+    """Tracks that more than one exposure shows: heads of one frame see a point from one place."""
+    if not any(exposure):
+        return tracks
+    keys = [name or f"image {k}" for k, name in enumerate(exposure)]
+    number = np.unique(keys, return_inverse=True)[1]
+    places = np.unique(np.column_stack([tracks.track, number[tracks.image]]), axis=0)[:, 0]
+    return tracks.some((np.bincount(places, minlength=tracks.count) > 1)[tracks.track])
+
+
+def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]:
+    """Camera and exposure of the pictures that a project's table names; none without a table."""
+    path = project.images.pictures
+    if path is None:
+        return {}, {}
+    table = read_table(path, ("image", "camera"), ("exposure",))
+    names = table.unique_names("image")
+    member = known_rows(table, "camera", tuple(camera.id for camera in project.cameras), project.path.name)
+    exposure = table.texts("exposure") if table.has("exposure") else ("",) * len(names)
+    return dict(zip(names, member.tolist(), strict=True)), dict(zip(names, exposure, strict=True))
+
+
+def better_known(project: Project, names: Sequence[str]) -> Given:
+    """What a project's table of positions says in place of the pictures."""
+    path = project.images.positions
+    return NO_LENS.of if path is None else read_positions(path, names)
+
+
+def control_points(project: Project) -> ObjectPoints:
+    """Surveyed points of a project; none without a table."""
+    path = project.control.points
+    return NO_POINTS if path is None else read_points(path)
+
+
+def _nowhere(name: str) -> InputNotFoundError:
+    return InputNotFoundError(
+        "neither the images nor marks of control points say where the block is",
+        "give exposures, images with positions, or marks of at least three control points",
+        where=name,
+    )
+
+
+def _with_loose_positions(block: Block, *, any_surface: bool) -> Block:
+    """Block for finding gross errors: positions without sigma are loosely observed, c is held.
+
+    any_surface: whether the heights of the positions are of no known kind; control is better, where it places
+    the block.
+    """
+    known: Flags = np.asarray(np.isfinite(block.images.values[:, 3:]).all(axis=1))
+    controlled = len(marked_control(block)) >= FEWEST_CONTROL
+    loosely = (*POSITION_SIGMA_M[:2], OTHER_SURFACE_M if controlled else POSITION_SIGMA_M[2])
+    sigma = block.images.sigma.copy()
+    loose = known[:, None] & np.isinf(sigma[:, 3:])
+    sigma[:, 3:] = np.where(loose, loosely, sigma[:, 3:])
+    if any_surface and controlled:
+        sigma[known, 5] = OTHER_SURFACE_M
+    cameras = tuple(replace(camera, estimated=camera.estimated & ~among(*HELD)) for camera in block.cameras)
+    # Heads lie as firmly as their first poses tell.
+    heads = tuple(replace(head, stiffness=LOOSE_FRAME) for head in block.heads)
+    return replace(block, cameras=cameras, images=replace(block.images, sigma=sigma), heads=heads)
