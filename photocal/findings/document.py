@@ -93,6 +93,16 @@ class Table:
     widths: tuple[float, ...] = ()
 
 
+def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> Table:
+    """Make a table of figures; its first column has names, one whose head ends in "<" has text."""
+    lefts = (k == 0 or head.endswith("<") for k, head in enumerate(heads))
+    columns = tuple(
+        Column(head.rstrip("<"), align="left" if left else "right")
+        for head, left in zip(heads, lefts, strict=True)
+    )
+    return Table(caption, columns, tuple(map(tuple, rows)), note)
+
+
 @dataclass(frozen=True)
 class Figure:
     """A picture.
