@@ -1,7 +1,6 @@
 """An assessment as a JSON value (schema `photocal.check/2`), and as a document."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from photocal.accuracy import classes
@@ -10,7 +9,7 @@ from photocal.accuracy.discrepancies import COMPONENTS, SIGN
 from photocal.accuracy.standard import scale_text, size_text
 from photocal.accuracy.statistics import LengthStatistics
 from photocal.base.arrays import as_plain, picked
-from photocal.findings.document import Column, Paragraph, Piece, Remarks, Section, Table, text
+from photocal.findings.document import Paragraph, Piece, Remarks, Section, Table, table, text
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 
@@ -114,8 +113,8 @@ def to_text(assessment: Assessment) -> str:
                 f"planimetric RMSE left {similarity.rmse_left_m:.3f} m."
             )
         )
-    for table in assessment.tables:
-        parts += _standard(table)
+    for result in assessment.tables:
+        parts += _standard(result)
     for value in assessment.values:
         parts.append(Paragraph(f"{value.standard.title}: {classes.value_class_text(value)}"))
     return text([Section("", (*parts, remarks(findings(assessment))))])
@@ -126,16 +125,6 @@ def remarks(findings: tuple[Finding, ...]) -> Remarks | Paragraph:
     say = catalogue("en")
     texts = tuple(finding_text(finding, say) for finding in findings)
     return Remarks(texts) if texts else Paragraph("Nothing to remark.")
-
-
-def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> Table:
-    """Make a table of figures; its first column has names, one whose head ends in "<" has text."""
-    lefts = (k == 0 or head.endswith("<") for k, head in enumerate(heads))
-    columns = tuple(
-        Column(head.rstrip("<"), align="left" if left else "right")
-        for head, left in zip(heads, lefts, strict=True)
-    )
-    return Table(caption, columns, tuple(map(tuple, rows)), note)
 
 
 def _points(assessment: Assessment) -> Table:

@@ -166,14 +166,12 @@ def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, 
 
 
 def _matrix(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> str:
+    from photocal.findings.document import Section, table, text
+
     cells = {(pair.first, pair.second): _cell(pair.figures[which]) for pair in pairs}
     kind = pairs[0].figures[which]
-    table = [["", *names[:-1]]] + [
-        [second, *(cells.get((first, second), "") for first in names[:-1])] for second in names[1:]
-    ]
-    widths = [max(len(row[j]) for row in table) for j in range(len(names))]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in table]
-    return "\n".join([f"{kind.method}, {kind.definition}, px", *(line.rstrip() for line in lines)])
+    rows = [(second, *(cells.get((first, second), "") for first in names[:-1])) for second in names[1:]]
+    return text([Section("", (table(f"{kind.method}, {kind.definition}, px", ["", *names[:-1]], rows),))])
 
 
 def _cell(figure: Figure) -> str:

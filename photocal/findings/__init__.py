@@ -1,1 +1,1 @@
-"""What was found: one class of findings, the table of hypotheses, all texts in both languages."""
+"""What was found and how it is said: findings, hypotheses, texts in both languages, documents and their pages."""

@@ -1,6 +1,5 @@
 """What a document consists of, and its renderers: terminal, Markdown, HTML, and PDF set by typst."""
 
-import dataclasses
 import datetime as dt
 import json
 import re
@@ -10,6 +9,7 @@ from importlib import resources
 from textwrap import TextWrapper
 from typing import Any, Literal
 
+from photocal.base.arrays import as_plain
 from photocal.base.errors import OutputError
 from photocal.findings.digits import PLAIN
 from photocal.findings.texts import Catalogue
@@ -91,6 +91,16 @@ class Table:
     note: str = ""
     dense: bool = False
     widths: tuple[float, ...] = ()
+
+
+def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> Table:
+    """Make a table of figures; its first column has names, one whose head ends in "<" has text."""
+    lefts = (k == 0 or head.endswith("<") for k, head in enumerate(heads))
+    columns = tuple(
+        Column(head.rstrip("<"), align="left" if left else "right")
+        for head, left in zip(heads, lefts, strict=True)
+    )
+    return Table(caption, columns, tuple(map(tuple, rows)), note)
 
 
 @dataclass(frozen=True)
@@ -263,7 +273,7 @@ def pdf(document: Document, date: dt.date) -> bytes:
     template = resources.files(__package__).joinpath(TEMPLATE).read_bytes()
     compiler = typst.Compiler(
         font_paths=typst.Fonts(include_system_fonts=False),
-        sys_inputs={"document": json.dumps(_plain(document), ensure_ascii=False)},
+        sys_inputs={"document": json.dumps(as_json(document), ensure_ascii=False)},
     )
     midnight = dt.datetime.combine(date, dt.time(), tzinfo=dt.UTC)
     try:
@@ -277,24 +287,21 @@ def pdf(document: Document, date: dt.date) -> bytes:
     return pages
 
 
-def _plain(document: Document) -> dict[str, Any]:
+def as_json(document: Document) -> dict[str, Any]:
+    """Give a report as a JSON value: each piece says its kind, tables and pictures their numbers."""
     numbers = numbered(document)
-    plain = dataclasses.asdict(document)
-    plain["facts"] = document.facts.rows
-    plain["sections"] = [
-        {"title": section.title, "pieces": [_piece(piece, numbers) for piece in section.pieces]}
-        for section in document.sections
-    ]
-    return plain
 
-
-def _piece(piece: Piece, numbers: dict[int, int]) -> dict[str, Any]:
-    plain = {"kind": type(piece).__name__, **dataclasses.asdict(piece)}
-    if id(piece) in numbers:
-        plain["number"] = numbers[id(piece)]
-    if isinstance(piece, Table):
-        for i, column in enumerate(plain["columns"]):
-            texts = column["head"], column["unit"], *(row[i] for row in piece.rows)
+    def beside(part: object) -> dict[str, Any]:
+        more: dict[str, Any] = {"kind": type(part).__name__}
+        if id(part) in numbers:
+            more["number"] = numbers[id(part)]
+        if isinstance(part, Table):
+            texts = zip(*[(c.head, c.unit) for c in part.columns], strict=True)
             # The longest text shares the width; a digest is set in very small type.
-            column["weight"] = max(5, min(max(map(len, texts)), 40))
+            more["shares"] = [
+                max(5, min(max(map(len, column)), 40)) for column in zip(*texts, *part.rows, strict=True)
+            ]
+        return more
+
+    plain: dict[str, Any] = as_plain(document, beside)
     return plain

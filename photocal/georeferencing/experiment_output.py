@@ -8,10 +8,9 @@ import numpy as np
 
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import save_figures
-from photocal.accuracy.output import table
 from photocal.base.arrays import as_plain, picked
 from photocal.base.files import output_folder, rows_text, write_json
-from photocal.findings.document import Section, text
+from photocal.findings.document import Section, table, text
 from photocal.georeferencing.differences import Differences, rms
 from photocal.georeferencing.experiment import LeftOut, Outcome, Pair, Run
 

@@ -10,14 +10,14 @@ from photocal.accuracy.assessment import ComponentResult
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
-from photocal.accuracy.output import remarks, table
+from photocal.accuracy.output import remarks
 from photocal.accuracy.output import to_json as assessment_json
 from photocal.accuracy.standard import size_text
 from photocal.base import policy
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.base.geopackage import ReferenceSystem
-from photocal.findings.document import Paragraph, Piece, Remarks, Section, Table, markdown, text
+from photocal.findings.document import Paragraph, Piece, Remarks, Section, Table, markdown, table, text
 from photocal.findings.finding import verdict
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 from photocal.georeferencing.comparison import BlockCheck, Judged

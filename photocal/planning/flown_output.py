@@ -1,6 +1,7 @@
 """Files and words about a flown block: tables, a map for QGIS, a picture, and what to tell a person."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,9 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.base.files import output_folder, output_picture, write_json, write_rows
 from photocal.base.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
-from photocal.planning.flown import FEWEST_RAYS, FlownBlock, gaps
+from photocal.findings.document import Paragraph, Section, Table, columns, text
+from photocal.findings.texts import Catalogue, catalogue
+from photocal.planning.flown import FlownBlock, gaps
 
 _NUMBERS = ("height_m", "gsd_m", "tilt_deg", "forward_overlap", "smear_px", "speed_m_s")
 _IMAGES = Layer(
@@ -22,40 +25,48 @@ _RAYS = Layer("rays", "POLYGON", has_heights=False, columns={"images": "INTEGER"
 _GAPS = Layer("gaps", "POINT", has_heights=False, columns={"area_m2": "DOUBLE"})
 # Cells of the map, as many of the raster on a side.
 _MERGED = 3
+# Unit, factor and decimals of the figures that are shown, in their order.
+_SHOWN: dict[str, tuple[str, float, int]] = {
+    "height_m": ("m", 1.0, 1), "gsd_m": ("cm", 100.0, 2), "tilt_deg": ("°", 1.0, 1),
+    "forward_overlap": ("%", 100.0, 1), "side_overlap": ("%", 100.0, 1), "rays": ("", 1.0, 0),
+    "smear_px": ("px", 1.0, 2), "exposure_ms": ("ms", 1.0, 3), "iso": ("", 1.0, 0),
+}  # fmt: skip
 # Planned figures that may be compared with the flown ones of the same names.
 _PLANNED = ("height_m", "gsd_m")
 
 
 def flown_text(figures: Mapping[str, Any]) -> str:
     """Write a flown block for people."""
+    spread = {key: tuple(figures[key].values()) for key in _SHOWN if figures.get(key)}
+    listed, say = figures["gaps"], catalogue("en")
+    counts = {**figures, "gaps": len(listed)}
+    section = flown_section("", spread, figures.get("planned", {}), counts, say)
+    holes = (f"{g['east_m']:.1f}, {g['north_m']:.1f}: {g['area_m2']:.0f} m2" for g in listed[:10])
+    return text([replace(section, pieces=(*section.pieces, Paragraph("\n".join(holes))))])
 
-    def spread(name: str, factor: float = 1.0, form: str = ".1f") -> str:
-        values = figures[name]
-        if values is None:
-            return "not known"
-        least, middle, most = (format(factor * values[key], form) for key in ("least", "median", "most"))
-        return f"{middle} ({least} to {most})"
 
-    n = figures["images"]
-    tilted = f"over 3 deg {figures['tilt_over_3_deg']}, over 5 deg {figures['tilt_over_5_deg']} of {n}"
-    smeared = f"over half a pixel {figures['smear_over_limit']} of {n}"
-    lines = [
-        f"{n} images in {figures['strips']} strips; medians, least and most",
-        f"  height above ground  {spread('height_m')} m",
-        f"  ground sampling      {spread('gsd_m', 100.0, '.2f')} cm",
-        f"  tilt                 {spread('tilt_deg')} deg; {tilted}",
-        f"  forward overlap      {spread('forward_overlap', 100.0)} %",
-        f"  side overlap         {spread('side_overlap', 100.0)} %",
-        f"  images of a place    {spread('rays', 1.0, '.0f')}",
-        f"  smear                {spread('smear_px', 1.0, '.2f')} px; {smeared}",
-        f"  exposure time        {spread('exposure_ms', 1.0, '.2f')} ms, ISO {spread('iso', 1.0, '.0f')}",
-    ]
-    listed = figures["gaps"]
-    lines.append(f"  places with fewer than {FEWEST_RAYS} images: {len(listed) or 'none'}")
-    lines += [f"    {g['east_m']:.1f}, {g['north_m']:.1f}: {g['area_m2']:.0f} m2" for g in listed[:10]]
-    for name, planned in figures.get("planned", {}).items():
-        lines.append(f"  planned {name}: {planned:g}, flown {figures[name]['median']:g}")
-    return "\n".join(lines)
+def flown_section(
+    title: str,
+    spread: Mapping[str, Sequence[float | None]],
+    planned: Mapping[str, float | None],
+    counts: Mapping[str, Any],
+    say: Catalogue,
+) -> Section:
+    """Set what was flown beside what was planned.
+
+    spread: least, median and most of each figure that is known, SI.
+    counts: of images, strips, tilted and blurred images, and gaps.
+    """
+    rows = []
+    for key, (unit, factor, decimals) in _SHOWN.items():
+        values = (*spread.get(key, (None,) * 3), planned.get(key))
+        printed = ("–" if value is None else say.fixed(factor * value, decimals) for value in values)
+        rows.append((say(f"flown.{key}"), unit, *printed))
+    heads = columns(say, "flown", "quantity<", "unit<", "least", "median", "most", "planned")
+    # Without exposure times and speeds nothing is known of blur: no image is then said to be free of it.
+    notes = ["note", *(["blurred"] if "smear_px" in spread else []), "meaning"]
+    note = " ".join(say(f"flown.{key}", **counts) for key in notes)
+    return Section(title, (Table(say("flown.table"), heads, tuple(rows), note),))
 
 
 def against_plan(figures: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from photocal.base.arrays import as_plain
+from photocal.base.arrays import as_plain, picked
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_folder
 from photocal.block.model import InputFile
@@ -108,11 +108,11 @@ def _exposures(run: Run) -> list[dict[str, Any]]:
         {
             "image": image,
             "camera": images.cameras[camera].id,
-            **{
-                n: {"value": float(v), "sigma": float(s)} for n, v, s in zip(names, value, sigma, strict=True)
-            },
+            **{n: {"value": v, "sigma": s} for n, v, s in zip(names, value, sigma, strict=True)},
         }
-        for image, camera, value, sigma in zip(images.names, images.camera, values, sigmas, strict=True)
+        for image, camera, value, sigma in zip(
+            images.names, images.camera, values.tolist(), sigmas.tolist(), strict=True
+        )
     ]
 
 
@@ -122,22 +122,15 @@ def _camera(run: Run, known: DerivedFigures) -> dict[str, Any]:
     columns = zip(curve.radius, curve.displacement, curve.sigma, curve.decentering, strict=True)
     keys = ("radius", "value", "sigma", "decentring_at_most")
     sigma, whose = run.stated(known.camera_id)
+    renamed = {"principal_distance_mm": "focal_mm", "flying_height_m": "height_m", "air_base_m": "base_m"}
     return {
-        "pixel_mm": known.pixel_mm,
-        "principal_distance_mm": known.focal_mm,
+        **picked(known, "pixel_mm", "gsd_cm", **renamed, expected_altimetric_error_cm="dz_cm"),
         "stated": {"value": camera.value("c"), "sigma": sigma, "of": whose},
-        "flying_height_m": known.height_m,
-        "gsd_cm": known.gsd_cm,
-        "air_base_m": known.base_m,
-        "expected_altimetric_error_cm": known.dz_cm,
         "acceptance": {
             "verdict": verdict(known.limits),
             "limits": [{**as_plain(limit), "met": limit.met} for limit in known.limits],
         },
-        "findings": [
-            {"code": f.code, "severity": f.severity, "subject": f.subject, "figures": dict(f.figures)}
-            for f in known.findings
-        ],
+        "findings": [picked(f, "code", "severity", "subject", "figures") for f in known.findings],
         "radial_displacement": {
             "unit": camera.unit,
             "rows": [dict(zip(keys, map(float, row), strict=True)) for row in columns],
@@ -148,13 +141,9 @@ def _camera(run: Run, known: DerivedFigures) -> dict[str, Any]:
 def _report(context: Context) -> list[dict[str, str]]:
     return [
         {
-            "section": entry.row.section,
-            "item": entry.row.item,
-            "key": entry.row.key,
+            **picked(entry.row, "section", "item", "key", "unit"),
             "label": entry.row.labels[context.say.language],
-            "unit": entry.row.unit,
-            "value": entry.value,
-            "origin": entry.origin,
+            **picked(entry, "value", "origin"),
         }
         for entry in entries(read_layout(), context)
     ]

@@ -18,6 +18,7 @@ from photocal.findings.document import (
 )
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text
+from photocal.planning.flown_output import flown_section
 from photocal.report.camera_sections import critical_t
 from photocal.report.certificate_metadata import FlownCount, Metadata, Source
 from photocal.report.derived_figures import DerivedFigures, verdict
@@ -26,12 +27,6 @@ from photocal.report.stored_analysis import Run
 
 # Contributions that a person may enter, in the order of the budget; type B.
 ENTERED: tuple[Source, ...] = ("control", "datum", "temperature", "refocus", "model")
-# Unit, factor and decimals of the figures of a flown block, in their order.
-FLOWN: dict[str, tuple[str, float, int]] = {
-    "height_m": ("m", 1.0, 1), "gsd_m": ("cm", 100.0, 2), "tilt_deg": ("°", 1.0, 1),
-    "forward_overlap": ("%", 100.0, 1), "side_overlap": ("%", 100.0, 1), "rays": ("", 1.0, 0),
-    "smear_px": ("px", 1.0, 2), "exposure_ms": ("ms", 1.0, 3), "iso": ("", 1.0, 0),
-}  # fmt: skip
 TONES: dict[str, Tone] = {"acceptable": "good", "new_calibration": "bad", "not_determined": "note"}
 
 
@@ -90,17 +85,8 @@ def flown_block(title: str, particulars: Metadata, say: Catalogue) -> tuple[Sect
     gsd_m = None if stated.gsd_cm is None else stated.gsd_cm / 100.0
     wanted = {"height_m": stated.flying_height_m, "gsd_m": gsd_m, "forward_overlap": stated.forward_overlap}
     wanted |= dict(particulars.planned)
-    rows = []
-    for key, (unit, factor, decimals) in FLOWN.items():
-        values = (*flown.get(key, (None,) * 3), wanted.get(key))
-        printed = ("–" if value is None else say.fixed(factor * value, decimals) for value in values)
-        rows.append((say(f"flown.{key}"), unit, *printed))
-    heads = columns(say, "flown", "quantity<", "unit<", "least", "median", "most", "planned")
     counted = {name: f"{counts.get(name, math.nan):.0f}" for name in get_args(FlownCount)}
-    # Without exposure times and speeds nothing is known of blur: no image is then said to be free of it.
-    notes = ["note", *(["blurred"] if "smear_px" in flown else []), "meaning"]
-    note = " ".join(say(f"flown.{key}", **counted) for key in notes)
-    return (Section(title, (Table(say("flown.table"), heads, tuple(rows), note),)),)
+    return (flown_section(title, flown, wanted, counted, say),)
 
 
 def uncertainty(title: str, run: Run, particulars: Metadata, say: Catalogue) -> Section:
