@@ -1,1 +1,1 @@
-"""What was found and how it is said: findings, hypotheses, texts in both languages, documents and their pages."""
+"""What was found and how it is said: findings, hypotheses, texts in both languages, documents."""
