@@ -22,7 +22,7 @@ from numba.extending import intrinsic
 from photocal.base.errors import OutputError, ProgramMissingError
 from photocal.base.operating_system import cache_folder, private_folder
 
-PACKAGE = Path(__file__).resolve().parent
+PACKAGE = Path(__file__).resolve().parents[1]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -32,14 +32,14 @@ _COMMON: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 _LEAN: dict[str, Any] = {**_COMMON, "fastmath": {"contract"}, "_nrt": False}
 
 
-def _fingerprint() -> str:
+def fingerprint() -> str:
     """Digest of the source of every kernel.
 
     The compiler's own cache looks only at the file of the outermost function; a change in a function
     that it calls would go unnoticed.
     """
     digest = hashlib.sha256(Path(__file__).read_bytes())
-    for folder in ("geometry", "adjustment"):
+    for folder in ("geometry", "adjustment", "measurement", "products"):
         for source in sorted((PACKAGE / folder).rglob("*.py")):
             text = source.read_bytes()
             if b"compiled import" in text:
@@ -52,7 +52,7 @@ def _cache_folder() -> Path:
 
     Compiled code is run as it lies there: outside the package only a folder of this user alone is taken.
     """
-    name = f"kernels-{_fingerprint()}"
+    name = f"kernels-{fingerprint()}"
     beside = PACKAGE / "__pycache__" / name
     with contextlib.suppress(OSError):
         beside.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,24 @@ import pytest
 from photocal.base import compiled
 
 
+def test_every_room_with_kernels_decides_over_what_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compiled code is that of today's sources: a change of any kernel gives it another folder."""
+    kernels = [path for path in compiled.PACKAGE.rglob("*.py") if b"compiled import" in path.read_bytes()]
+    assert len(kernels) > 20
+    rooms = {path.relative_to(compiled.PACKAGE).parts[0] for path in kernels}
+    for room in rooms:
+        (tmp_path / room).mkdir()
+        (tmp_path / room / "kernel.py").write_text("from photocal.base.compiled import compiled\n")
+    monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
+    before = compiled.fingerprint()
+    for room in rooms:
+        (tmp_path / room / "kernel.py").write_text("from photocal.base.compiled import compiled  # changed\n")
+        assert compiled.fingerprint() != before, room
+        before = compiled.fingerprint()
+
+
 def test_what_comes_last_is_compiled_beside_where_nothing_was_compiled_yet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
