@@ -22,7 +22,7 @@ from numba.extending import intrinsic
 from photocal.base.errors import OutputError, ProgramMissingError
 from photocal.base.operating_system import cache_folder, private_folder
 
-PACKAGE = Path(__file__).resolve().parent
+PACKAGE = Path(__file__).resolve().parents[1]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
