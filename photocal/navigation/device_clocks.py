@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from photocal.base import policy
-from photocal.base.arrays import Floats, Integers
+from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.errors import IllPosedError
 
 _WINDOW = 12
@@ -219,20 +219,14 @@ class ComparedClocks:
     def figures(self) -> dict[str, Any]:
         """Return the figures for a summary."""
         return {
-            "clocks": self.name,
+            **picked(self, "played_back", "constant_sigma_s", clocks="name"),
             "restarts": len(self.cycles) - 1,
             "jumps_s": [jump for model in self.cycles for jump in model.jumps_s],
-            "played_back": self.played_back,
-            "constant_sigma_s": self.constant_sigma_s,
             "stretches": [
                 {
-                    "readings": s.readings,
+                    **picked(s, "readings", "offset_sigma_s", "rate", "drift_ppm", "scatter_s"),
                     "seconds": (s.last_ns - s.first_ns) / 1e9,
-                    "offset_sigma_s": s.offset_sigma_s,
-                    "rate": s.rate,
-                    "drift_ppm": s.drift_ppm,
                     "drift_sigma_ppm": s.rate_sigma * 1e6,
-                    "scatter_s": s.scatter_s,
                 }
                 for model in self.cycles
                 for s in model.segments

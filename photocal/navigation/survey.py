@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, picked
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.base.geodesy import enu_axes, geocentric
@@ -174,15 +174,11 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     end, covariance = _earth_centred(position)
     first, last = max(rover.time.ns[0], base.time.ns[0]), min(rover.time.ns[-1], base.time.ns[-1])
     session = {
-        "name": measured.name,
-        "start": measured.start,
-        "end": measured.end,
+        **picked(measured, "name", "start", "end", "base_antenna_m", "rover_antenna_m"),
         "status": str(position.status[0]),
         "length_m": float(np.linalg.norm(end - start_m)),
         "air_correction_m": air_m,
-        "base_antenna_m": measured.base_antenna_m,
         "antenna_models": [options.base_antenna, options.rover_antenna],
-        "rover_antenna_m": measured.rover_antenna_m,
         **_duration(float(last - first) / 60e9, survey),
     }
     return Baseline(measured.name, measured.start, measured.end, end - start_m, covariance), session
