@@ -1,34 +1,108 @@
 """Frames: the pieces that a device's byte stream consists of, one by one and many at once."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import scan
-from drivers.mavlink.dialect import V1, V2, Dialect, ardupilotmega
+from drivers.mavlink.dialect import Dialect, ardupilotmega
 from photocal.base.arrays import Bytes, Flags, Integers
+from photocal.base.errors import ConfigurationError
 
 
-class Wire(IntEnum):
-    """The protocols of streams, and the formats of logs whose records are kept as they are."""
+@dataclass(frozen=True)
+class Framing:
+    """How the frames of a protocol are found where the compiled search does not know them.
 
-    MAVLINK = 0
-    UBX = 1
-    RTCM3 = 2
-    NMEA = 3
-    DATAFLASH = 4
-    ULOG = 5
-    MRK = 6
+    start: bytes that every frame begins with.
+    longest: length of a frame, bytes; a damaged length must not hold back more of a stream.
+    length: takes the bytes from a start on and returns the length of the frame that its head claims; 0 where
+        no frame begins; negative: so many bytes are needed to tell.
+    intact: whether the checksum of a whole frame agrees.
+    kind: what a whole frame carries.
+    """
 
-    @property
-    def encoding(self) -> str:
-        """The message encoding under which the flight log keeps frames of this protocol."""
-        return self.name.lower()
+    start: bytes
+    longest: int
+    length: Callable[[bytes], int]
+    intact: Callable[[bytes], bool]
+    kind: Callable[[bytes], int]
+
+    def look(self, data: bytes, at: int) -> int:
+        """Return the length of the intact frame at a place, 0 without one, or less: see `length`."""
+        rest = data[at : at + self.longest]
+        if not self.start.startswith(rest[: len(self.start)]):
+            return 0
+        length = self.length(rest) if rest.startswith(self.start) else -len(self.start)
+        if length < 0:
+            return length if -length > len(rest) and -length <= self.longest else 0
+        if length > len(rest):
+            return -length if length <= self.longest else 0
+        return length if length and self.intact(rest[:length]) else 0
+
+
+class Wire(int):
+    """A protocol of streams, or the format of logs whose records are kept as they are.
+
+    It is the number under which its frames stand in a batch; ``Wire(number)`` gives it back.
+
+    encoding: the message encoding under which the flight log keeps its frames.
+    starts: bytes that a frame on a stream may begin with.
+    framing: how its frames are found; None: by the compiled search, or by the framer of the log.
+    """
+
+    MAVLINK: ClassVar["Wire"]
+    UBX: ClassVar["Wire"]
+    RTCM3: ClassVar["Wire"]
+    NMEA: ClassVar["Wire"]
+    DATAFLASH: ClassVar["Wire"]
+    ULOG: ClassVar["Wire"]
+    MRK: ClassVar["Wire"]
+    encoding: str
+    starts: bytes
+    framing: Framing | None
+
+    def __new__(cls, number: int) -> "Wire":  # noqa: PYI034
+        """Return the protocol that has a number."""
+        return _WIRES[number]
+
+    def __repr__(self) -> str:
+        return f"Wire.{self.encoding.upper()}"
+
+    @staticmethod
+    def known(encoding: str) -> "Wire | None":
+        """Return the protocol of a name that has a number already."""
+        return next((wire for wire in _WIRES if wire.encoding == encoding), None)
+
+    @classmethod
+    def named(cls, encoding: str, starts: bytes = b"", framing: Framing | None = None) -> "Wire":
+        """Return the protocol of a name; one that is new gets the next number."""
+        known = cls.known(encoding)
+        if known is not None:
+            if framing is not None and known.framing is None:
+                raise ConfigurationError(
+                    f"the name {encoding} of a protocol is taken", "give the protocol a name of its own"
+                )
+            return known
+        wire = super().__new__(cls, len(_WIRES))
+        wire.encoding, wire.framing = encoding, framing
+        wire.starts = starts if framing is None else framing.start[:1]
+        _WIRES.append(wire)
+        return wire
+
+
+_WIRES: list[Wire] = []
+# In the order of their numbers in the compiled search.
+Wire.MAVLINK, Wire.UBX, Wire.RTCM3, Wire.NMEA = (
+    Wire.named(name, starts) for name, starts in scan.STREAMS.items()
+)
+Wire.DATAFLASH, Wire.ULOG, Wire.MRK = map(Wire.named, ("dataflash", "ulog", "mrk"))
+# Those of receivers that the compiled search knows; `drivers.protocols.receiver_wires` has all.
+GNSS = (Wire.UBX, Wire.RTCM3, Wire.NMEA)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,16 +214,8 @@ def numbers_at(data: bytes, start: Integers, kind: str) -> NDArray[Any]:
     return gather(data, start, np.full(len(start), row.itemsize), row)
 
 
-GNSS = (Wire.UBX, Wire.RTCM3, Wire.NMEA)
-
-_FIRST = {Wire.MAVLINK: (V1, V2), Wire.UBX: (0xB5,), Wire.RTCM3: (0xD3,), Wire.NMEA: (0x24,)}
 # From here on it pays to load what was compiled.
 _LARGE = 2048
-
-
-def wires_of(protocol: str) -> tuple[Wire, ...]:
-    """Return the protocols that are looked for on a link of one: those of receivers may share a line."""
-    return (Wire.MAVLINK,) if protocol == Wire.MAVLINK.encoding else GNSS
 
 
 class Framer(ABC):
@@ -208,8 +274,11 @@ class StreamFramer(Framer):
         super().__init__()
         self._tables = scan.tables_of(dialect or ardupilotmega())
         self._starts = np.full(256, scan.NO_WIRE, np.int32)
-        for wire in wires:
-            self._starts[list(_FIRST[wire])] = wire
+        # Where two begin alike the compiled search looks first.
+        ordered = sorted(wires)
+        for wire in reversed(ordered):
+            self._starts[list(wire.starts)] = wire
+        self._framed = [(wire, wire.framing) for wire in ordered if wire.framing is not None]
         self._memory = scan.new_memory()
         self._needed = 1
         self._intact = False
@@ -233,12 +302,25 @@ class StreamFramer(Framer):
             scan.compile_search()
         octets = np.frombuffer(self._pending, np.uint8).astype(np.int32)
         frames, damage, rest, self._needed = scan.search_stream(
-            octets, closed, self._starts, self._memory, self._tables
+            octets, closed, self._starts, self._looked(closed), self._memory, self._tables
         )
         ended = int(frames[-1, :2].sum()) if len(frames) else 0
         self._intact = rest == ended
         damage[:, 0] += self._offset
         return self._batch(frames, damage, rest)
+
+    def _looked(self, closed: bool) -> scan.Rows:
+        """Return the frames of protocols that the compiled search does not know, rows as it takes them."""
+        rows: dict[int, tuple[int, int, int, int]] = {}
+        for wire, framing in self._framed:
+            at = self._pending.find(framing.start[:1])
+            while at >= 0:
+                length = framing.look(self._pending, at)
+                if length > 0 or (length < 0 and not closed):
+                    kind = framing.kind(self._pending[at : at + length]) if length > 0 else 0
+                    rows.setdefault(at, (at, length, wire, kind))
+                at = self._pending.find(framing.start[:1], at + 1)
+        return np.array(sorted(rows.values()), np.int64).reshape(-1, 4)
 
     def _batch(
         self,

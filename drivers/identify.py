@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from drivers import mrk, nmea, ulog
+from drivers import mrk, ulog
 from drivers.checksums import x25
 from drivers.frames import Batch, Wire, batch_of, numbers_at
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V2, Dialect
-from drivers.ubx.decode import kind_name as ubx_name
+from drivers.protocols import protocol_of
 
 _LONGEST_HEAD, _LEAST_MAVLINK = 16, 8
 
@@ -25,11 +25,6 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
         kind = np.where(second, long, octets[start + 5]).astype(np.int64)
         agrees = [_agrees(payload, k, dialect) for payload, k in zip(payloads, kind.tolist(), strict=True)]
         known = np.array(agrees, bool)
-    elif wire == Wire.UBX:
-        kind = octets[start + 2].astype(np.int64) << 8 | octets[start + 3]
-    elif wire == Wire.RTCM3:
-        kind = octets[start + 3].astype(np.int64) << 4 | octets[start + 4] >> 4
-        kind[length < 8] = 0
     elif wire == Wire.DATAFLASH:
         kind = octets[start + 2].astype(np.int64)
     elif wire == Wire.ULOG:
@@ -37,7 +32,7 @@ def batch_of_payloads(wire: Wire, payloads: list[bytes], dialect: Dialect) -> Ba
     elif wire == Wire.MRK:
         kind = np.full(len(payloads), mrk.EVENT_KIND)
     else:
-        kind = np.array([nmea.kind_of(payload[1:9]) for payload in payloads], np.int64)
+        kind = protocol_of(wire).kinds(data, start, length)
     return batch_of(wire, data, 0, (start, length, kind), np.empty((0, 2), np.int64), known)
 
 
@@ -64,10 +59,10 @@ def kind_name(wire: Wire, kind: int, known: bool, dialect: Dialect) -> str:
     """
     if wire == Wire.MAVLINK:
         return dialect.name(kind) if known else f"unknown {kind}"
-    if wire == Wire.UBX:
-        return ubx_name(kind)
+    if wire == Wire.DATAFLASH:
+        return str(kind)
     if wire == Wire.ULOG:
         return f"{chr(kind >> 16)} {kind & 0xFFFF}" if kind else "head"
     if wire == Wire.MRK:
         return "event"
-    return nmea.kind_name(kind) if wire == Wire.NMEA else str(kind)
+    return protocol_of(wire).kind_name(kind)

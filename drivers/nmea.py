@@ -1,12 +1,16 @@
 """NMEA 0183: framing and the sentences GGA, RMC and ZDA."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.frames import Batch, Wire
+from drivers.receiver import Fixes, ReceiverProtocol
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import SECOND_NS, utc_date_ns
+
+_GGA_FIXES = {1: "3d", 2: "differential", 3: "3d", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning"}
 
 
 def kind_of(address: bytes) -> int:
@@ -59,7 +63,7 @@ def encode(text: str) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Fixes:
+class GgaSentences:
     """Positions of GGA sentences.
 
     index (n,): position of each sentence in the batch.
@@ -85,11 +89,11 @@ class Fixes:
     age_s: Floats
 
 
-def decode_gga(batch: Batch) -> Fixes:
+def decode_gga(batch: Batch) -> GgaSentences:
     """Decode the GGA sentences of a batch."""
     index = batch.where(Wire.NMEA, int.from_bytes(b"GGA", "big"))
     rows = [_fields(batch, i, 15) for i in index.tolist()]
-    return Fixes(
+    return GgaSentences(
         index=index,
         time_of_day_ns=np.array([_time_of_day_ns(f[1]) for f in rows], np.int64),
         latitude_deg=np.array([_angle_deg(f[2], f[3], 2, "S") for f in rows], float),
@@ -160,3 +164,47 @@ def _number(text: str) -> float:
 
 def _whole(text: str) -> int:
     return int(text) if text.isdigit() else 0
+
+
+class NmeaProtocol(ReceiverProtocol):
+    """Sentences of nearly every receiver."""
+
+    wire, name = Wire.NMEA, "NMEA"
+
+    def kinds(self, data: bytes, start: Integers, length: Integers) -> Integers:
+        """Return the formatter of each sentence."""
+        ends = start + np.minimum(length, 9)
+        addresses = zip((start + 1).tolist(), ends.tolist(), strict=True)
+        return np.array([kind_of(data[at:end]) for at, end in addresses], np.int64)
+
+    def kind_name(self, kind: int) -> str:
+        """Return the letters of the formatter."""
+        return kind_name(kind)
+
+    def fixes(self, batch: Batch) -> Mapping[str, Fixes]:
+        """Return the positions of GGA."""
+        f = decode_gga(batch)
+        fixes = Fixes.of(
+            f.index,
+            latitude_deg=f.latitude_deg,
+            longitude_deg=f.longitude_deg,
+            height_m=f.height_m,
+            hdop=f.hdop,
+            age_s=f.age_s,
+            satellites=f.satellites,
+            valid=f.quality > 0,
+            fix=[_GGA_FIXES.get(v, "none") for v in f.quality.tolist()],
+            geoid_m=f.geoid_m,
+        )
+        return {"GGA": fixes}
+
+    def told_status(self) -> tuple[str, ...]:
+        """Return the one sentence, which tells all."""
+        return ("GGA",)
+
+    def utc(self, batch: Batch) -> Mapping[str, tuple[Integers, Integers]]:
+        """Return the times of RMC and ZDA."""
+        return {"RMC/ZDA": decode_times(batch)}
+
+
+PROTOCOL = NmeaProtocol()

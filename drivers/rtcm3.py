@@ -3,12 +3,14 @@
 Source: RTCM standard 10403; field positions of 1005/1006 after its table for message type 1005.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.checksums import crc24q
 from drivers.frames import Batch, Wire, numbers_at
+from drivers.receiver import ReceiverProtocol
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import DAY_NS, SECOND_NS
 
@@ -88,3 +90,22 @@ def _unsigned(bits: int, at: int, width: int) -> int:
 def _signed(bits: int, at: int, width: int) -> int:
     value = _unsigned(bits, at, width)
     return value - (1 << width) if value >> (width - 1) else value
+
+
+class Rtcm3Protocol(ReceiverProtocol):
+    """Corrections of base stations, and the observations of receivers that speak it."""
+
+    wire, name, converter = Wire.RTCM3, "RTCM3", "rtcm3"
+
+    def kinds(self, data: bytes, start: Integers, length: Integers) -> Integers:
+        """Return the number of each message."""
+        octets = np.frombuffer(data, np.uint8)
+        kind = octets[start + 3].astype(np.int64) << 4 | octets[start + 4] >> 4
+        return np.where(length < 8, 0, kind)
+
+    def utc(self, batch: Batch) -> Mapping[str, tuple[Integers, Integers]]:
+        """Return the times of 1013."""
+        return {"RTCM 1013": decode_dates(batch)}
+
+
+PROTOCOL = Rtcm3Protocol()

@@ -26,7 +26,11 @@ from drivers.checksums import crc24q_contributions
 from drivers.mavlink.dialect import SIGNATURE_BYTES, SIGNED, V1, V2, Dialect, ardupilotmega
 from photocal.base.arrays import Flags, Integers
 
-MAVLINK, UBX, RTCM3, NMEA, NO_WIRE = 0, 1, 2, 3, 255
+# The protocols of the compiled search with the bytes that their frames begin with; `drivers.frames.Wire`
+# takes the numbers from here.
+STREAMS = {"mavlink": bytes((V1, V2)), "ubx": b"\xb5", "rtcm3": b"\xd3", "nmea": b"$"}
+MAVLINK, UBX, RTCM3, NMEA = range(len(STREAMS))
+NO_WIRE = 255
 # The longest message of the interface descriptions is RXM-RAWX with 255 signals, 8176 bytes. Without a bound
 # a damaged length would hold back up to 64 kB of good frames.
 UBX_LONGEST_PAYLOAD = 8192
@@ -99,15 +103,19 @@ def new_memory() -> Integers:
 
 
 def search_stream(
-    data: Octets, closed: bool, starts: Octets, memory: Integers, tables: Tables
+    data: Octets, closed: bool, starts: Octets, others: Integers, memory: Integers, tables: Tables
 ) -> tuple[Integers, Integers, int, int]:
-    """Find the frames of a piece of a stream."""
+    """Find the frames of a piece of a stream.
+
+    others (n, 4): frames of protocols that are not searched for here, where no frame of one that is begins:
+        place, length, protocol and kind, in the order of their places.
+    """
     end = len(data)
     running = _running(data, starts[V2] == MAVLINK, starts[0xD3] == RTCM3, starts[0xB5] == UBX, tables)
     ahead = np.zeros(2, np.int64)
     frames = np.empty((end // 6 + 1, 5), np.int64)
     damage = np.empty((end // 6 + 2, 2), np.int64)
-    count, runs, at, clean, needed = 0, 0, 0, 0, 1
+    count, runs, at, clean, needed, other = 0, 0, 0, 0, 1, 0
     while at < end:
         length, kind, known = 0, 0, True
         wire = starts[data[at]]
@@ -119,6 +127,10 @@ def search_stream(
             length, kind = _nmea(data, at, tables)
         elif wire == MAVLINK:
             length, kind, known = _mavlink(data, at, closed, starts, memory, ahead, running, tables)
+        if length == 0 or (length < 0 and closed):
+            other, length = _other(others, other, at)
+            if length:
+                wire, kind, known = others[other, 2], others[other, 3], True
         if length < 0 and not closed:
             needed = -length
             break
@@ -180,6 +192,13 @@ def search_records(
         frames[count, 3], frames[count, 4] = known, stamp_us
         count += 1
         clean = place + length
+
+
+def _other(others: Integers, row: int, at: int) -> tuple[int, int]:
+    """Return the first row that is not before a place, and the length of the frame that begins there."""
+    while row < len(others) and others[row, 0] < at:
+        row += 1
+    return row, (int(others[row, 1]) if row < len(others) and others[row, 0] == at else 0)
 
 
 def _running(data: Octets, mavlink: bool, rtcm3: bool, ubx: bool, tables: Tables) -> Running:
@@ -469,8 +488,8 @@ def _stamp(data: Octets, at: int) -> int:
 
 
 _SEARCH = (
-    _running, _ubx, _rtcm3, _sentence_ends, _nmea, _extent, _remainder, _known_mavlink, _contradicts, _stamp,
-    _may_end, _known_inside, _recall, recall_unknown, _mavlink, _record, search_stream, search_records,
+    _other, _running, _ubx, _rtcm3, _sentence_ends, _nmea, _extent, _remainder, _known_mavlink, _contradicts,
+    _stamp, _may_end, _known_inside, _recall, recall_unknown, _mavlink, _record, search_stream, search_records,
 )  # fmt: skip
 
 
@@ -485,5 +504,6 @@ def compile_search() -> None:
     for function in _SEARCH:
         globals()[function.__name__] = numba.njit(cache=True, nogil=True)(function)
     tables, nothing, memory = tables_of(ardupilotmega()), np.zeros(0, np.int32), new_memory()
-    search_stream(nothing, False, np.full(256, NO_WIRE, np.int32), memory, tables)
+    others = np.empty((0, 4), np.int64)
+    search_stream(nothing, False, np.full(256, NO_WIRE, np.int32), others, memory, tables)
     search_records(nothing, False, 0, memory, tables)

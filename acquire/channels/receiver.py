@@ -1,26 +1,24 @@
 """Channels decoded from a GNSS receiver: position, quality, time marks, clock and base station."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, Times, in_order
 from acquire.channels.layouts import ELLIPSOIDAL, STATION, SourceMessages
 from acquire.channels.receiver_time import ReceiverClock
-from drivers import nmea, rtcm3
+from drivers import rtcm3
 from drivers.frames import Batch
+from drivers.protocols import receiver_protocols
+from drivers.receiver import BASE_RECEIVER, BASE_UTC, Fixes
 from drivers.ubx import decode as ubx
-from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Integers
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns
-
-_PVT_FIXES = ("none", "dead_reckoning", "2d", "3d", "3d", "time_only")
-_GGA_FIXES = {1: "3d", 2: "differential", 3: "3d", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning"}
 
 
 class ReceiverDecoder:
-    """Decodes the UBX, RTCM 3 and NMEA frames of one link; a `Decoder`."""
+    """Decodes the frames of a receiver's link, of every protocol of the table; a `Decoder`."""
 
     def __init__(self, link: str) -> None:
         self._link = link
@@ -41,7 +39,7 @@ class ReceiverDecoder:
         return publish, in_order(decoded)
 
     def _positions(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
-        by_source = {name: read(batch) for name, read in _READERS.items()}
+        by_source = {name: told for p in receiver_protocols() for name, told in p.fixes(batch).items()}
         for source, fixes in self._fix_rank.used(by_source, len(batch)):
             f = fixes.rows(fixes.valid)
             yield self._messages(source, f.index, publish).location(
@@ -51,7 +49,7 @@ class ReceiverDecoder:
                 ELLIPSOIDAL,
                 "antenna",
             )
-        telling = {name: by_source[name] for name in _STATUS_SOURCES}
+        telling = {name: by_source[name] for p in receiver_protocols() for name in p.told_status()}
         for source, fixes in self._status_rank.used(telling, len(batch)):
             columns = {
                 "fix": fixes.fix,
@@ -64,16 +62,17 @@ class ReceiverDecoder:
             yield self._messages(source, fixes.index, publish).status("", columns)
 
     def _time_marks(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
-        marks = ubx.decode(batch, ubx.TIM_TM2)
-        for edge in ("rising", "falling"):
-            new = ubx.time_marks(marks.fields, rising=edge == "rising")
-            utc = np.where(new.base == ubx.BASE_UTC, new.time_ns + GPS_EPOCH_NS, gps_to_utc_ns(new.time_ns))
-            columns = {
-                "sequence": new.count,
-                "time": Times(np.where(new.valid & (new.base != ubx.BASE_RECEIVER), utc, -1)),
-                "accuracy_ns": new.accuracy_ns,
-            }
-            yield self._messages("TIM-TM2", marks.index[new.index], publish).exposure(edge, columns)
+        told = (item for p in receiver_protocols() for item in p.time_marks(batch).items())
+        for source, marks in told:
+            for edge, of_edge in (("rising", marks.rising), ("falling", ~marks.rising)):
+                new = marks.rows(of_edge)
+                utc = np.where(new.base == BASE_UTC, new.time_ns + GPS_EPOCH_NS, gps_to_utc_ns(new.time_ns))
+                columns = {
+                    "sequence": new.count,
+                    "time": Times(np.where(new.valid & (new.base != BASE_RECEIVER), utc, -1)),
+                    "accuracy_ns": new.accuracy_ns,
+                }
+                yield self._messages(source, new.index, publish).exposure(edge, columns)
 
     def _clocks(self, batch: Batch, log_ns: Integers, publish: Integers) -> Iterator[Decoded]:
         epochs = ubx.decode_rawx(batch).epochs
@@ -120,7 +119,7 @@ class _Rank:
     def __init__(self) -> None:
         self._best: int | None = None
 
-    def used(self, by_source: "Mapping[str, _Fixes]", frames: int) -> "Iterator[tuple[str, _Fixes]]":
+    def used(self, by_source: Mapping[str, Fixes], frames: int) -> Iterator[tuple[str, Fixes]]:
         """Yield what counts of each source; the sources are given best first."""
         ranks = list(by_source.items())
         for rank, (source, fixes) in enumerate(ranks):
@@ -132,101 +131,3 @@ class _Rank:
                 yield source, fixes.rows(counting)
         seen = [rank for rank, (_, fixes) in enumerate(ranks) if len(fixes.index)]
         self._best = min([*seen, *([] if self._best is None else [self._best])], default=None)
-
-
-class _Fixes:
-    """Positions of one message type, whatever it is called there."""
-
-    def __init__(self, index: Integers, **columns: Any) -> None:
-        count = len(index)
-        self.index = index
-        self.latitude_deg: Floats = columns["latitude_deg"]
-        self.longitude_deg: Floats = columns["longitude_deg"]
-        self.height_m: Floats = columns["height_m"]
-        unknown = np.full(count, np.nan)
-        self.horizontal_m: Floats = columns.get("horizontal_m", unknown)
-        self.vertical_m: Floats = columns.get("vertical_m", unknown)
-        self.hdop: Floats = columns.get("hdop", unknown)
-        self.age_s: Floats = columns.get("age_s", unknown)
-        self.satellites: Integers = columns.get("satellites", np.full(count, -1))
-        self.valid: Flags = columns.get("valid", np.ones(count, bool))
-        self.fix: NDArray[np.str_] = np.asarray(columns.get("fix", ["3d"] * count), "U16")
-
-    def rows(self, used: Flags) -> "_Fixes":
-        """Return some of the positions."""
-        columns = {name: values[used] for name, values in vars(self).items() if name != "index"}
-        return _Fixes(self.index[used], **columns)
-
-
-def _pvt(batch: Batch) -> _Fixes:
-    messages = ubx.decode(batch, ubx.NAV_PVT)
-    f = messages.fields
-    carrier = f["flags"] >> 6
-    fix = np.array([_PVT_FIXES[min(v, 5)] for v in f["fixType"].tolist()], "U16")
-    fix[(f["flags"] & 2) != 0] = "differential"
-    fix[carrier == 1] = "rtk_float"
-    fix[carrier == 2] = "rtk_fixed"
-    return _Fixes(
-        messages.index,
-        latitude_deg=f["lat"] * 1e-7,
-        longitude_deg=f["lon"] * 1e-7,
-        height_m=f["height"] * 1e-3,
-        horizontal_m=f["hAcc"] * 1e-3,
-        vertical_m=f["vAcc"] * 1e-3,
-        satellites=f["numSV"].astype(np.int64),
-        # JSON knows no infinity: what is 120 s old or older is told as 120 s.
-        age_s=np.minimum(ubx.correction_age_s(f), 120.0),
-        valid=(f["flags"] & 1) != 0,
-        fix=fix,
-    )
-
-
-def _hpposllh(batch: Batch) -> _Fixes:
-    messages = ubx.decode(batch, ubx.NAV_HPPOSLLH)
-    f = messages.fields
-    return _Fixes(
-        messages.index,
-        latitude_deg=f["lat"] * 1e-7 + f["_HPlat"] * 1e-9,
-        longitude_deg=f["lon"] * 1e-7 + f["_HPlon"] * 1e-9,
-        height_m=f["height"] * 1e-3 + f["_HPheight"] * 1e-4,
-        horizontal_m=f["hAcc"] * 1e-4,
-        vertical_m=f["vAcc"] * 1e-4,
-        valid=(f["flags"] & 1) == 0,
-    )
-
-
-def _posllh(batch: Batch) -> _Fixes:
-    messages = ubx.decode(batch, ubx.NAV_POSLLH)
-    f = messages.fields
-    return _Fixes(
-        messages.index,
-        latitude_deg=f["lat"] * 1e-7,
-        longitude_deg=f["lon"] * 1e-7,
-        height_m=f["height"] * 1e-3,
-        horizontal_m=f["hAcc"] * 1e-3,
-        vertical_m=f["vAcc"] * 1e-3,
-    )
-
-
-def _gga(batch: Batch) -> _Fixes:
-    f = nmea.decode_gga(batch)
-    return _Fixes(
-        f.index,
-        latitude_deg=f.latitude_deg,
-        longitude_deg=f.longitude_deg,
-        height_m=f.height_m,
-        hdop=f.hdop,
-        age_s=f.age_s,
-        satellites=f.satellites,
-        valid=f.quality > 0,
-        fix=[_GGA_FIXES.get(v, "none") for v in f.quality.tolist()],
-    )
-
-
-_READERS: dict[str, Callable[[Batch], _Fixes]] = {
-    "NAV-PVT": _pvt,
-    "NAV-HPPOSLLH": _hpposllh,
-    "NAV-POSLLH": _posllh,
-    "GGA": _gga,
-}
-_STATUS_SOURCES = ("NAV-PVT", "GGA")

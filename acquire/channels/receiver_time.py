@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from drivers import nmea, rtcm3
 from drivers.frames import Batch
+from drivers.protocols import receiver_protocols
 from drivers.ubx import decode as ubx
 from photocal.base.arrays import Integers
 from photocal.base.time_scales import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S, gps_to_utc_ns, week_to_ns
@@ -68,8 +69,8 @@ class ReceiverClock:
             f = civil.fields
             sure = (f[flags] & mask) == mask
             parts[name] = (civil.index[sure], ubx.civil_utc_ns(f)[sure])
-        parts["RMC/ZDA"] = nmea.decode_times(batch)
-        parts["RTCM 1013"] = rtcm3.decode_dates(batch)
+        for protocol in receiver_protocols():
+            parts |= protocol.utc(batch)
         self.sources |= {name for name, (index, _) in parts.items() if len(index)}
         return (
             np.concatenate([index for index, _ in parts.values()]),

@@ -15,6 +15,7 @@ from drivers.frames import Batch, Wire
 from drivers.identify import batch_of_payloads, kind_name
 from drivers.mavlink.decode import decode, sequences, sources
 from drivers.mavlink.dialect import Dialect
+from drivers.protocols import known_wire
 from photocal.base.arrays import Bytes, Floats, Integers
 
 EARLIEST_US = 946_684_800_000_000
@@ -22,7 +23,6 @@ _SAMPLES = 24
 # A clock is wrong from 1 % on: good ones stay below 0.01 %.
 _RATE_LIMIT = 0.01
 _LEAST_SPAN_S = 10.0
-_ENCODINGS = {wire.encoding: wire for wire in Wire}
 # A pause of a link counts as a gap from here on.
 GAP_S = 2.0
 _LISTED_GAPS = 20
@@ -219,8 +219,8 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
                 summary, encoding = links.setdefault(link, LinkSummary(link, dialect)), channel.encoding
                 if encoding == DAMAGE_ENCODING:
                     summary.damage_bytes += sum(map(len, messages.payloads))
-                elif encoding in _ENCODINGS:
-                    batch = batch_of_payloads(_ENCODINGS[encoding], messages.payloads, dialect)
+                elif (wire := known_wire(encoding)) is not None:
+                    batch = batch_of_payloads(wire, messages.payloads, dialect)
                     summary.add(batch, messages.log_ns)
     return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata, parameters)
 

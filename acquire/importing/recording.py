@@ -10,9 +10,10 @@ from io import BufferedReader
 from pathlib import Path
 
 from drivers.dataflash import DataflashFramer
-from drivers.frames import GNSS, Batch, Framer, StreamFramer
+from drivers.frames import Batch, Framer, StreamFramer
 from drivers.mavlink.dialect import Dialect
 from drivers.mrk import MrkFramer
+from drivers.protocols import receiver_protocols, receiver_wires
 from drivers.tlog import TlogFramer
 from drivers.ulog import UlogFramer
 from photocal.base.errors import InputMalformedError, InputNotFoundError, reading
@@ -36,7 +37,7 @@ class Format:
 
 
 TELEMETRY_LOG = Format("MAVLink telemetry log", "vehicle", TlogFramer)
-RECEIVER_STREAM = Format("GNSS receiver stream", "", lambda dialect: StreamFramer(GNSS, dialect))
+RECEIVER_STREAM = Format("GNSS receiver stream", "", lambda dialect: StreamFramer(receiver_wires(), dialect))
 DATAFLASH_LOG = Format("ArduPilot DataFlash log", "vehicle", lambda _: DataflashFramer())
 PX4_LOG = Format("PX4 log (ULog)", "vehicle", lambda _: UlogFramer())
 EVENT_LIST = Format("event list (Timestamp.MRK)", "camera", lambda _: MrkFramer())
@@ -132,8 +133,10 @@ def identify(source: Source, dialect: Dialect) -> Format:
         if 2 * held > len(head):
             break
     if best is None:
+        *names, last = (protocol.name for protocol in receiver_protocols())
         raise InputMalformedError(
-            "holds no whole MAVLink record, no UBX, RTCM3 or NMEA frame, no DataFlash, ULog or MRK record",
+            f"holds no whole MAVLink record, no {', '.join(names)} or {last} frame, no DataFlash, ULog or "
+            "MRK record",
             "import a .tlog, .ubx, .rtcm3, .nmea, .bin, .ulg or .mrk recording",
             where=source.path,
         )

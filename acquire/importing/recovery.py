@@ -10,7 +10,8 @@ from acquire.channels.link import LinkLog
 from acquire.log.reader import LogReader, Messages, link_of
 from acquire.log.records import ARRIVED_ENCODING, ARRIVED_HEAD
 from acquire.log.writer import LogWriter
-from drivers.frames import StreamFramer, wires_of
+from drivers.frames import StreamFramer
+from drivers.protocols import wires_of
 from photocal.base.errors import InputMalformedError
 from photocal.base.files import output_file
 

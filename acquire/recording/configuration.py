@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
+from drivers.protocols import link_protocols
 from photocal.base.checked_toml import Table, read_toml
 from photocal.base.errors import ConfigurationError
 
@@ -44,11 +45,17 @@ class Vehicle(Table):
     parameters: bool = True
 
 
+def _known_protocol(name: str) -> str:
+    if name not in link_protocols():
+        raise ValueError(f"must be one of {', '.join(link_protocols())}")
+    return name
+
+
 class Link(Table):
     """A link: its name, protocol, address and, on serial lines, its speed."""
 
     name: Name
-    protocol: Literal["mavlink", "ubx", "rtcm3", "nmea"]
+    protocol: Annotated[str, AfterValidator(_known_protocol)]
     url: str
     baud: Annotated[int, Field(gt=0)] = 115_200
     silent_s: Positive = 10.0

@@ -17,8 +17,9 @@ from acquire.recording.reader import Arrival
 from acquire.recording.receiver_dialogue import ReceiverDialogue
 from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.transports.sources import LinkLostError, Source
-from drivers.frames import Batch, StreamFramer, Wire, wires_of
+from drivers.frames import Batch, StreamFramer, Wire
 from drivers.mavlink.dialect import Dialect
+from drivers.protocols import wires_of
 from photocal.base.arrays import Integers
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError

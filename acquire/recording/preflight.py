@@ -18,9 +18,10 @@ from acquire.recording.link_session import decoder_of
 from acquire.recording.reader import MOST_AT_ONCE, left_behind, start_readers
 from acquire.recording.recorder import Host
 from acquire.transports.sources import LinkLostError, Source
-from drivers.frames import Batch, StreamFramer, Wire, wires_of
+from drivers.frames import Batch, StreamFramer, Wire
 from drivers.mavlink.decode import autopilots
 from drivers.mavlink.dialect import Dialect
+from drivers.protocols import wires_of
 from drivers.ubx.decode import NAV_PVT, RXM_RAWX
 from photocal.base.console import Check
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frames import Batch, Wire, gather
-from photocal.base.arrays import Flags, Floats, Integers
+from drivers.receiver import TimeMarks
+from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import SECOND_NS, utc_date_ns, week_to_ns
 
 NAV_POSLLH, NAV_PVT, NAV_HPPOSLLH, NAV_TIMEGPS, NAV_TIMEUTC, NAV_SVIN = (
@@ -22,9 +23,8 @@ RXM_SFRBX, RXM_RAWX, TIM_TM2 = 0x0213, 0x0215, 0x0D03
 ACK_NAK, ACK_ACK = 0x0500, 0x0501
 # Longest age of each class, seconds; 0 is unknown, from 12 on the age is 120 s or more.
 _AGES_S = np.array([np.nan, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, *[np.inf] * 4])
-# TIM-TM2: its flags, and the time bases.
+# TIM-TM2: its flags.
 _NEW_FALLING, _TIME_VALID, _NEW_RISING, _BASE_SHIFT = 0x04, 0x40, 0x80, 3
-BASE_RECEIVER, BASE_GNSS, BASE_UTC = 0, 1, 2
 
 
 _TYPES = {"U": "u", "I": "i", "X": "u", "R": "f", "E": "u", "L": "u"}
@@ -115,38 +115,22 @@ def decode(batch: Batch, kind: int) -> Messages:
     return Messages(index, gather(batch.data, batch.start[index] + 6, batch.length[index] - 8, row))
 
 
-@dataclass(frozen=True, slots=True)
-class TimeMarks:
-    """New edges of one kind in TIM-TM2 messages.
-
-    index (n,): the message of each.
-    count (n,): the receiver's count of rising edges.
-    time_ns (n,): in the time base, since the GPS epoch, nanoseconds.
-    base (n,): `BASE_RECEIVER`, `BASE_GNSS` or `BASE_UTC`: UTC is counted in weeks since the GPS epoch as
-        well.
-    valid: whether the time is one: the first message of a recording may bring an edge of week 0.
-    accuracy_ns (n,): accuracy as the receiver claims it.
-    """
-
-    index: Integers
-    count: Integers
-    time_ns: Integers
-    base: Integers
-    valid: Flags
-    accuracy_ns: Integers
+def time_marks(fields: NDArray[Any]) -> TimeMarks:
+    """Return the new edges from the fields of TIM-TM2: each message brings at most one of either kind."""
+    rising, falling = _edges(fields, "R", _NEW_RISING), _edges(fields, "F", _NEW_FALLING)
+    both = TimeMarks(*map(np.concatenate, zip(rising, falling, strict=True)))
+    return both.rows(np.argsort(both.index, kind="stable"))
 
 
-def time_marks(fields: NDArray[Any], *, rising: bool) -> TimeMarks:
-    """Return the new edges of one kind from the fields of TIM-TM2: each message brings at most one."""
-    letter, bit = ("R", _NEW_RISING) if rising else ("F", _NEW_FALLING)
+def _edges(fields: NDArray[Any], letter: str, bit: int) -> tuple[NDArray[Any], ...]:
     index = np.flatnonzero(fields["flags"] & bit)
     new = fields[index]
     time_ns = week_to_ns(new[f"wn{letter}"], 0.0)
-    time_ns = time_ns + new[f"towMs{letter}"].astype(np.int64) * 1_000_000 + new[f"towSubMs{letter}"]
-    return TimeMarks(
+    return (
         index,
+        np.full(len(index), letter == "R"),
         new["count"].astype(np.int64),
-        time_ns,
+        time_ns + new[f"towMs{letter}"].astype(np.int64) * 1_000_000 + new[f"towSubMs{letter}"],
         (new["flags"] >> _BASE_SHIFT & 3).astype(np.int64),
         ((new["flags"] & _TIME_VALID) != 0) & (new[f"wn{letter}"] > 0),
         new["accEst"].astype(np.int64),

@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mrk import parse_event
-from drivers.ubx import decode as ubx
+from drivers.receiver import BASE_RECEIVER, BASE_UTC, TimeMarks
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, reading
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
@@ -82,13 +81,18 @@ class Events:
         )
 
 
-def time_marks(fields: NDArray[Any], edge: str, link: str, stream_ns: Integers | None = None) -> Events:
-    """Return the events of one edge from RXM-TIM-TM2 messages.
+def time_marks(
+    marks: TimeMarks, edge: str, link: str, stream_ns: Integers | None = None, source: str = "TIM-TM2"
+) -> Events:
+    """Return the events of one edge from a receiver's time marks, such as TIM-TM2 messages.
+
+    stream_ns: of each mark the last epoch before it in the stream (GPS ns); -1: none yet.
 
     raises InputMalformedError: when the marks are in the receiver's own time, which nothing ties to GPS time.
     """
-    new = ubx.time_marks(fields, rising=edge == RISING)
-    receiver_time = new.valid & (new.base == ubx.BASE_RECEIVER)
+    of_edge = marks.rising == (edge == RISING)
+    new = marks.rows(of_edge)
+    receiver_time = new.valid & (new.base == BASE_RECEIVER)
     if receiver_time.any():
         raise InputMalformedError(
             f"{int(receiver_time.sum())} time marks are in the receiver's own time base",
@@ -96,7 +100,7 @@ def time_marks(fields: NDArray[Any], edge: str, link: str, stream_ns: Integers |
             where=f"link {link}",
         )
     gps = new.time_ns.copy()
-    utc = new.valid & (new.base == ubx.BASE_UTC)
+    utc = new.valid & (new.base == BASE_UTC)
     if utc.any():
         # The week and its milliseconds count UTC from the GPS epoch: the leap seconds are missing in them.
         gps[utc] = UtcTime(new.time_ns[utc] + GPS_EPOCH_NS).to_gps().ns
@@ -108,12 +112,12 @@ def time_marks(fields: NDArray[Any], edge: str, link: str, stream_ns: Integers |
     kept = np.flatnonzero(new.valid)
     order = kept[np.argsort(gps[kept], kind="stable")]
     return Events(
-        f"TIM-TM2 {edge} of {link}",
+        f"{source} {edge} of {link}",
         GpsTime(gps[order]),
         new.count[order],
         np.asarray(new.accuracy_ns[order] * 1e-9, float),
         remarks,
-        stream_ns=None if stream_ns is None else stream_ns[new.index][order],
+        stream_ns=None if stream_ns is None else stream_ns[of_edge][order],
     )
 
 
@@ -158,7 +162,8 @@ def _note(
 ) -> None:
     """Take one exposure of the log."""
     source = str(row["source"])
-    if source == "TIM-TM2":
+    # A receiver's time marks are decoded from its raw frames, with their time base.
+    if row.get("edge") in (RISING, FALLING):
         return
     rows = exposures.setdefault(source, {})
     time = row.get("time")

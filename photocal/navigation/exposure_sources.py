@@ -40,7 +40,8 @@ def events_of(
     best_first = []
     rover = receivers.get(sources.rover_link)
     if rover is not None:
-        marks = time_marks(rover.marks(), edge, rover.link, stream_ns=rover.epochs_before_marks())
+        before, source = rover.epochs_before_marks(), rover.mark_source
+        marks = time_marks(rover.marks(), edge, rover.link, before, source)
         if len(marks):
             best_first.append(marks)
     logged = {events.source: events for events in logged_exposures(sources.log) if len(events)}

@@ -6,9 +6,9 @@ from pathlib import Path
 from acquire.log.reader import LogReader, Messages
 from acquire.log.records import Channel
 from drivers.frames import Wire
+from drivers.protocols import receiver_wires
 
 EXPOSURES = "/camera/exposure"
-_RAW = {wire.encoding for wire in (Wire.UBX, Wire.RTCM3, Wire.NMEA, Wire.MAVLINK, Wire.MRK)}
 _DECODED = ("/position", "/fix", "/attitude", "/parameter")
 
 
@@ -57,5 +57,6 @@ class FlightLog:
 
 def _is_wanted(channel: Channel) -> bool:
     if channel.schema is None:
-        return channel.encoding in _RAW and channel.topic.endswith("/raw")
+        encodings = {wire.encoding for wire in (Wire.MAVLINK, Wire.MRK, *receiver_wires())}
+        return channel.encoding in encodings and channel.topic.endswith("/raw")
     return channel.topic == EXPOSURES or channel.topic.endswith(_DECODED)

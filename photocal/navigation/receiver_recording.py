@@ -1,17 +1,16 @@
 """What a GNSS receiver left in a flight log: observations and ephemerides, in intact frames only."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.log.reader import link_of
 from drivers.frames import Batch, Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import Dialect
-from drivers.nmea import decode_gga
+from drivers.protocols import protocol_of, receiver_wires
+from drivers.receiver import TimeMarks
 from drivers.rtcm3 import decode_stations
 from drivers.ubx import decode as ubx
 from photocal.base.arrays import Floats, Integers
@@ -35,7 +34,7 @@ class ReceiverRecording:
     surveyed_m (3,): mean of a survey-in that is valid.
     surveyed_sigma_m: its accuracy as the receiver states it, in space.
     first_log_ns: time of receipt of the first frame (UTC ns).
-    time_marks: RXM-TIM-TM2 fields in the order of the file.
+    time_marks, mark_source: edges in the order of the file, and the message that told them.
     mark_epoch_ns: for each of them the last RXM-RAWX epoch before it in the stream (GPS ns); -1: none yet.
     epoch_ns, epoch_log_ns: the epochs used (GPS ns), and their arrival (UTC ns).
     geoid_m: height above the ellipsoid less height above sea level, as NAV-PVT or GGA told it.
@@ -53,7 +52,8 @@ class ReceiverRecording:
     surveyed_m: Floats | None = None
     surveyed_sigma_m: float | None = None
     first_log_ns: int = 0
-    time_marks: list[NDArray[Any]] = field(default_factory=list)
+    time_marks: list[TimeMarks] = field(default_factory=list)
+    mark_source: str = ""
     mark_epoch_ns: list[Integers] = field(default_factory=list)
     epoch_ns: list[Integers] = field(default_factory=list)
     epoch_log_ns: list[Integers] = field(default_factory=list)
@@ -61,19 +61,28 @@ class ReceiverRecording:
 
     def add(self, wire: Wire, payloads: list[bytes], log_ns: Integers) -> None:
         """Take the frames of one chunk of the log."""
-        batch = batch_of_payloads(wire, payloads, _NO_DIALECT)
-        if wire != Wire.RTCM3:
-            self.geoid_m.extend(told_by_receiver(batch))
+        batch, protocol = batch_of_payloads(wire, payloads, _NO_DIALECT), protocol_of(wire)
+        for fixes in protocol.fixes(batch).values():
+            self.geoid_m.extend(fixes.geoid_m[fixes.valid & np.isfinite(fixes.geoid_m)].tolist())
+        good, epoch = np.empty(0, np.int64), np.empty(0, np.int64)
+        before = int(self.epoch_ns[-1][-1]) if self.epoch_ns else -1
         if wire == Wire.UBX:
-            self._add_ubx(batch, payloads, log_ns)
+            good, epoch = self._add_ubx(batch, payloads, log_ns)
         elif wire == Wire.RTCM3:
             self.rtcm.extend(payloads)
             self.announced_m.extend(decode_stations(batch).ecef_m)
             self.ephemeris_frames += int(np.isin(batch.kind, (1019, 1020, 1042, 1044, 1045, 1046)).sum())
             observing = (batch.kind >= _MSM_FIRST) & (batch.kind <= _MSM_LAST)
             self.observation_frames += int((observing | np.isin(batch.kind, (1002, 1004, 1010, 1012))).sum())
+        for source, marks in protocol.time_marks(batch).items():
+            if len(marks.index):
+                self.mark_source = source
+                self.time_marks.append(marks)
+                last = np.concatenate([[before], epoch])
+                self.mark_epoch_ns.append(last[np.searchsorted(good, marks.index, side="right")])
 
-    def _add_ubx(self, batch: Batch, payloads: list[bytes], log_ns: Integers) -> None:
+    def _add_ubx(self, batch: Batch, payloads: list[bytes], log_ns: Integers) -> tuple[Integers, Integers]:
+        """Take UBX frames; return which of them are epochs, and their times (GPS ns)."""
         raw = ubx.decode_rawx(batch).epochs
         empty = raw.fields["numMeas"] == 0
         untimed = ~empty & ((raw.fields["week"] == 0) | ~np.isfinite(raw.fields["rcvTow"]))
@@ -93,14 +102,10 @@ class ReceiverRecording:
             self.surveyed_m = np.array(mean)
             self.surveyed_sigma_m = float(last["meanAcc"]) * 1e-4
         epoch = week_to_ns(raw.fields["week"][used], raw.fields["rcvTow"][used])
-        before = np.concatenate([[int(self.epoch_ns[-1][-1]) if self.epoch_ns else -1], epoch])
-        marks = ubx.decode(batch, ubx.TIM_TM2)
-        if len(marks.fields):
-            self.time_marks.append(marks.fields)
-            self.mark_epoch_ns.append(before[np.searchsorted(good, marks.index, side="right")])
         if len(good):
             self.epoch_ns.append(epoch)
             self.epoch_log_ns.append(log_ns[good])
+        return good, epoch
 
     def epochs_and_arrivals(self) -> tuple[Integers, Integers]:
         """Return the epochs used (GPS ns) and their arrival (UTC ns)."""
@@ -108,12 +113,14 @@ class ReceiverRecording:
             return np.empty(0, np.int64), np.empty(0, np.int64)
         return np.concatenate(self.epoch_ns), np.concatenate(self.epoch_log_ns)
 
-    def marks(self) -> NDArray[Any]:
-        """Return all TIM-TM2 fields in the order of the file."""
-        return np.concatenate(self.time_marks) if self.time_marks else np.empty(0, ubx.layout(ubx.TIM_TM2))
+    def marks(self) -> TimeMarks:
+        """Return all time marks in the order of the file; indices mean nothing beyond their chunk."""
+        none = [np.empty(0, kind) for kind in (int, bool, int, int, int, bool, int)]
+        parts = [[getattr(marks, f.name) for f in fields(marks)] for marks in self.time_marks] or [none]
+        return TimeMarks(*map(np.concatenate, zip(*parts, strict=True)))
 
     def epochs_before_marks(self) -> Integers:
-        """Return the epoch before each TIM-TM2 message in the stream (GPS ns); -1 before the first."""
+        """Return the epoch before each time mark in the stream (GPS ns); -1 before the first."""
         return np.concatenate(self.mark_epoch_ns) if self.mark_epoch_ns else np.empty(0, np.int64)
 
     def position_m(self) -> tuple[Floats, str] | None:
@@ -149,7 +156,7 @@ class ReceiverRecording:
 def read_receivers(log: FlightLog) -> dict[str, ReceiverRecording]:
     """Read the raw frames of every receiver in a flight log; those of the same log are decoded once."""
     recordings: dict[str, ReceiverRecording] = {}
-    for wire, messages in log.raw(Wire.UBX, Wire.RTCM3, Wire.NMEA):
+    for wire, messages in log.raw(*receiver_wires()):
         link = link_of(messages.channel)
         recording = recordings.setdefault(link, ReceiverRecording(link))
         recording.first_log_ns = recording.first_log_ns or int(messages.log_ns[0])
@@ -189,20 +196,3 @@ def refuse_unusable(recording: ReceiverRecording, role: str, log: FlightLog) -> 
         f"the {role} has no raw observations (RXM-RAWX or RTCM MSM)",
         "let the receiver send RXM-RAWX and RXM-SFRBX",
     )
-
-
-def told_by_receiver(batch: Batch) -> list[float]:
-    """Return height above the ellipsoid less height above sea level (m) of every position in a batch.
-
-    Receivers take it from a coarse model: u-blox interpolates EGM 96 in a grid of 10 degrees, some metres off
-    in places.
-    """
-    undulations: list[float] = []
-    for kind in (ubx.NAV_PVT, ubx.NAV_POSLLH):
-        fields = ubx.decode(batch, kind).fields
-        if kind == ubx.NAV_PVT:
-            fields = fields[(fields["flags"] & 1) != 0]
-        undulations += ((fields["height"].astype(float) - fields["hMSL"]) * 1e-3).tolist()
-    gga = decode_gga(batch)
-    undulations += gga.geoid_m[(gga.quality > 0) & np.isfinite(gga.geoid_m)].tolist()
-    return undulations

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from acquire.log.reader import Messages
 from acquire.log.records import Channel, Schema
+from drivers.receiver import TimeMarks
 from drivers.ubx.decode import TIM_TM2, layout
+from drivers.ubx.decode import time_marks as edges_of
 from photocal.base.errors import InputMalformedError
 from photocal.navigation.events import (
     FALLING,
@@ -33,13 +35,13 @@ from tests.photocal.navigation.conftest import ImportLog, Run
 NEW_RISING_UTC, NEW_FALLING_UTC = 241, 117
 
 
-def marks(*rows: tuple[int, int, int, int]) -> NDArray[Any]:
-    table = np.zeros(len(rows), layout(TIM_TM2))
+def marks(*rows: tuple[int, int, int, int]) -> TimeMarks:
+    table: NDArray[Any] = np.zeros(len(rows), layout(TIM_TM2))
     for row, (flags, count, week, ms) in zip(table, rows, strict=True):
         row["flags"], row["count"] = flags, count
         row["wnR"] = row["wnF"] = week
         row["towMsR"] = row["towMsF"] = ms
-    return table
+    return edges_of(table)
 
 
 def test_the_time_base_is_read() -> None:
@@ -89,7 +91,7 @@ def test_static_rover(m8p: Path, import_log: ImportLog) -> None:
     log = import_log("rover-only", {"rover": m8p / "rover-20181004-1237.ubx.gz"})
     # The first message brings no rising edge yet: its week and time are 0.
     recording = read_receivers(FlightLog((log,)))["rover"]
-    assert len(recording.marks()) == 7
+    assert len(recording.marks().index) == 13
     assert (time_marks(recording.marks(), RISING, "rover").time.ns > 0).all()
 
 
