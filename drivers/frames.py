@@ -70,8 +70,13 @@ class Wire(int):
         """Return the protocol that has a number."""
         return _WIRES[number]
 
+    @property
+    def name(self) -> str:
+        """What it is called in this class."""
+        return self.encoding.upper()
+
     def __repr__(self) -> str:
-        return f"Wire.{self.encoding.upper()}"
+        return f"Wire.{self.name}"
 
     @staticmethod
     def known(encoding: str) -> "Wire | None":

@@ -489,7 +489,8 @@ def _stamp(data: Octets, at: int) -> int:
 
 _SEARCH = (
     _other, _running, _ubx, _rtcm3, _sentence_ends, _nmea, _extent, _remainder, _known_mavlink, _contradicts,
-    _stamp, _may_end, _known_inside, _recall, recall_unknown, _mavlink, _record, search_stream, search_records,
+    _stamp, _may_end, _known_inside, _recall, recall_unknown, _mavlink, _record, search_stream,
+    search_records,
 )  # fmt: skip
 
 
