@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.decoded import Decoded, in_order
-from acquire.channels.vehicle_messages import COMMON_TOPICS, MAKERS, Sent
+from acquire.channels.vehicle_messages import COMMON_TOPICS, MAKERS, SentMessages
 from drivers.frames import Batch, Wire
-from drivers.mavlink.decode import Messages, decode
+from drivers.mavlink.decode import MavlinkMessages, decode
 from drivers.mavlink.dialect import Dialect
 from photocal.base.arrays import Integers
 
@@ -71,7 +71,7 @@ class VehicleDecoder:
         self._boot_utc_ns = int(offsets[-1]) if len(offsets) > 1 else self._boot_utc_ns
         return np.concatenate([[-1], messages.index[good]]).astype(np.int64), offsets
 
-    def _device_ns(self, messages: Messages, member: str, boot: tuple[Integers, Integers]) -> Integers:
+    def _device_ns(self, messages: MavlinkMessages, member: str, boot: tuple[Integers, Integers]) -> Integers:
         time = _ns(messages.fields[member], _TIMES[member])
         since, offsets = boot
         offset = offsets[np.searchsorted(since, messages.index, side="right") - 1]
@@ -79,7 +79,7 @@ class VehicleDecoder:
         return np.where(time > EARLIEST_UTC_NS, time, np.where(timed, offset + time, -1))
 
     def _decode(
-        self, kind: int, messages: Messages, log_ns: Integers, publish: Integers
+        self, kind: int, messages: MavlinkMessages, log_ns: Integers, publish: Integers
     ) -> Iterable[Decoded]:
         senders = messages.system.astype(np.int64) * 256 + messages.component
         for sender in dict.fromkeys(senders.tolist()):
@@ -87,7 +87,7 @@ class VehicleDecoder:
             index = messages.index[of_sender]
             source = divmod(sender, 256)
             name, fields = self._dialect.name(kind), messages.fields[of_sender]
-            sent = Sent(self._link, name, index, publish[index], source, fields, log_ns[index])
+            sent = SentMessages(self._link, name, index, publish[index], source, fields, log_ns[index])
             for make in MAKERS[name]:
                 made = make(sent)
                 topic = self._topic(made.channel.topic, source)

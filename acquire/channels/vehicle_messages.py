@@ -22,10 +22,10 @@ _FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixe
 
 
 @dataclass(frozen=True)
-class Sent(SourceMessages):
+class SentMessages(SourceMessages):
     """Messages of one kind from one source.
 
-    fields (n,): the fields, see `drivers.mavlink.decode.Messages`.
+    fields (n,): the fields, see `drivers.mavlink.decode.MavlinkMessages`.
     log_ns (n,): time of receipt, UTC.
     """
 
@@ -45,18 +45,18 @@ class Sent(SourceMessages):
         return self.fields["lat"] * 1e-7, self.fields["lon"] * 1e-7, self.fields["alt"] * 1e-3
 
 
-def position(sent: Sent) -> Decoded:
+def position(sent: SentMessages) -> Decoded:
     """Make positions of the autopilot's own filter."""
     return sent.location(f"/{sent.link}/position", sent.place)
 
 
-def attitude(sent: Sent) -> Decoded:
+def attitude(sent: SentMessages) -> Decoded:
     """Make the rotation from body to north-east-down."""
     angles = (sent.fields[name].astype(float) for name in ("roll", "pitch", "yaw"))
     return sent.attitude(foxglove.quaternion_from_euler(*angles))
 
 
-def gnss_fix(sent: Sent) -> Decoded:
+def gnss_fix(sent: SentMessages) -> Decoded:
     """Make the positions of a receiver of the vehicle."""
     fixed = sent.rows(sent.fields["fix_type"] >= 2)
     claimed = _claimed(fixed.fields, "h_acc"), _claimed(fixed.fields, "v_acc")
@@ -69,7 +69,7 @@ def fix_names(types: Floats | Integers) -> list[str]:
     return [_FIX_NAMES[min(int(v), last)] if v == v else _FIX_NAMES[0] for v in types.tolist()]
 
 
-def gnss_status(sent: Sent) -> Decoded:
+def gnss_status(sent: SentMessages) -> Decoded:
     """Make the quality of the fixes of a receiver of the vehicle."""
     f = sent.fields
     columns: dict[str, Any] = {
@@ -84,7 +84,7 @@ def gnss_status(sent: Sent) -> Decoded:
     return sent.status(_RECEIVERS[sent.source], columns)
 
 
-def camera_captured(sent: Sent) -> Decoded:
+def camera_captured(sent: SentMessages) -> Decoded:
     """Make the exposures that a MAVLink camera reported."""
     f = sent.fields
     utc = f["time_utc"].astype(np.int64)
@@ -93,7 +93,7 @@ def camera_captured(sent: Sent) -> Decoded:
     return sent.exposure("feedback", {"sequence": f["image_index"], "time": time, **place})
 
 
-def system_time(sent: Sent) -> Decoded:
+def system_time(sent: SentMessages) -> Decoded:
     """Make the readings of the autopilot's clock."""
     device = sent.fields["time_unix_usec"].astype(np.int64) * 1000
     known = device > 0
@@ -106,7 +106,7 @@ def system_time(sent: Sent) -> Decoded:
     )
 
 
-def timesync(sent: Sent) -> Decoded:
+def timesync(sent: SentMessages) -> Decoded:
     """Make the duration of the comparisons of clocks that we began ourselves: they carry our own UTC."""
     round_trip = sent.log_ns - sent.fields["ts1"]
     answered = (sent.fields["tc1"] > 0) & (round_trip >= 0) & (round_trip < 10_000_000_000)
@@ -114,7 +114,7 @@ def timesync(sent: Sent) -> Decoded:
     return ours.clock({"boot_s": ours.fields["tc1"] / 1e9, "round_trip_ns": round_trip[answered]})
 
 
-def parameter(sent: Sent) -> Decoded:
+def parameter(sent: SentMessages) -> Decoded:
     """Make the autopilot's parameters."""
     sent_value = sent.fields["param_value"]
     whole = sent.fields["param_type"] < _FIRST_REAL_TYPE
@@ -126,7 +126,7 @@ def parameter(sent: Sent) -> Decoded:
     return sent.json(f"/{sent.link}/parameter", PARAMETER, columns)
 
 
-def state(sent: Sent) -> Decoded:
+def state(sent: SentMessages) -> Decoded:
     """Make the exposures, texts and states of battery, links and radio whose members are all like theirs."""
     columns = {}
     for name, (field, unit, unknown) in _MEMBERS[sent.source].items():
@@ -168,7 +168,7 @@ _MEMBERS: dict[str, dict[str, tuple[str, float | None, int | None]]] = {
     "STATUSTEXT": {"severity": ("severity", None, None), "text": ("text", None, None)},
 }
 _EDGES = {"CAMERA_FEEDBACK": "feedback", "CAMERA_TRIGGER": "trigger"}
-MAKERS: dict[str, tuple[Callable[[Sent], Decoded], ...]] = {
+MAKERS: dict[str, tuple[Callable[[SentMessages], Decoded], ...]] = {
     "GPS_RAW_INT": (gnss_fix, gnss_status),
     "GPS2_RAW": (gnss_fix, gnss_status),
     "GLOBAL_POSITION_INT": (position,),

@@ -18,7 +18,7 @@ GROUND_STATION, NO_AUTOPILOT = 6, 8
 
 
 @dataclass(frozen=True, slots=True)
-class Messages:
+class MavlinkMessages:
     """Messages of one kind.
 
     index (n,): position of each message in the batch.
@@ -36,7 +36,7 @@ class Messages:
         return len(self.index)
 
 
-def decode(batch: Batch, message: int, dialect: Dialect) -> Messages:
+def decode(batch: Batch, message: int, dialect: Dialect) -> MavlinkMessages:
     """Decode all intact frames of one known message."""
     index = batch.where(Wire.MAVLINK, message)
     start = batch.start[index]
@@ -45,7 +45,7 @@ def decode(batch: Batch, message: int, dialect: Dialect) -> Messages:
     payload = start + np.where(second, 10, 6)
     fields = gather(batch.data, payload, octets[start + 1].astype(np.int64), dialect.layout(message))
     system, component = sources(batch, index)
-    return Messages(index, system, component, fields)
+    return MavlinkMessages(index, system, component, fields)
 
 
 def sources(batch: Batch, index: Integers) -> tuple[Bytes, Bytes]:

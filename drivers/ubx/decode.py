@@ -73,7 +73,7 @@ def kind_name(kind: int) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Messages:
+class UbxMessages:
     """Messages of one kind.
 
     index (n,): position of each message in the batch.
@@ -105,14 +105,14 @@ def civil_utc_ns(fields: Any) -> Integers:
     return np.asarray(date_ns + seconds * SECOND_NS + fields["nano"])
 
 
-def decode(batch: Batch, kind: int) -> Messages:
+def decode(batch: Batch, kind: int) -> UbxMessages:
     """Decode all messages of a kind of fixed size; polls and shorter versions are left out."""
     row = layout(kind)
     index = batch.where(Wire.UBX, kind)
     payload = batch.length[index] - 8
     # NAV-PVT had 84 bytes before protocol 15: what it lacks reads as zero.
     index = index[payload >= (84 if kind == NAV_PVT else row.itemsize)]
-    return Messages(index, gather(batch.data, batch.start[index] + 6, batch.length[index] - 8, row))
+    return UbxMessages(index, gather(batch.data, batch.start[index] + 6, batch.length[index] - 8, row))
 
 
 def time_marks(fields: NDArray[Any]) -> TimeMarks:
@@ -147,7 +147,7 @@ class RawObservations:
         quality, in the units and names of the interface description.
     """
 
-    epochs: Messages
+    epochs: UbxMessages
     epoch: Integers
     signals: NDArray[Any]
 
@@ -157,7 +157,7 @@ def decode_rawx(batch: Batch) -> RawObservations:
     messages, signal = decode(batch, RXM_RAWX), signal_layout()
     count = messages.fields["numMeas"].astype(np.int64)
     whole = batch.length[messages.index] == 24 + signal.itemsize * count
-    epochs = Messages(messages.index[whole], messages.fields[whole])
+    epochs = UbxMessages(messages.index[whole], messages.fields[whole])
     count = count[whole]
     epoch = np.repeat(np.arange(len(count)), count)
     within = np.arange(len(epoch)) - (np.cumsum(count) - count)[epoch]
