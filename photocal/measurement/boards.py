@@ -7,10 +7,10 @@ import numpy as np
 
 from photocal.base.arrays import Bytes, Floats, Integers
 from photocal.base.errors import ConfigurationError
-from photocal.measurement.centre import Centre, measurable
 from photocal.measurement.image_file import Grey, as_eight_bit
 from photocal.measurement.markers import dictionary
 from photocal.measurement.round_targets import saddle_centre
+from photocal.measurement.target_centre import Centre, measurable
 
 FEWEST_CORNERS = 8
 # The window of a corner must not reach the next edge, nor be so large that the lens bends the edges.

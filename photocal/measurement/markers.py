@@ -11,12 +11,12 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.workers import Workers, run_tasks
 from photocal.exchange.parts import Mark
-from photocal.measurement import patterns
-from photocal.measurement.centre import LEAST_CONTRAST, Centre, accepted, half_contrast, measurable
+from photocal.measurement import target_patterns
 from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_file import Grey, as_eight_bit, read_grey
 from photocal.measurement.patch_matching import Source
-from photocal.measurement.template import cut_window, fit_template
+from photocal.measurement.target_centre import LEAST_CONTRAST, Centre, accepted, half_contrast, measurable
+from photocal.measurement.template_fit import cut_window, fit_template
 
 DICTIONARIES = (
     *(f"{n}x{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
@@ -61,7 +61,7 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
     start = np.concatenate([edges, [0.7, light, dark - light]])
     side = float(np.hypot(*along.T).mean())
     sizes = np.array([1 / side, 1] * 4 + [0.5, half, half])
-    fit = fit_template(window, patterns.quadrilateral, start, sizes)
+    fit = fit_template(window, target_patterns.quadrilateral, start, sizes)
     if fit is None or fit.parameters[10] > 0:
         return None
     fitted = _corners(fit.parameters)

@@ -9,6 +9,7 @@ import numpy as np
 
 from photocal.base.arrays import Bytes, Floats
 from photocal.base.errors import PhotocalError
+from photocal.base.policy import LEAST_CHECKED
 from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding, Severity
@@ -24,7 +25,7 @@ from photocal.measurement.tie_adjustment import (
     pixel_residuals,
     with_released_c,
 )
-from photocal.measurement.tie_block import GROSS, LEAST_REDUNDANCY
+from photocal.measurement.tie_block import GROSS
 
 # Share of a picture without detail, white or black, of which nothing can be seen; and its sharpness beside
 # that of the others when it is blurred.
@@ -143,7 +144,7 @@ def suspected_marks(adjusted: AdjustedTies, control: ObjectPoints) -> list[dict[
     block = adjusted.block
     size, redundancy = by_ray(adjusted.assembly, adjusted.solution)
     seen = block.observations
-    spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, LEAST_REDUNDANCY))
+    spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, LEAST_CHECKED))
     share = size / spread
     marked = seen.point < len(control.names)
     # What the model of this stage lacks, such as vibration within a readout, moves all marks: none is off.

@@ -14,10 +14,10 @@ from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.measurement.patch_matching import HALF, Source, refine_reduced
-from photocal.measurement.placing import oriented, position_sigmas, reweighted
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
 from photocal.measurement.tie_block import GROSS, intersected, marked_control, reprojection_errors, with_ties
+from photocal.measurement.tie_orientation import oriented, position_sigmas, reweighted
 from photocal.measurement.tracks import Tracks, of_images, spaced, thin, without_twins
 from photocal.results.adjusted import movements
 

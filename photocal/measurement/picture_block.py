@@ -44,13 +44,13 @@ from photocal.measurement.measurement_record import (
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
 from photocal.measurement.patch_matching import Source
-from photocal.measurement.placing import pictures_turned
 from photocal.measurement.plain_targets import Targets, targets_of_project
 from photocal.measurement.position_files import Given, local_places, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
 from photocal.measurement.start_block import POSITION_SIGMA_M, start_block
 from photocal.measurement.tie_block import marked_control
+from photocal.measurement.tie_orientation import pictures_turned
 from photocal.measurement.tracks import Tracks
 from photocal.project import Project
 

@@ -15,12 +15,12 @@ from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.measurement.centre import PARTS, SMALLEST_PX, TargetImage, ground_bend, measurable
 from photocal.measurement.features import Arrays, array_key, cached, combined_key
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.markers import COMMON_PX, find_coded_targets
 from photocal.measurement.orientation import Orientation, predict
 from photocal.measurement.patch_matching import Source
+from photocal.measurement.target_centre import PARTS, SMALLEST_PX, TargetImage, ground_bend, measurable
 from photocal.measurement.target_search import find_targets
 from photocal.project import PlainTargets, Project
 

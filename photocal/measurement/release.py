@@ -7,15 +7,16 @@ import numpy as np
 
 from photocal.adjustment.readout import left_by_movement
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.policy import CONTRADICTED
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.measurement.lens_choice import with_chosen_lenses, with_shutters_closed
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, Oriented
-from photocal.measurement.placing import KEPT_MISFIT, OF_POSITIONS, position_sigmas
 from photocal.measurement.start_block import without_images, without_single_rays
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties, assembled, ray_rms_px
 from photocal.measurement.tie_block import marked_control, place, rescaled_poses, with_ties
+from photocal.measurement.tie_orientation import KEPT_MISFIT, OF_POSITIONS, position_sigmas
 from photocal.measurement.tracks import of_images
 
 # While gross errors are sought these are held: a level block determines them only with precise positions,
@@ -23,9 +24,6 @@ from photocal.measurement.tracks import of_images
 HELD = ("c", "x0", "y0")
 # What is held, step by step, where a block does not bear all that its project estimates.
 HOLDING: tuple[tuple[str, ...], ...] = ((), HELD, PARAMETERS)
-# A principal distance that leaves its given value by so many prior sigmas is not that of the lens: what the
-# model lacks (a rolling shutter above all) went into it.
-CREDIBLE_SIGMAS = 4.0
 # From this share on poses of one principal distance are no start for another.
 ANOTHER_C = 0.02
 # Rays that miss by more leave something to explain. Movement while images are read leaves 0.19 of v'Pv in a
@@ -139,10 +137,11 @@ def _not_borne(
     for camera, used in zip(wanted, released.assembly.network.cameras, strict=True):
         if (camera.estimated & ~used.estimated).any():
             return {"camera": camera.id}
+    # What the model lacks (a rolling shutter above all) goes into c, which then leaves what was known of it.
     for camera in released.start.cameras:
         first = given[camera.id]
         away, prior = abs(camera.value("c") - first.value("c")), float(first.prior_sigma[0])
-        if camera.estimated[0] and away > (CREDIBLE_SIGMAS * prior if np.isfinite(prior) else np.inf):
+        if camera.estimated[0] and away > (CONTRADICTED * prior if np.isfinite(prior) else np.inf):
             given_c = first.value("c")
             return {"camera": camera.id, "value": camera.value("c"), "given": given_c, "unit": camera.unit}
     return {}
@@ -184,7 +183,7 @@ def _outdated(finding: Finding, cameras: Sequence[Camera]) -> bool:
         return False
     camera = next(camera for camera in cameras if camera.id == finding.subject)
     change = abs(finding.figures["value"] - finding.figures["given"])
-    return bool(camera.estimated[0]) and change <= CREDIBLE_SIGMAS * float(camera.prior_sigma[0])
+    return bool(camera.estimated[0]) and change <= CONTRADICTED * float(camera.prior_sigma[0])
 
 
 def _moving(adjusted: AdjustedTies) -> list[Finding]:

@@ -5,11 +5,11 @@ from functools import partial
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.measurement import patterns
-from photocal.measurement.centre import Centre, accepted, half_contrast
+from photocal.measurement import target_patterns
 from photocal.measurement.image_file import Grey
-from photocal.measurement.patterns import FLAT
-from photocal.measurement.template import Window, cut_window, fit_template
+from photocal.measurement.target_centre import Centre, accepted, half_contrast
+from photocal.measurement.target_patterns import FLAT
+from photocal.measurement.template_fit import Window, cut_window, fit_template
 
 
 def round_centre(
@@ -30,7 +30,7 @@ def round_centre(
     if window is not None and margin is not None:
         x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
         outline = np.array([x, y, *_extent(semi_axes, direction)])
-        window = window.rows(patterns.inside_circle(outline, window.x, window.y) >= -margin)
+        window = window.rows(target_patterns.inside_circle(outline, window.x, window.y) >= -margin)
     if window is None:
         return None
     filled = (hole, 1.0) if hole else (0.0, 0.6)
@@ -39,7 +39,7 @@ def round_centre(
         return None
     if hole:
         start, sizes = np.insert(start, 5, hole), np.insert(sizes, 5, 0.1)
-    template = partial(patterns.ring if hole else patterns.disc, bend=bend)
+    template = partial(target_patterns.ring if hole else target_patterns.disc, bend=bend)
     fit = fit_template(window, template, start, sizes)
     if fit is None:
         return None
@@ -63,7 +63,7 @@ def _round_start(
     # `filled` tells between which parts of the radius the picture is inside.
     x, y = approximate[0] - window.middle[0], approximate[1] - window.middle[1]
     outline = np.array([x, y, *_extent(semi_axes, direction)])
-    depth = patterns.inside_circle(outline, window.x, window.y)
+    depth = target_patterns.inside_circle(outline, window.x, window.y)
     shortest = min(semi_axes)
     inside = (depth >= (1 - filled[1]) * shortest) & (depth <= (1 - filled[0]) * shortest)
     outside = depth < -min(1.5, -depth.min() / 2)
@@ -98,7 +98,7 @@ def saddle_centre(grey: Grey, approximate: tuple[float, float], radius: float) -
     # The product of the two edge functions is negative between the directions, positive beside them.
     start = np.array([x, y, bisector - np.pi / 4, bisector + np.pi / 4, 1.0, window.grey.mean(), -half])
     sizes = np.array([1, 1, 0.3, 0.3, 0.5, half, half])
-    fit = fit_template(window, patterns.saddle, start, sizes)
+    fit = fit_template(window, target_patterns.saddle, start, sizes)
     if fit is None or abs(np.sin(fit.parameters[2] - fit.parameters[3])) < 0.2:
         return None
     return accepted(window, fit, 2 * abs(fit.parameters[6]), approximate, radius / 2, fit.parameters[2:5])
@@ -115,7 +115,7 @@ def cross_centre(
     half, broad = half_contrast(window), width or size / 5
     low, high = np.quantile(window.grey, [0.1, 0.9])
     sizes = np.array([1, 1, 0.3, 0.3, 1, 0.5, half, half])
-    fits, template = [], partial(patterns.cross, bend=bend)
+    fits, template = [], partial(target_patterns.cross, bend=bend)
     for turn in np.arange(0, np.pi / 2, np.pi / 8):
         for beside, contrast in ((low, high - low), (high, low - high)):
             start = np.array([x, y, turn, turn + np.pi / 2, broad, 1.0, beside, contrast])

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.measurement.centre import LEAST_CONTRAST, Centre, TargetImage
 from photocal.measurement.image_file import Grey
 from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
+from photocal.measurement.target_centre import LEAST_CONTRAST, Centre, TargetImage
 
 Place = tuple[float, float]
 

@@ -10,7 +10,7 @@ from photocal.base.arrays import Flags
 from photocal.base.errors import ConfigurationError, OutputError
 from photocal.measurement.boards import Board, charuco_board
 from photocal.measurement.markers import DICTIONARIES, dictionary
-from photocal.measurement.patterns import BAR, HOLE
+from photocal.measurement.target_patterns import BAR, HOLE
 
 Cells = Flags
 Place = tuple[float, float]

@@ -12,13 +12,14 @@ from photocal.adjustment.start.model import UNLIKE, robust_adjustment
 from photocal.adjustment.state import State, start_state
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
+from photocal.base.policy import LEAST_CHECKED
 from photocal.block.model import Block, Images
 from photocal.block.network import NetworkOfBlock, assemble
 from photocal.geometry.camera import PARAMETERS, Camera, among
 from photocal.geometry.oriented_images import given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.measurement.start_block import without_images, without_single_rays
-from photocal.measurement.tie_block import GROSS, LEAST_REDUNDANCY, fitting, place, ray_sigmas, with_ties
+from photocal.measurement.tie_block import GROSS, fitting, place, ray_sigmas, with_ties
 from photocal.measurement.tracks import Tracks, of_images
 from photocal.results.adjusted import given_exposures, given_points
 
@@ -140,9 +141,7 @@ def adjust_ties(start: Block, poses: Floats, tracks: Tracks) -> AdjustedTies:
         tie_rays = slice(len(start.observations.image), None)
         sigma = ray_sigmas(ties.tracks.scale, ties.tracks.image, size[tie_rays], redundancy[tie_rays])
         # A residual shows the part of the error that the redundancy number says.
-        standardised = size[tie_rays] / (
-            sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], LEAST_REDUNDANCY))
-        )
+        standardised = size[tie_rays] / (sigma * np.sqrt(2 * np.maximum(redundancy[tie_rays], LEAST_CHECKED)))
         good = standardised <= (GROSS if round_ else 2 * GROSS)
         ties, block = replace(ties, sigma=sigma).some(good).held()
         if round_ and np.mean(~good) <= FEW_LEFT:

@@ -6,6 +6,7 @@ import numpy as np
 
 from photocal.adjustment.start.model import UNLIKE
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.policy import LEAST_CHECKED
 from photocal.block.model import ROLES, Block
 from photocal.block.network import block_frame, observed_pixels, observed_plane
 from photocal.geometry.distortion import slopes_of
@@ -28,8 +29,6 @@ FEWEST_IN_IMAGE = 100
 _ROUNDS = 8
 # Classes and images in turn, until neither changes.
 _TURNS = 4
-# Of errors with less redundancy nothing shows.
-LEAST_REDUNDANCY = 0.05
 
 
 def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Block:
@@ -137,7 +136,7 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
     # Height, light and blur make images differently sharp; with one sigma for all, those that are worse would
     # weigh too much, and what depends on them would seem surer than it is.
     images = int(image.max(initial=-1)) + 1
-    seen = redundancy > LEAST_REDUNDANCY
+    seen = redundancy > LEAST_CHECKED
     count = np.bincount(image[seen], minlength=images)
     judged = np.flatnonzero(count >= FEWEST_IN_IMAGE)
     factor = np.ones(images)
@@ -163,7 +162,7 @@ def class_sigmas(scale: Floats, size: Floats, redundancy: Floats) -> Floats:
     member = np.searchsorted(edges, scale)
     sigma = np.ones(len(scale))
     for k in range(classes):
-        of_class = (member == k) & (redundancy > LEAST_REDUNDANCY)
+        of_class = (member == k) & (redundancy > LEAST_CHECKED)
         if of_class.any():
             sigma[member == k] = _sigma_of_the_kept(size[of_class] ** 2, 2 * redundancy[of_class])
     return np.maximum(sigma, FINEST_PX)

@@ -23,7 +23,6 @@ from photocal.base.errors import ConfigurationError, InputNotFoundError, Photoca
 from photocal.base.web import packaged
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
-from photocal.measurement.centre import ground_bend, measurable
 from photocal.measurement.image_file import Grey, read_grey
 from photocal.measurement.marking.adjustment import AdjustedMarks, adjust_marks
 from photocal.measurement.marking.scene import Picture, Scene
@@ -32,7 +31,8 @@ from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles
 from photocal.measurement.marks import BY_HAND_PX
 from photocal.measurement.orientation import Orientation, ellipse, predict
-from photocal.measurement.patterns import FLAT
+from photocal.measurement.target_centre import ground_bend, measurable
+from photocal.measurement.target_patterns import FLAT
 
 FARTHEST_REACH_PX = 60.0
 # Decimals in marks.csv: what is shown is what is written.

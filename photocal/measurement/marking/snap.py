@@ -8,11 +8,11 @@ from typing import Literal, get_args
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.measurement.centre import Centre
 from photocal.measurement.image_file import Grey
 from photocal.measurement.markers import COMMON_PX, find_markers
-from photocal.measurement.patterns import FLAT, HOLE
 from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
+from photocal.measurement.target_centre import Centre
+from photocal.measurement.target_patterns import FLAT, HOLE
 
 Kind = Literal["cross", "hourglass", "circle", "ring", "code"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

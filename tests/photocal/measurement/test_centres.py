@@ -12,10 +12,10 @@ from scipy import stats
 from photocal.geometry.camera import camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.measurement.centre import Centre, ground_bend
 from photocal.measurement.markers import quadrilateral_centre
-from photocal.measurement.patterns import flattened
 from photocal.measurement.round_targets import cross_centre, round_centre, saddle_centre
+from photocal.measurement.target_centre import Centre, ground_bend
+from photocal.measurement.target_patterns import flattened
 
 from .rendering import DARK, LIGHT, bend, perspective, render
 

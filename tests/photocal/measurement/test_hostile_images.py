@@ -20,7 +20,6 @@ from rasterio.errors import NotGeoreferencedWarning  # type: ignore[import-untyp
 
 from photocal.base.errors import InputNotFoundError, PhotocalError
 from photocal.measurement.boards import find_board, parse_board
-from photocal.measurement.centre import TargetImage
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images, read_grey
 from photocal.measurement.markers import dictionary, find_markers
@@ -28,6 +27,7 @@ from photocal.measurement.marking.scene import scene_of_folder
 from photocal.measurement.marking.service import MarkingService
 from photocal.measurement.marking.store import MarkStore
 from photocal.measurement.marking.tiles import TileAddress
+from photocal.measurement.target_centre import TargetImage
 from photocal.measurement.target_search import find_targets
 
 from .rendering import warped

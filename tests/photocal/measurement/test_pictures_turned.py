@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from photocal.base.arrays import Floats
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.measurement.placing import pictures_turned
+from photocal.measurement.tie_orientation import pictures_turned
 
 COUNT = 18
 NAMES = tuple(f"{k}.jpg" for k in range(COUNT))

@@ -9,8 +9,8 @@ from photocal.base.arrays import Flags, Floats
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.measurement.image_file import Grey, as_eight_bit
-from photocal.measurement.patterns import BAR, FLAT, HOLE, flattened
-from photocal.measurement.template import Fit, Window, odd_variance
+from photocal.measurement.target_patterns import BAR, FLAT, HOLE, flattened
+from photocal.measurement.template_fit import Fit, Window, odd_variance
 
 # A contrast below this multiple of the noise is no target.
 WEAKEST_CONTRAST = 3.0
@@ -118,7 +118,7 @@ class TargetImage:
 
     affine (2, 2): from the target's plane, in half sides, to px.
     part: as in `PARTS`.
-    bend (2, 2, 2): of the ground: see `eccentricity.ground_bend`.
+    bend (2, 2, 2): of the ground: see `target_centre.ground_bend`.
     """
 
     kind: Kind

@@ -9,7 +9,7 @@ from scipy.special import erf
 
 from photocal.base.arrays import Floats
 
-# Of a plane parallel to an image without distortion: see `eccentricity.ground_bend`.
+# Of a plane parallel to an image without distortion: see `target_centre.ground_bend`.
 FLAT = np.zeros((2, 2, 2))
 _FINEST_BLUR_PX = 0.15
 # The bars of a cross are a fifth as wide as long, a ring's hole is half as wide.
@@ -25,7 +25,7 @@ def cross(p: Floats, x: Floats, y: Floats, bend: Floats = FLAT) -> Floats:
     """Two bars that cross, in perspective.
 
     x, y (n,).
-    bend (2, 2, 2): of the ground, from `eccentricity.ground_bend`.
+    bend (2, 2, 2): of the ground, from `target_centre.ground_bend`.
     returns (n,).
     """
     dx, dy = flattened(x - p[0], y - p[1], bend)
