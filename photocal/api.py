@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Block", "Camera", "Images", "ObjectPoints", "Observations", "OrientedImages", "Result", "adjust",
     "analyse", "block_of_arrays", "camera", "check", "read_block", "read_log", "read_result",
-    "with_relations", "write_result",
+    "with_relations", "write_block", "write_result",
 ]  # fmt: skip
 
 # What a calibration estimates unless it is told otherwise.
@@ -40,6 +40,26 @@ def read_block(path: str | Path) -> Block:
     from photocal.exchange.formats import read_any_block
 
     return read_any_block(Path(path))
+
+
+def write_block(path: str | Path, block: Block) -> None:
+    """Write a block folder; what `read_block` reads of it is equal, but for the fingerprints of its files.
+
+    Parameters
+    ----------
+    path
+        Folder; tables of an earlier block in it are replaced.
+    block
+        Numbers are written with all their digits, angles as degrees.
+
+    Raises
+    ------
+    PhotocalError
+        When the folder cannot be written, or the block has what no block folder can hold.
+    """
+    from photocal.block.writer import write_block as write
+
+    write(Path(path), block)
 
 
 def block_of_arrays(
@@ -116,9 +136,8 @@ def with_relations(
     ends = np.array([[number[name] for name in row[:-2]] for row in given], dtype=np.int64).reshape(-1, count)
     figures = np.array([row[-2:] for row in given], dtype=float).reshape(-1, 2)
     third = ends[:, 2] if count == 3 else np.full(len(given), -1)
-    more = (np.full(len(given), old.names.index(kind)), ends[:, 0], ends[:, 1], *figures.T, third)
-    columns = zip((old.kind, *old.ends.T[:2], old.values, old.sigma, old.ends[:, 2]), more, strict=True)
-    return replace(block, relations=Relations(*map(np.concatenate, columns), further=old.further))
+    kinds, (values, sigma) = np.full(len(given), old.names.index(kind)), figures.T
+    return replace(block, relations=old.plus(Relations(kinds, ends[:, 0], ends[:, 1], values, sigma, third)))
 
 
 def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, components: bool = False) -> Result:

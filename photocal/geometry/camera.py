@@ -139,6 +139,11 @@ class Camera:
     given: Floats | None = None
     sigma: Floats | None = None
     correlation: Floats | None = None
+    distortion_at: DistortionAt = "adjusted"
+    readout_direction: ReadoutDirection = "top-to-bottom"
+    shutter: Shutter = "global"
+    gust: tuple[float, float] = (0.5, 0.1)
+    shake: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         width, height = self.size_px
@@ -184,12 +189,6 @@ class Camera:
         """Covariance of adjusted parameters in products of their units, shape (n, n)."""
         sigma = [self.sigma_of(name) for name in names]
         return np.asarray(self.correlation_of(names) * np.outer(sigma, sigma))
-
-    distortion_at: DistortionAt = "adjusted"
-    readout_direction: ReadoutDirection = "top-to-bottom"
-    shutter: Shutter = "global"
-    gust: tuple[float, float] = (0.5, 0.1)
-    shake: tuple[float, ...] = ()
 
     @property
     def rolling(self) -> bool:

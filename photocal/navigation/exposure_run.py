@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from photocal.base.arrays import Floats, from_plain
+from photocal.base.arrays import Floats
+from photocal.base.codec import from_plain
 from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.navigation.common_errors import CommonErrors

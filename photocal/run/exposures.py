@@ -1,12 +1,12 @@
 """Stage `exposures`: antenna position and attitude of every exposure, matched to its image."""
 
-import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from photocal.base.codec import object_of, parsed_json
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.base.files import write_json, write_rows
 from photocal.base.progress import Progress
@@ -28,6 +28,39 @@ if TYPE_CHECKING:
 FIGURES = "exposures.json"
 # Of a rate between two attitudes of an autopilot, some hundredths of a second apart, deg/s.
 _RATE_SIGMA = 2.0
+
+
+@dataclass(frozen=True)
+class MatchedCamera:
+    """How many images of a camera have an event, and which have none, or may have several."""
+
+    matched: int
+    unmatched_images: tuple[str, ...]
+    ambiguous_images: tuple[str, ...]
+    unmatched_events: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class CommonSigmas:
+    """What the errors of all positions have in common, see `navigation.common_errors.CommonErrors`."""
+
+    shift_sigma_m: tuple[float, float, float]
+    zenith_scale_sigma: float
+    base_height_m: float
+
+
+@dataclass(frozen=True)
+class ExposureFigures:
+    """What later stages take from `exposures.json`; nothing in common without PPK."""
+
+    cameras: tuple[MatchedCamera, ...] = ()
+    common: CommonSigmas | None = None
+
+
+def read_figures(folder: Path) -> ExposureFigures:
+    """Read `exposures.json` of the stage's folder."""
+    path, remedy = folder / FIGURES, "make the exposures again"
+    return object_of(ExposureFigures, parsed_json(path, remedy), path, remedy)
 
 
 def exposures_stage(project: Project, ppk: Path) -> Stage:
@@ -64,7 +97,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     from photocal.run.ppk import kept_trajectory
 
     trajectory = kept_trajectory(ppk / TRAJECTORY)
-    figures_of_ppk = json.loads((ppk / PPK_FIGURES).read_text(encoding="utf-8"))
+    figures_of_ppk = parsed_json(ppk / PPK_FIGURES, "make the PPK again")
     with show("exposures and their images", None):
         run, rig = _placed(project, trajectory, figures_of_ppk)
     if not len(with_images(run.antenna)):
@@ -120,7 +153,7 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Rig, s
     finally:
         digests.keep()
     folder = made_in(project.output) / stage.name
-    figures = json.loads((folder / PPK_FIGURES).read_text(encoding="utf-8"))
+    figures = parsed_json(folder / PPK_FIGURES, "make the PPK again")
     return *_placed(project, kept_trajectory(folder / TRAJECTORY), figures), ""
 
 

@@ -15,9 +15,9 @@ import pytest
 import photocal
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
+from photocal.block.writer import write_block
 from photocal.exchange.formats import FORMATS, read_foreign_block
 from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, of_block, of_result
-from photocal.measurement.block_files import write_block
 from photocal.navigation.image_checks import oriented_images
 from photocal.results.folder import read_result, write_result
 from photocal.results.result import Result
@@ -75,7 +75,7 @@ def test_a_block_folder_keeps_them(tmp_path: Path) -> None:
     for kind, value in (("vertical_angle", -0.2), ("horizontal_angle", 1.5), ("line", 0.0)):
         ends = (NAMES[0], NAMES[-1]) if kind == "vertical_angle" else (NAMES[0], NAMES[-1], NAMES[1])
         block = photocal.with_relations(block, kind, [(*ends, value, 0.001)])
-    write_block(tmp_path, block, {})
+    write_block(tmp_path, block)
     for again in (photocal.read_block(tmp_path), _of_parquet(tmp_path)):
         assert again.images.names == again.points.names == NAMES
         assert again.cameras[0].id == "007"
