@@ -6,6 +6,7 @@ from typing import Any
 
 from photocal.base.files import write_json
 from photocal.block.model import Block
+from photocal.block.writer import write_block
 
 # Of `measurement.json`.
 SCHEMA = "photocal.measurement/1"
@@ -22,5 +23,5 @@ class Measured:
 
     def write(self, folder: Path) -> None:
         """Write the block folder, and how it was measured beside it."""
-        self.block.write(folder)
+        write_block(folder, self.block)
         write_json(folder / RECORD, self.record, 2)

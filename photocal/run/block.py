@@ -27,11 +27,12 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
     distances, bent = project.control.distances, project.contents.project.refraction
 
     def make(folder: Path, _: Progress) -> None:
-        from photocal.block.folder import read_relations
+        from photocal.block.folder import read_block, read_relations
+        from photocal.block.writer import write_block
         from photocal.measurement.block_files import RECORD
         from photocal.run.project_checks import check_rays
 
-        block = Block.read(measurements)
+        block = read_block(measurements)
         if distances is not None:
             given = read_relations(distances, "distance", block.points.names)
             others = block.relations.rows(block.relations.kind != list(RELATIONS).index("distance"))
@@ -41,7 +42,7 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
         if exposures is not None:
             block = _flown(block, exposures, project.rig.mounting())
             check_rays(block, project.control.points)
-        block.write(folder)
+        write_block(folder, block)
         if (measurements / RECORD).exists():
             shutil.copyfile(measurements / RECORD, folder / RECORD)
 

@@ -15,10 +15,9 @@ from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
 from photocal.project import Project
-from photocal.run.measurements import pictures_of
 from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY, ppk_stage
-from photocal.run.stage import Stage
+from photocal.run.stage import Stage, pictures_of
 
 if TYPE_CHECKING:
     from photocal.navigation.exposure_run import ExposureRun

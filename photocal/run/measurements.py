@@ -16,7 +16,7 @@ from photocal.block.table import read_table
 from photocal.geometry.distortion import slopes_of
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.project import Project
-from photocal.run.stage import Stage
+from photocal.run.stage import Stage, pictures_of
 
 
 def given_block(project: Project, images: Images, without_exposure: Collection[str] = ()) -> Block:
@@ -111,13 +111,6 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
         settings,
         () if exposures is None else (exposures,),
     )
-
-
-def pictures_of(project: Project) -> dict[str, Path]:
-    """The pictures as inputs of a stage; their folder may hold the project, too."""
-    from photocal.measurement.image_file import list_images
-
-    return {f"image {path.name}": path for path in list_images(project.picture_folder)}
 
 
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
