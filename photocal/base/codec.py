@@ -27,6 +27,7 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError
 Kind = TypeVar("Kind")
 # Files of ours are no larger.
 LARGEST_JSON = 1 << 28
+_JSON_KINDS = (float, int, str, bool, list, dict, NoneType)
 
 # Degrees that belong to a number of radians are no farther from the quotient, units in the last place.
 _NEAR = 4
@@ -130,7 +131,7 @@ def from_plain(kind: Any, value: Any, place: str = "", null: float | None = math
         if origin is Literal and value in parts:
             return value
         if origin is Annotated:
-            return _within_limits(kind, from_plain(parts[0], value, place, null), place)
+            return _checked(kind, from_plain(parts[0], value, place, null), place)
         if origin in (UnionType, Union):
             return _one_of(parts, value, place, null)
         if origin is np.ndarray:
@@ -145,22 +146,29 @@ def from_plain(kind: Any, value: Any, place: str = "", null: float | None = math
             return {key: from_plain(parts[1], each, f"{place}.{key}", null) for key, each in value.items()}
     except (TypeError, AttributeError) as failure:
         raise ValueError(f"{place.lstrip('.')}: {failure}") from None
+    return _scalar(kind, value, place, null)
+
+
+def _scalar(kind: Any, value: Any, place: str, null: float | None) -> Any:
     if kind is float and (value is None or type(value) is int):
         value = null if value is None else float(value)
     if kind is Any or type(value) is kind:
         return value
+    if isinstance(kind, type) and kind not in _JSON_KINDS:
+        return _checked(kind, value, place)
     raise ValueError(f"{place.lstrip('.')}: {str(value)[:40]!r} stands where {_expected(kind)} is expected")
 
 
-def _within_limits(kind: Any, value: Any, place: str) -> Any:
+def _checked(kind: Any, value: Any, place: str) -> Any:
+    """What pydantic makes of a value: within its limits, or of a kind that JSON has as text."""
     try:
-        return _limits(kind).validate_python(value)
+        return _adapter(kind).validate_json(json.dumps(value), strict=True)
     except ValidationError as failure:
         raise ValueError(f"{place.lstrip('.')}: {failure.errors()[0]['msg']}") from None
 
 
 @cache
-def _limits(kind: Any) -> TypeAdapter[Any]:
+def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
