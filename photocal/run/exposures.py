@@ -107,10 +107,10 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
         )
     write_exposures(folder / "exposures.csv", run.exposures)
     write_block_images(folder / "images.csv", run.exposures, project.camera.id, None, project.crs)
-    write_geo_txt(folder / "geo.txt", run.exposures, rig)
+    left_out = write_geo_txt(folder / "geo.txt", run.exposures, rig)
     write_positions(folder / "positions.csv", run.antenna, project.crs)
     write_attitudes(folder / "attitudes.csv", run.antenna)
-    write_json(folder / FIGURES, run.figures, 2)
+    write_json(folder / FIGURES, {**run.figures, **({"geo_txt": left_out} if left_out else {})}, 2)
     plot_exposures(run, folder / "exposures.png")
 
 
@@ -170,7 +170,7 @@ def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
         cells = [f"{v:.4f}" for v in xyz[k]] + [f"{v:.5f}" for v in sigma[k]]
         cells += [f"{covariance[k][a, b]:.4e}" for a, b in ((0, 1), (0, 2), (1, 2))]
         cells += [f"{v:.4f}" for v in velocity[k]] + [f"strip {strip[k] + 1}", f"{elapsed[k]:.3f}"]
-        lines += [[name, *cells] for name in antenna.image[row].split()]
+        lines += [[name, *cells] for name in antenna.images[row]]
     write_rows(path, (*POSITION_COLUMNS, *POSITION_EXTRAS), lines)
 
 
@@ -183,5 +183,5 @@ def write_attitudes(path: Path, antenna: Exposures) -> None:
             cells = [f"{v:.6f}" for v in np.degrees([*angles, *sigma])]
             rate = np.degrees(antenna.attitude.rate[row])
             cells += [f"{v:.4f}" for v in rate] + 3 * [f"{_RATE_SIGMA}"] if rate.any() else [""] * 6
-            lines += [[name, *cells] for name in antenna.image[row].split()]
+            lines += [[name, *cells] for name in antenna.images[row]]
     write_rows(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)

@@ -312,6 +312,7 @@ def differences(one: Block, other: Block) -> list[str]:
     suppress_health_check=list(HealthCheck),
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
 )
+@pytest.mark.timeout(3600)
 @given(block=whole_blocks(), parquet=st.booleans())
 def test_a_block_is_equal_when_it_is_read_again(block: Block, parquet: bool) -> None:
     with tempfile.TemporaryDirectory() as scratch, pytest.MonkeyPatch.context() as patch:
@@ -321,10 +322,15 @@ def test_a_block_is_equal_when_it_is_read_again(block: Block, parquet: bool) -> 
         write_block(folder, block)
         assert (folder / "observations.parquet").exists() == parquet
         assert differences(read_block(folder), block) == []
-        # Written over another it is no mixture of the two.
-        write_block(folder, read_block(blocks.dcs460(folder / "other")))
-        write_block(folder, block)
-        assert differences(read_block(folder), block) == []
+
+
+def test_a_block_written_over_another_is_no_mixture_of_the_two(tmp_path: Path) -> None:
+    block = read_block(blocks.small(tmp_path / "block"))
+    given = [(*block.points.names[:2], 1.5, 0.001)]
+    write_block(tmp_path / "out", photocal.with_relations(block, "distance", given))
+    assert (tmp_path / "out" / "distances.csv").exists()
+    write_block(tmp_path / "out", block)
+    assert differences(read_block(tmp_path / "out"), block) == []
 
 
 def test_readings_are_means_when_a_block_is_written_again(tmp_path: Path) -> None:
