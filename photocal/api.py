@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Block", "Camera", "Images", "ObjectPoints", "Observations", "OrientedImages", "Result", "adjust",
-    "analyse", "block_of_arrays", "camera", "check", "read_block", "read_log", "read_result",
-    "with_relations", "write_block", "write_result",
+    "analyse", "block_of_arrays", "camera", "check", "read_block", "read_cameras", "read_log", "read_result",
+    "with_relations", "write_block", "write_cameras", "write_result",
 ]  # fmt: skip
 
 # What a calibration estimates unless it is told otherwise.
@@ -60,6 +60,48 @@ def write_block(path: str | Path, block: Block) -> None:
     from photocal.block.writer import write_block as write
 
     write(Path(path), block)
+
+
+def read_cameras(path: str | Path) -> tuple[Camera, ...]:
+    """Read a file of cameras: `[[camera]]` entries as in `block.toml`, with sigmas and correlations.
+
+    Parameters
+    ----------
+    path
+        TOML file, as `photocal compare` takes it and `write_cameras` writes it.
+
+    Raises
+    ------
+    PhotocalError
+        For a key or a value that cannot be, with file and camera.
+    """
+    from photocal.analysis.stability.camera_file import read_camera_file
+
+    return read_camera_file(Path(path)).calibrations
+
+
+def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
+    """Write cameras as `[[camera]]` entries of a TOML file, adjusted ones with sigmas and correlations.
+
+    Parameters
+    ----------
+    path
+        File that takes the place of an older one, whole or not at all.
+    cameras
+        Such as ``result.cameras.values()``; each has a name of its own.
+
+    Raises
+    ------
+    PhotocalError
+        When the file cannot be written.
+    """
+    from photocal.base.codec import toml_text
+    from photocal.base.files import output_file
+    from photocal.block.camera_setup import camera_keys
+
+    entries = [camera_keys(one).model_dump(exclude_defaults=True) for one in cameras]
+    with output_file(Path(path)) as aside:
+        aside.write_text(toml_text({"camera": entries}), encoding="utf-8", newline="\n")
 
 
 def block_of_arrays(

@@ -267,7 +267,7 @@ def camera_keys(camera: Camera) -> CameraKeys:
         prior_correlation=_correlation_keys(camera.prior_correlation),
         shake_rad=camera.shake,
         sigma=None if camera.sigma is None else _named(camera.sigma, camera.sigma != 0),
-        correlation=_correlation_keys(camera.correlation),
+        correlation=_correlation_keys(camera.correlation, camera.sigma),
         given=None if camera.given is None else _named(camera.given, camera.given != 0),
     )
 
@@ -276,10 +276,11 @@ def _named(values: Floats, chosen: Flags) -> dict[str, float]:
     return {PARAMETERS[k]: float(values[k]) for k in np.flatnonzero(chosen)}
 
 
-def _correlation_keys(whole: Floats | None) -> CorrelationKeys | None:
+def _correlation_keys(whole: Floats | None, sigma: Floats | None = None) -> CorrelationKeys | None:
     if whole is None:
         return None
-    at = np.flatnonzero((whole != np.eye(len(whole))).any(axis=1))
+    known = np.zeros(len(whole), dtype=np.bool_) if sigma is None else sigma != 0
+    at = np.flatnonzero(known | (whole != np.eye(len(whole))).any(axis=1))
     rows = tuple(map(tuple, whole[np.ix_(at, at)].tolist()))
     return CorrelationKeys(names=tuple(PARAMETERS[k] for k in at), matrix=rows)
 

@@ -13,6 +13,7 @@ import pyarrow.parquet
 import pytest
 
 import photocal
+from photocal.base.codec import same
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
 from photocal.block.writer import write_block
@@ -88,6 +89,16 @@ def test_a_block_folder_keeps_them(tmp_path: Path) -> None:
             ours = getattr(block.relations, name)[np.argsort(block.relations.kind)]
             # Tables have eight decimals, angles in degrees.
             np.testing.assert_allclose(getattr(again.relations, name)[order], ours, atol=1e-9)
+
+
+def test_adjusted_cameras_are_equal_when_they_are_read_again(result: Result, tmp_path: Path) -> None:
+    photocal.write_cameras(tmp_path / "cameras.toml", tuple(result.cameras.values()))
+    assert same(photocal.read_cameras(tmp_path / "cameras.toml"), tuple(result.cameras.values()))
+    result.write(tmp_path / "run")
+    again = Result.read(tmp_path / "run")
+    # Gusts act on rolling shutters only, and stand in the result of these.
+    assert same(again.cameras, result.cameras, but=("gust",))
+    assert (again.chi_squared, again.images.names) == (result.chi_squared, result.images.names)
 
 
 def _of_parquet(folder: Path) -> Block:
