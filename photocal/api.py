@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Block", "Camera", "Images", "ObjectPoints", "Observations", "OrientedImages", "Result", "adjust",
-    "analyse", "block_of_arrays", "camera", "check", "read_block", "read_log", "read_result",
-    "with_relations", "write_result",
+    "analyse", "block_of_arrays", "camera", "check", "read_block", "read_cameras", "read_log", "read_result",
+    "with_relations", "write_block", "write_cameras", "write_result",
 ]  # fmt: skip
 
 # What a calibration estimates unless it is told otherwise.
@@ -40,6 +40,68 @@ def read_block(path: str | Path) -> Block:
     from photocal.exchange.formats import read_any_block
 
     return read_any_block(Path(path))
+
+
+def write_block(path: str | Path, block: Block) -> None:
+    """Write a block folder; what `read_block` reads of it is equal, but for the fingerprints of its files.
+
+    Parameters
+    ----------
+    path
+        Folder; tables of an earlier block in it are replaced.
+    block
+        Numbers are written with all their digits, angles as degrees.
+
+    Raises
+    ------
+    PhotocalError
+        When the folder cannot be written, or the block has what no block folder can hold.
+    """
+    from photocal.block.writer import write_block as write
+
+    write(Path(path), block)
+
+
+def read_cameras(path: str | Path) -> tuple[Camera, ...]:
+    """Read a file of cameras: `[[camera]]` entries as in `block.toml`, with sigmas and correlations.
+
+    Parameters
+    ----------
+    path
+        TOML file, as `photocal compare` takes it and `write_cameras` writes it.
+
+    Raises
+    ------
+    PhotocalError
+        For a key or a value that cannot be, with file and camera.
+    """
+    from photocal.analysis.stability.camera_file import read_camera_file
+
+    return read_camera_file(Path(path)).calibrations
+
+
+def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
+    """Write cameras as `[[camera]]` entries of a TOML file, adjusted ones with sigmas and correlations.
+
+    Parameters
+    ----------
+    path
+        File that takes the place of an older one, whole or not at all.
+    cameras
+        Such as ``result.cameras.values()``; each has a name of its own.
+
+    Raises
+    ------
+    PhotocalError
+        When the file cannot be written.
+    """
+    from photocal.base.codec import toml_text
+    from photocal.base.files import output_file
+    from photocal.block.camera_setup import camera_keys
+
+    entries = [camera_keys(one).model_dump(exclude_defaults=True) for one in cameras]
+    with output_file(Path(path)) as aside:
+        aside.write_text(toml_text({"camera": entries}), encoding="utf-8", newline="\n")
 
 
 def block_of_arrays(
@@ -116,9 +178,8 @@ def with_relations(
     ends = np.array([[number[name] for name in row[:-2]] for row in given], dtype=np.int64).reshape(-1, count)
     figures = np.array([row[-2:] for row in given], dtype=float).reshape(-1, 2)
     third = ends[:, 2] if count == 3 else np.full(len(given), -1)
-    more = (np.full(len(given), old.names.index(kind)), ends[:, 0], ends[:, 1], *figures.T, third)
-    columns = zip((old.kind, *old.ends.T[:2], old.values, old.sigma, old.ends[:, 2]), more, strict=True)
-    return replace(block, relations=Relations(*map(np.concatenate, columns), further=old.further))
+    kinds, (values, sigma) = np.full(len(given), old.names.index(kind)), figures.T
+    return replace(block, relations=old.plus(Relations(kinds, ends[:, 0], ends[:, 1], values, sigma, third)))
 
 
 def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, components: bool = False) -> Result:

@@ -117,6 +117,15 @@ class Relations(Columns):
         named = np.unique(self.ends)
         return np.asarray(named[named >= 0])
 
+    def plus(self, *others: "Relations") -> "Relations":
+        """Add rows behind these."""
+        parts = [part for part in (self, *others) if len(part.kind)] or [self]
+        first, second, third = np.concatenate([part.ends for part in parts]).T
+        kind, values, sigma = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("kind", "values", "sigma")
+        )
+        return Relations(kind, first, second, values, sigma, third, further=self.further)
+
     def moved(self, place: Integers) -> "Relations":
         """Name points by their new places."""
         first, second, third = np.append(place, -1)[self.ends].T

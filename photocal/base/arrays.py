@@ -4,8 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from operator import attrgetter
-from types import NoneType, UnionType
-from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,35 +61,3 @@ def picked(value: Any, *names: str, **renamed: str) -> dict[str, Any]:
     """Give some attributes of an object as plain values, others by another name; their paths have dots."""
     wanted = {**{name: name for name in names}, **renamed}
     return {key: as_plain(attrgetter(path)(value)) for key, path in wanted.items()}
-
-
-def from_plain(kind: Any, value: Any, place: str = "") -> Any:
-    """Read back what `as_plain` gave, as its annotation says; null is NaN where a number must stand.
-
-    raises ValueError: names the place of what does not fit.
-    """
-    origin, parts = get_origin(kind), get_args(kind)
-    if origin is UnionType:
-        rest = next(part for part in parts if part is not NoneType)
-        return None if value is None else from_plain(rest, value, place)
-    try:
-        if origin is np.ndarray:
-            return np.array(value, dtype=get_args(parts[1])[0])
-        if isinstance(kind, type) and is_dataclass(kind):
-            hints = get_type_hints(kind)
-            known = [field.name for field in fields(kind) if field.name in value]
-            make: Callable[..., Any] = kind
-            return make(**{n: from_plain(hints[n], value[n], f"{place}.{n}") for n in known})
-        if origin is tuple:
-            each = [parts[0]] * len(value) if parts[-1] is ... else parts
-            rows = zip(each, value, strict=True)
-            return tuple(from_plain(member, row, f"{place}[{k}]") for k, (member, row) in enumerate(rows))
-        if origin in (dict, Mapping):
-            return {key: from_plain(parts[1], each, f"{place}.{key}") for key, each in value.items()}
-    except (TypeError, AttributeError) as failure:
-        raise ValueError(f"{place.lstrip('.')}: {failure}") from None
-    if kind is float and (value is None or type(value) is int):
-        return math.nan if value is None else float(value)
-    if kind is Any or (value in parts if origin is Literal else type(value) is kind):
-        return value
-    raise ValueError(f"{place.lstrip('.')}: {str(value)[:40]!r} stands where a {kind} is expected")

@@ -1,15 +1,18 @@
 """`[[camera]]`: what a block or a project says of a camera, checked key by key."""
 
 import tomllib
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from importlib import resources
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat
 
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Flags, Floats
 from photocal.base.checked_toml import Table
+from photocal.base.codec import as_degrees
 from photocal.base.errors import ConfigurationError
 from photocal.geometry.camera import (
     MM,
@@ -31,14 +34,22 @@ from photocal.geometry.distortion import focused
 LARGEST_SIDE_PX = 100_000
 Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+Deviation = NonNegative | Literal["free"]
 # A sigma, one for each axis, or "free" for an unknown without prior knowledge.
-Sigma = NonNegative | tuple[NonNegative, NonNegative, NonNegative] | Literal["free"]
+Sigma = Deviation | tuple[Deviation, Deviation, Deviation]
 RADIAL = ("K1", "K2", "K3", "K4")
 
 
 def sigmas(given: Sigma) -> Floats:
     """Give the sigmas of three axes; infinite where they are free."""
-    return np.broadcast_to(np.inf if given == "free" else np.asarray(given, dtype=float), 3)
+    each = given if isinstance(given, tuple) else (given,) * 3
+    return np.array([np.inf if one == "free" else one for one in each])
+
+
+def sigma_keys(values: ArrayLike) -> Sigma:
+    """Give the key of sigmas, the inverse of `sigmas`."""
+    each: list[Deviation] = ["free" if np.isinf(one) else float(one) for one in np.ravel(values)]
+    return each[0] if len(set(each)) == 1 else (each[0], each[1], each[2])
 
 
 class FocusCalibrationKeys(Table):
@@ -65,8 +76,20 @@ class GustKeys(Table):
     rate_deg_s: NonNegative = 6.0
 
 
+class CorrelationKeys(Table):
+    """Correlations between parameters."""
+
+    names: tuple[str, ...]
+    matrix: tuple[tuple[FiniteFloat, ...], ...]
+
+
 class CameraKeys(Table):
-    """One `[[camera]]`."""
+    """One `[[camera]]`, of a block or of a file of calibrations.
+
+    prior_correlation: between the parameters with a prior sigma.
+    shake_rad: sigmas of the turns of an image during its readout, by their degree from 1 on.
+    sigma, correlation: of values that were adjusted; `given`: what those were before.
+    """
 
     id: str
     model: Model
@@ -87,6 +110,11 @@ class CameraKeys(Table):
     photo_variant: dict[str, PositiveFloat | Literal["free"]] = Field(default={})
     focus: FocusKeys | None = None
     guessed: bool = False
+    prior_correlation: CorrelationKeys | None = None
+    shake_rad: tuple[NonNegative, ...] = ()
+    sigma: dict[str, PositiveFloat] | None = None
+    correlation: CorrelationKeys | None = None
+    given: dict[str, FiniteFloat] | None = None
 
 
 def make_camera(keys: CameraKeys, where: object) -> Camera:
@@ -95,10 +123,42 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
     raises ConfigurationError: for unknown parameters, a missing pitch or principal distance, or sigmas that
         do not fit.
     """
-    place, lens = f"{where}, camera {keys.id}", MODELS[keys.model]
-    wrong = ConfigurationError.at(place)
-    for section in ("parameters", "estimate", "prior_sigma", "photo_variant"):
-        unknown = [name for name in getattr(keys, section) if name not in lens.names]
+    made = camera_of(keys, where)
+    wrong = ConfigurationError.at(f"{where}, camera {keys.id}")
+    weighted = [name for name, sigma in keys.prior_sigma.items() if sigma > 0]
+    idle = [name for name in weighted if name not in keys.estimate]
+    if idle:
+        raise wrong(f"{idle[0]} has a prior sigma but is not estimated", "list it in estimate")
+    for name, deviation in keys.photo_variant.items():
+        if deviation == "free" and name in keys.estimate and name not in weighted:
+            raise wrong(
+                f"{name} is free in every image: its value for the camera is then none",
+                "take it out of estimate, or give photo_variant a standard deviation",
+            )
+    rolling, varies = made.shutter == "rolling", "readout" in keys.photo_variant
+    if varies or (rolling and keys.shutter not in (None, "rolling")):
+        what = "varies from image to image" if varies else f"has a {keys.shutter} shutter"
+        raise wrong(f"the readout {what}", 'give shutter = "rolling", and one readout for all images')
+    if keys.shutter == "rolling" and not (made.rolling or "readout" in keys.parameters):
+        raise wrong(
+            "a rolling shutter has neither a readout in parameters nor in estimate",
+            'add "readout" (s) to one of them, or give shutter = "unknown" to have it tested',
+        )
+    return made
+
+
+def _require(keys: CameraKeys, wrong: Callable[..., ConfigurationError]) -> None:
+    """Refuse what the model of a camera does not have, and what every camera must have."""
+    lens = MODELS[keys.model]
+    correlated = [some.names for some in (keys.prior_correlation, keys.correlation) if some is not None]
+    sections: dict[str, Iterable[str]] = {
+        **{key: getattr(keys, key) for key in ("parameters", "estimate", "prior_sigma", "photo_variant")},
+        "sigma": keys.sigma or (),
+        "given": keys.given or (),
+        "correlation": [name for names in correlated for name in names],
+    }
+    for section, names in sections.items():
+        unknown = [name for name in names if name not in lens.names]
         if unknown:
             raise wrong(
                 f"{section} names {unknown[0]}, which is no camera parameter of {keys.model}",
@@ -113,56 +173,34 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
         raise wrong("the principal distance c is missing or not positive", "give c in parameters")
     if keys.unit == "mm" and keys.pitch_mm is None:
         raise wrong("pitch_mm is missing", 'give the pixel pitch, or unit = "px"')
-    if keys.unit == "px":
-        pitch = (1.0, 1.0)
-    else:
-        pitch = keys.pitch_mm if isinstance(keys.pitch_mm, tuple) else (keys.pitch_mm or 0.0,) * 2
-    estimate = tuple(name for name in PARAMETERS if name in keys.estimate)
+
+
+def camera_of(keys: CameraKeys, where: object) -> Camera:
+    """Make the camera of keys whose parameters had their roles before; errors as of `make_camera`."""
+    place = f"{where}, camera {keys.id}"
+    _require(keys, ConfigurationError.at(place))
+    pitch = keys.pitch_mm if isinstance(keys.pitch_mm, tuple) else (keys.pitch_mm or 1.0,) * 2
     # A prior sigma of 0 holds the parameter, as it does for coordinates.
-    held = {name for name, sigma in keys.prior_sigma.items() if sigma == 0}
-    weighted = {name: sigma for name, sigma in keys.prior_sigma.items() if sigma > 0}
-    idle = [name for name in weighted if name not in estimate]
-    if idle:
-        raise wrong(f"{idle[0]} has a prior sigma but is not estimated", "list it in estimate")
-    for name, deviation in keys.photo_variant.items():
-        if deviation == "free" and name in estimate and not weighted.get(name):
-            raise wrong(
-                f"{name} is free in every image: its value for the camera is then none",
-                "take it out of estimate, or give photo_variant a standard deviation",
-            )
-    interior = _focused(
-        keys,
-        place,
-        camera(
-            keys.id,
-            keys.model,
-            keys.unit,
-            keys.size_px,
-            pitch,
-            keys.parameters,
-            estimate=tuple(name for name in estimate if name not in held),
-            prior_sigma=weighted,
-            reference_radius=keys.R0,
-            affinity=keys.affinity,
-            affinity_form=keys.affinity_form,
-            photo_variant={
-                name: np.inf if deviation == "free" else deviation
-                for name, deviation in keys.photo_variant.items()
-            },
-            focus_m=0.0 if keys.focus is None else keys.focus.distance_m,
-        ),
+    interior = camera(
+        keys.id,
+        keys.model,
+        keys.unit,
+        keys.size_px,
+        (1.0, 1.0) if keys.unit == "px" else pitch,
+        keys.parameters,
+        estimate=tuple(name for name in keys.estimate if keys.prior_sigma.get(name) != 0),
+        prior_sigma={name: sigma for name, sigma in keys.prior_sigma.items() if sigma > 0},
+        reference_radius=keys.R0,
+        affinity=keys.affinity,
+        affinity_form=keys.affinity_form,
+        photo_variant={
+            name: np.inf if deviation == "free" else deviation
+            for name, deviation in keys.photo_variant.items()
+        },
+        focus_m=0.0 if keys.focus is None else keys.focus.distance_m,
     )
-    interior = _with_known_readout(keys, place, interior)
+    interior = _with_known_readout(keys, place, _focused(keys, place, interior))
     rolling = interior.rolling or "readout" in keys.parameters
-    varies = "readout" in keys.photo_variant
-    if varies or (rolling and keys.shutter not in (None, "rolling")):
-        what = "varies from image to image" if varies else f"has a {keys.shutter} shutter"
-        raise wrong(f"the readout {what}", 'give shutter = "rolling", and one readout for all images')
-    if keys.shutter == "rolling" and not rolling:
-        raise wrong(
-            "a rolling shutter has neither a readout in parameters nor in estimate",
-            'add "readout" (s) to one of them, or give shutter = "unknown" to have it tested',
-        )
     return replace(
         interior,
         guessed=keys.guessed,
@@ -170,7 +208,81 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
         shutter="rolling" if rolling else keys.shutter or "global",
         readout_direction=keys.readout_direction,
         gust=(keys.gust.velocity_m_s, float(np.radians(keys.gust.rate_deg_s))),
+        shake=keys.shake_rad,
+        prior_correlation=_matrix(keys.prior_correlation, place),
+        given=_row(keys.given),
+        sigma=_row(keys.sigma),
+        correlation=_matrix(keys.correlation, place),
     )
+
+
+def _row(named: dict[str, float] | None) -> Floats | None:
+    return None if named is None else np.array([named.get(name, 0.0) for name in PARAMETERS])
+
+
+def _matrix(keys: CorrelationKeys | None, place: str) -> Floats | None:
+    """Correlations of all parameters; those that are not named have none."""
+    if keys is None:
+        return None
+    count = len(keys.names)
+    if [len(row) for row in keys.matrix] != [count] * count:
+        raise ConfigurationError(
+            f"correlation matrix is not {count} by {count}", "give every row in full", where=place
+        )
+    at = [PARAMETERS.index(name) for name in keys.names]
+    whole = np.eye(len(PARAMETERS))
+    whole[np.ix_(at, at)] = np.array(keys.matrix).reshape(count, count)
+    return whole
+
+
+def camera_keys(camera: Camera) -> CameraKeys:
+    """Say a camera in the keys of `[[camera]]`, the inverse of `make_camera`.
+
+    The prior sigma of a parameter that is held means nothing and is left out.
+    """
+    prior = np.where(camera.estimated, camera.prior_sigma, np.inf)
+    velocity, rate = camera.gust
+    return CameraKeys(
+        id=camera.id,
+        model=camera.model,
+        unit=camera.unit,
+        size_px=camera.size_px,
+        pitch_mm=camera.pitch if camera.unit == "mm" else None,
+        parameters=_named(camera.values, (camera.values != 0) | among("c")),
+        estimate=camera.free,
+        prior_sigma=_named(prior, np.isfinite(prior)),
+        R0=camera.reference_radius,
+        affinity=camera.affinity,
+        affinity_form=camera.affinity_form,
+        distortion_at=camera.distortion_at,
+        shutter=None if camera.shutter == "global" else camera.shutter,
+        readout_direction=camera.readout_direction,
+        gust=GustKeys(velocity_m_s=velocity, rate_deg_s=float(as_degrees(rate))),
+        photo_variant={
+            name: "free" if np.isinf(deviation) else deviation
+            for name, deviation in _named(camera.deviation_sigma, camera.deviation_sigma != 0).items()
+        },
+        focus=FocusKeys(distance_m=camera.focus_m) if camera.focus_m else None,
+        guessed=camera.guessed,
+        prior_correlation=_correlation_keys(camera.prior_correlation),
+        shake_rad=camera.shake,
+        sigma=None if camera.sigma is None else _named(camera.sigma, camera.sigma != 0),
+        correlation=_correlation_keys(camera.correlation, camera.sigma),
+        given=None if camera.given is None else _named(camera.given, camera.given != 0),
+    )
+
+
+def _named(values: Floats, chosen: Flags) -> dict[str, float]:
+    return {PARAMETERS[k]: float(values[k]) for k in np.flatnonzero(chosen)}
+
+
+def _correlation_keys(whole: Floats | None, sigma: Floats | None = None) -> CorrelationKeys | None:
+    if whole is None:
+        return None
+    known = np.zeros(len(whole), dtype=np.bool_) if sigma is None else sigma != 0
+    at = np.flatnonzero(known | (whole != np.eye(len(whole))).any(axis=1))
+    rows = tuple(map(tuple, whole[np.ix_(at, at)].tolist()))
+    return CorrelationKeys(names=tuple(PARAMETERS[k] for k in at), matrix=rows)
 
 
 def _with_known_readout(keys: CameraKeys, place: str, interior: Camera) -> Camera:

@@ -29,6 +29,8 @@ from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
 
 SETUP, MARKS, READINGS = "block.toml", "fiducials.csv", "fiducial_readings.csv"
+# How the marks fitted in a block that was read with `readings` and written again.
+FIDUCIAL_FITS = "fiducial_fits.csv"
 IMAGE_COLUMNS = ("image", "camera", "X", "Y", "Z", "omega", "phi", "kappa")
 IMAGE_SIGMAS = ("so", "sp", "sk", "sX", "sY", "sZ")
 EXPOSURE = "exposure"
@@ -117,7 +119,7 @@ def mean_of_readings(
     redundancy = int((stays - 1).sum())
     x, y = np.sqrt(((values - mean[group]) ** 2).sum(axis=0) / max(redundancy, 1)).tolist()
     spread = (x, y) if redundancy else None
-    counts = len(kept), int((~kept).sum()), limit, spread, int(stays.min()), int(stays.max())
+    counts = len(kept), int((~kept).sum()), limit, int(stays.min()), int(stays.max()), spread
     chosen = order[first]
     of_mean = np.sqrt(variance / stays[:, None])
     means = replace(
@@ -148,17 +150,18 @@ def read_block(folder: Path) -> Block:
         raise InputMalformedError(what, "keep one of them", where=folder)
     table = table if table.exists() else text
     observations, repetition = read_observations(table, setup.observations, images.names, points.names)
-    fits: tuple[FiducialFit, ...] = ()
     readings = setup.observations.readings
+    repetition = repetition or setup.observations.repetition
     if readings is not None:
         observations, fits = from_readings(folder, readings, cameras, images, observations)
+    else:
+        fits = read_fits(folder / FIDUCIAL_FITS, images.names)
     paths = {name: folder / f"{name}s.csv" for name in RELATIONS}
     parts = [read_relations(path, name, points.names) for name, path in paths.items() if path.exists()]
-    columns, relations = ("kind", "first", "second", "values", "sigma", "third"), NO_RELATIONS
-    if parts:
-        relations = Relations(*(np.concatenate([getattr(part, key) for part in parts]) for key in columns))
+    relations = parts[0].plus(*parts[1:]) if parts else NO_RELATIONS
     checks = folder / CHECK_DISTANCES
-    optional = (*(f"{name}s.csv" for name in (*RELATIONS, "position", "attitude")), CHECK_DISTANCES)
+    named = (*RELATIONS, "position", "attitude")
+    optional = (*(f"{name}s.csv" for name in named), CHECK_DISTANCES, *([] if readings else [FIDUCIAL_FITS]))
     present = [name for name in optional if (folder / name).exists()]
     tables = [SETUP, "images.csv", "points.csv", table.name, *present]
     tables += [MARKS, READINGS] if readings is not None else []
@@ -169,27 +172,49 @@ def read_block(folder: Path) -> Block:
     strips = int(positions.strip.max()) + 1 if len(positions.strip) else 0
     datum = setup.block.datum
     return Block(
-        setup.block.name or folder.resolve().name,
-        setup.block.frame,
-        setup.block.height,
-        datum if isinstance(datum, str) else "free",
-        cameras,
-        images,
-        points,
-        observations,
-        tuple(fingerprint(folder / name, name) for name in tables),
-        tuple(setup.block.datum_points if isinstance(datum, str) else datum),
-        relations,
-        positions,
-        attitudes,
-        make_mounting(setup.mounting, strips),
-        fits,
-        repetition,
-        (setup.block.level, setup.block.global_test),
-        read_relations(checks, "distance", points.names) if checks.exists() else NO_RELATIONS,
-        make_heads(setup.head, [camera.id for camera in cameras], folder / SETUP),
-        setup.block.refraction,
-        setup.block.curvature,
+        name=setup.block.name or folder.resolve().name,
+        frame=setup.block.frame,
+        height=setup.block.height,
+        datum=datum if isinstance(datum, str) else "free",
+        cameras=cameras,
+        images=images,
+        points=points,
+        observations=observations,
+        inputs=tuple(fingerprint(folder / name, name) for name in tables),
+        datum_points=tuple(setup.block.datum_points if isinstance(datum, str) else datum),
+        relations=relations,
+        positions=positions,
+        attitudes=attitudes,
+        mounting=make_mounting(setup.mounting, strips),
+        fiducial_fits=fits,
+        repetition=repetition,
+        global_test=(setup.block.level, setup.block.global_test),
+        check_distances=read_relations(checks, "distance", points.names) if checks.exists() else NO_RELATIONS,
+        heads=make_heads(setup.head, [camera.id for camera in cameras], folder / SETUP),
+        refraction=setup.block.refraction,
+        curvature=setup.block.curvature,
+    )
+
+
+def read_fits(path: Path, images: tuple[str, ...]) -> tuple[FiducialFit, ...]:
+    """Read how fiducial marks fitted; errors as for `read_block`."""
+    if not path.exists():
+        return ()
+    table = read_table(path, ("image", "fiducial", "vx", "vy", "redundancy", "sigma0"))
+    image = known_rows(table, "image", images, "images.csv")
+    index, fiducials = table.names("fiducial")
+    residuals, redundancy = table.matrix(("vx", "vy")), table.numbers("redundancy")
+    sigma0 = table.numbers("sigma0", empty=np.nan)
+    rows_of = [np.flatnonzero(image == k) for k in dict.fromkeys(image.tolist())]
+    return tuple(
+        FiducialFit(
+            images[image[rows[0]]],
+            tuple(fiducials[k] for k in index[rows]),
+            residuals[rows],
+            int(redundancy[rows[0]]),
+            float(sigma0[rows[0]]),
+        )
+        for rows in rows_of
     )
 
 
@@ -229,8 +254,10 @@ def read_points(path: Path) -> ObjectPoints:
     return ObjectPoints(names, values, sigma, role, _cross(table, sigma))
 
 
-def _cross(table: Table, sigma: Floats) -> Floats:
-    """Covariances between the coordinates of a point, where all three have a sigma."""
+def _cross(table: Table, sigma: Floats) -> Floats | None:
+    """Covariances between the coordinates of a point, where all three have a sigma; None without any."""
+    if not any(map(table.has, POINT_CROSS)):
+        return None
     cross = table.matrix(POINT_CROSS, empty=0.0)
     linked = cross.any(axis=1)
     whole = np.asarray((np.isfinite(sigma) & (sigma > 0)).all(axis=1))

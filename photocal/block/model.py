@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -24,6 +25,8 @@ from photocal.geometry.oriented_images import OrientedImages
 
 Role = Literal["control", "check", "tie"]
 ROLES: tuple[Role, ...] = ("control", "check", "tie")
+# Named, not imported: they stand on this module.
+_READER, _WRITER = "photocal.block.folder", "photocal.block.writer"
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,13 @@ class Images:
             for name, column in vars(self).items()
         }
         return Images(**columns)
+
+    def weighted(self, axis: int, sigma_m: float) -> Self:
+        """Give observed coordinates of one axis (0 to 2) another sigma, m; free ones stay free."""
+        changed = self.sigma.copy()
+        column = changed[:, 3 + axis]
+        column[np.isfinite(column)] = sigma_m
+        return replace(self, sigma=changed)
 
     @staticmethod
     def observed(images: OrientedImages) -> "Images":
@@ -197,16 +207,16 @@ class Repetition:
 
     readings, rejected: all of them, and those farther from the mean of the others than the limit.
     limit: in the unit of the observations.
-    sigma: standard deviations of a single reading in x and y, pooled; None where nothing is repeated.
     least, most: readings that stay of a point in an image.
+    sigma: standard deviations of a single reading in x and y, pooled; None where nothing is repeated.
     """
 
     readings: int
     rejected: int
     limit: float
-    sigma: tuple[float, float] | None
     least: int
     most: int
+    sigma: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -249,6 +259,16 @@ class Block:
     heads: tuple[Head, ...] = ()
     refraction: float | None = None
     curvature: bool = False
+
+    @staticmethod
+    def read(path: str | Path) -> "Block":
+        """Read a block folder; errors as of `block.folder.read_block`."""
+        block: Block = import_module(_READER).read_block(Path(path))
+        return block
+
+    def write(self, path: str | Path) -> None:
+        """Write a block folder that is equal when it is read; errors as of `block.writer.write_block`."""
+        import_module(_WRITER).write_block(Path(path), self)
 
     def __repr__(self) -> str:
         """Say in one line what it holds."""

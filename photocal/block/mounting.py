@@ -3,21 +3,25 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from photocal.adjustment import mounting
 from photocal.adjustment.network import covariance_matrices
 from photocal.base.arrays import Floats
-from photocal.base.errors import ConfigurationError
-from photocal.block.camera_setup import sigmas
-from photocal.block.setup import MountingKeys
-from photocal.block.table import Table, known_rows, read_table, refuse
-from photocal.geometry.rotation import object_to_body
+from photocal.base.codec import as_degrees
+from photocal.base.errors import ConfigurationError, OutputError
+from photocal.block.camera_setup import sigma_keys, sigmas
+from photocal.block.setup import BodyAxis, MountingKeys
+from photocal.block.table import Table, known_rows, named_columns, read_table, refuse
+from photocal.geometry.rotation import TO_NED, object_to_body
 
 POSITION_COLUMNS = ("image", "X", "Y", "Z", "sX", "sY", "sZ")
 POSITION_EXTRAS = ("sXY", "sXZ", "sYZ", "vX", "vY", "vZ", "strip", "time_s")
 ATTITUDE_COLUMNS = ("image", "roll", "pitch", "yaw", "sroll", "spitch", "syaw")
 RATE_COLUMNS = ("p", "q", "r", "sp", "sq", "sr")
-BODY_AXES = {
+# Correlations that are rounding.
+_UNCORRELATED = 1e-6
+BODY_AXES: dict[BodyAxis, tuple[float, float, float]] = {
     "forward": (1.0, 0.0, 0.0),
     "backward": (-1.0, 0.0, 0.0),
     "right": (0.0, 1.0, 0.0),
@@ -85,6 +89,117 @@ def make_mounting(keys: MountingKeys, strips: int) -> mounting.Mounting:
         sigma[at : at + 3] = sigmas(keys.strip_shift_sigma_m)
         sigma[at + 3 : at + 6] = sigmas(keys.strip_drift_sigma_m_s)
     return mounting.Mounting(rotation, values, sigma)
+
+
+def mounting_keys(given: mounting.Mounting, positions: mounting.Positions) -> MountingKeys:
+    """Say a mounting in the keys of `[mounting]`, the inverse of `make_mounting`.
+
+    raises OutputError: for what those keys cannot say.
+    """
+    names = {axis: name for name, axis in BODY_AXES.items()}
+    x, y, z = (names.get((float(row[0]), float(row[1]), float(row[2]))) for row in given.rotation)
+    strips = given.sigma[mounting.STRIPS :].reshape(-1, 2, 3)
+    cannot = OutputError.at("[mounting]")
+    if x is None or y is None or z is None:
+        raise cannot("the camera's axes are not along those of the body", "turn the rest into the boresight")
+    if given.values[mounting.OF_FLIGHT].any() or given.values[mounting.STRIPS :].any():
+        raise cannot(
+            "a shift of the flight or of a strip does not begin at zero", "take it off the positions"
+        )
+    if len(strips) and (strips != strips[0]).any():
+        raise cannot("strips have different sigmas", "give all strips the same")
+    scale = float(given.sigma[mounting.HEIGHT_SCALE])
+    shift, drift = strips[0] if len(strips) else np.zeros((2, 3))
+    lever, boresight = given.values[mounting.LEVER], as_degrees(given.values[mounting.BORESIGHT])
+    return MountingKeys(
+        lever_arm_m=tuple(lever.tolist()),
+        lever_arm_sigma_m=sigma_keys(given.sigma[mounting.LEVER]),
+        boresight_deg=tuple(boresight.tolist()),
+        boresight_sigma_deg=sigma_keys(as_degrees(given.sigma[mounting.BORESIGHT])),
+        time_offset_s=float(given.values[mounting.TIME]),
+        time_offset_sigma_s=sigma_keys(given.sigma[mounting.TIME]),
+        flight_shift_sigma_m=sigma_keys(given.sigma[mounting.SHIFT]),
+        height_scale_sigma=scale,
+        height_scale_from_m=_from_m(positions, needed=scale > 0),
+        strip_shift_sigma_m=sigma_keys(shift),
+        strip_drift_sigma_m_s=sigma_keys(drift),
+        camera_axes=(x, y, z),
+    )
+
+
+def _from_m(positions: mounting.Positions, *, needed: bool) -> float | None:
+    """The height from which those above the base station count; None where it is 0 and not needed."""
+    height, above = positions.values[:, 2], positions.above
+    if not len(height) or np.array_equal(height, above):
+        return 0.0 if needed else None
+    rough = float(np.median(height - above))
+    for tried in (round(rough, 6), round(rough, 9), rough):
+        if np.array_equal(height - tried, above):
+            return tried
+    if np.allclose(height - rough, above, rtol=0.0, atol=1e-6):
+        return rough
+    if needed:
+        what = "heights above the base station are not those of the positions less one height"
+        raise OutputError(what, "give the height of the base station's antenna", where="[mounting]")
+    return None
+
+
+def position_columns(positions: mounting.Positions) -> dict[str, ArrayLike]:
+    """The columns of `positions.csv` beside `image`; strips are numbered."""
+    a, b = [0, 0, 1], [1, 2, 2]
+    covariance, strip = positions.covariance, positions.strip
+    more = {"sXY sXZ sYZ": covariance[:, a, b], "vX vY vZ": positions.velocity}
+    columns = {
+        **named_columns("X Y Z", positions.values),
+        **named_columns("sX sY sZ", np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
+        **{
+            k: v
+            for names, values in more.items()
+            if values.any()
+            for k, v in named_columns(names, values).items()
+        },
+    }
+    if strip.any():
+        columns["strip"] = [f"strip {k + 1}" for k in strip.tolist()]
+    return columns | ({"time_s": positions.time} if positions.time.any() else {})
+
+
+def attitude_columns(attitudes: mounting.Attitudes) -> dict[str, ArrayLike]:
+    """The columns of `attitudes.csv` beside `image`.
+
+    Angles have as many decimals as give the same rotation when they are read again, or all.
+
+    raises OutputError: where errors of roll, pitch and yaw are correlated, which the table cannot say.
+    """
+    r = attitudes.rotation @ TO_NED
+    sp = -r[:, 0, 2]
+    roll, yaw = np.arctan2(r[:, 1, 2], r[:, 2, 2]), np.arctan2(r[:, 0, 1], r[:, 0, 0])
+    pitch = np.arctan2(sp, np.hypot(r[:, 0, 0], r[:, 0, 1]))
+    # In the order of memory in which tables are read: sines of other orders may differ in the last place.
+    rough = np.degrees(np.column_stack([roll, pitch, yaw]))
+    full = rough + np.where(rough < 0, [0.0, 0.0, 360.0], 0.0)
+    angles = rough.copy()
+    for tried in (np.round(whole, digits) for digits in (12, 9, 6) for whole in (rough, full)):
+        fits = (object_to_body(np.radians(tried))[0] == attitudes.rotation).all(axis=(1, 2))
+        angles[fits] = tried[fits]
+    per_angle = object_to_body(np.radians(angles))[1]
+    back = np.linalg.inv(per_angle)
+    covariance = back @ attitudes.covariance @ np.swapaxes(back, 1, 2)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    if (np.abs(covariance / (sigma[:, :, None] * sigma[:, None]) - np.eye(3)) > _UNCORRELATED).any():
+        raise OutputError(
+            "errors of roll, pitch and yaw are correlated: attitudes.csv has sigmas only",
+            "leave the attitudes out, or give them sigmas about the axes of the angles",
+        )
+    stated = np.degrees(sigma)
+    for tried in (np.round(stated, digits) for digits in (12, 9, 6)):
+        again = per_angle @ (np.radians(tried)[:, :, None] ** 2 * np.swapaxes(per_angle, 1, 2))
+        fits = (again == attitudes.covariance).all(axis=(1, 2))
+        stated[fits] = tried[fits]
+    columns = named_columns("roll pitch yaw", angles) | named_columns("sroll spitch syaw", stated)
+    rates = (("p q r", attitudes.rate), ("sp sq sr", attitudes.rate_sigma))
+    known = [(names, as_degrees(values)) for names, values in rates if values is not None]
+    return columns | {k: v for names, values in known for k, v in named_columns(names, values).items()}
 
 
 def _sigmas(table: Table, columns: tuple[str, ...]) -> Floats:

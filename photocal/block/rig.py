@@ -1,6 +1,6 @@
 """Cameras fixed to each other, as `[[head]]` of a block names them, and as the network has them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from photocal.adjustment.rig import CENTRE, LATER, NO_RIG, OF_HEAD, TURN, Rig, pairs_of
 from photocal.base.arrays import Floats, Integers
 from photocal.base.checked_toml import Table
+from photocal.base.codec import as_degrees
 from photocal.base.errors import ConfigurationError
-from photocal.block.camera_setup import NonNegative, Sigma, sigmas
+from photocal.block.camera_setup import NonNegative, Sigma, sigma_keys, sigmas
 
 # How far heads on one frame move and turn against each other: a tenth of a millimetre, and a second of arc.
 STIFFNESS_M, STIFFNESS_DEG = 1e-4, 1 / 3600
@@ -23,7 +24,9 @@ class HeadKeys(Table):
     of: camera whose head the others of the frame refer to; the one of this entry itself for that head.
     rotation_deg: rotation vector from the camera axes of `of` to those of this camera; without it the start
         values of the images tell.
+    turn_deg: where its small turn from `rotation_deg` about its own axes begins.
     centre_m: its projection centre in the camera axes of `of`.
+    lag_s: time and its sigma while which gusts move the frame, where an adjustment has found them.
     time_s: by how much later it exposes.
     stiffness_m, stiffness_deg: how far it moves and turns against the others from exposure to exposure.
     """
@@ -32,12 +35,14 @@ class HeadKeys(Table):
     of: str
     rotation_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     rotation_sigma_deg: Sigma = "free"
+    turn_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
     centre_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
     centre_sigma_m: Sigma = "free"
     time_s: FiniteFloat = 0.0
     time_sigma_s: NonNegative = 0.0
     stiffness_m: PositiveFloat = Field(default=STIFFNESS_M)
     stiffness_deg: PositiveFloat = Field(default=STIFFNESS_DEG)
+    lag_s: tuple[FiniteFloat, NonNegative] | None = None
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
     for key in keys:
         if key.camera == key.of:
             continue
-        values = np.array([0.0, 0.0, 0.0, *key.centre_m, key.time_s])
+        values = np.array([*np.radians(key.turn_deg), *key.centre_m, key.time_s])
         turn = np.radians(sigmas(key.rotation_sigma_deg))
         sigma = np.array([*turn, *sigmas(key.centre_sigma_m), key.time_sigma_s])
         rotation = None if key.rotation_deg is None else np.radians(key.rotation_deg)
@@ -92,29 +97,32 @@ def make_heads(keys: Sequence[HeadKeys], cameras: Sequence[str], where: object) 
             what = f"the head of camera {key.camera} has rotation_sigma_deg but no rotation_deg"
             raise wrong(what, 'give rotation_deg, or "free"')
         stiffness = key.stiffness_m, float(np.radians(key.stiffness_deg))
-        heads.append(Head(key.camera, key.of, rotation, values, sigma, stiffness))
+        heads.append(Head(key.camera, key.of, rotation, values, sigma, stiffness, key.lag_s))
     return tuple(heads)
 
 
-def head_lines(heads: Iterable[Head]) -> Iterable[str]:
-    """Give the entries `[[head]]` of a `block.toml`."""
+def head_keys(head: Head) -> HeadKeys:
+    """Say a head in the keys of `[[head]]`, the inverse of `make_heads`."""
+    x, y, z = head.values[CENTRE].tolist()
+    return HeadKeys(
+        camera=head.camera,
+        of=head.of,
+        rotation_deg=None if head.rotation is None else _degrees(head.rotation),
+        rotation_sigma_deg=sigma_keys(as_degrees(head.sigma[TURN])),
+        turn_deg=_degrees(head.values[TURN]),
+        centre_m=(x, y, z),
+        centre_sigma_m=sigma_keys(head.sigma[CENTRE]),
+        time_s=float(head.values[LATER]),
+        time_sigma_s=float(head.sigma[LATER]),
+        stiffness_m=head.stiffness[0],
+        stiffness_deg=float(as_degrees(head.stiffness[1])),
+        lag_s=head.lag,
+    )
 
-    def sigma(values: Floats) -> str:
-        return '"free"' if np.isinf(values).any() else str(values.tolist())
 
-    for head in heads:
-        if head.camera == head.of:
-            continue
-        yield from ("", "[[head]]", f'camera = "{head.camera}"', f'of = "{head.of}"')
-        if head.rotation is not None:
-            yield f"rotation_deg = {np.degrees(head.rotation).tolist()}"
-        yield f"rotation_sigma_deg = {sigma(np.degrees(head.sigma[TURN]))}"
-        yield f"centre_m = {head.values[CENTRE].tolist()}"
-        yield f"centre_sigma_m = {sigma(head.sigma[CENTRE])}"
-        yield f"time_s = {float(head.values[LATER])!r}"
-        yield f"time_sigma_s = {float(head.sigma[LATER])!r}"
-        yield f"stiffness_m = {head.stiffness[0]!r}"
-        yield f"stiffness_deg = {float(np.degrees(head.stiffness[1]))!r}"
+def _degrees(radians: Floats) -> tuple[float, float, float]:
+    x, y, z = as_degrees(radians).tolist()
+    return x, y, z
 
 
 def rig_of(

@@ -6,6 +6,7 @@ from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat, model_vali
 
 from photocal.base.checked_toml import Table
 from photocal.block.camera_setup import CameraKeys, NonNegative, Sigma
+from photocal.block.model import Repetition
 from photocal.block.rig import HeadKeys
 
 BodyAxis = Literal["forward", "backward", "right", "left", "up", "down"]
@@ -34,13 +35,25 @@ class BlockKeys(Table):
 
 
 class ObservationKeys(Table):
-    """Section `[observations]`."""
+    """Section `[observations]`.
+
+    repetition: how the readings agreed whose means stand in the table.
+    """
 
     unit: Literal["px", "mm"]
     axes: Literal["pixel", "photo"]
     sigma: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
     readings: Literal["conformal", "affine", "projective"] | None = None
     rejection_limit: PositiveFloat | None = None
+    repetition: Repetition | None = None
+
+    @model_validator(mode="after")
+    def _read_once(self) -> Self:
+        if self.repetition is not None and self.rejection_limit is not None:
+            raise ValueError(
+                "repetition says how readings agreed of which means stand here: no rejection_limit"
+            )
+        return self
 
 
 class MountingKeys(Table):

@@ -15,7 +15,7 @@ import pyarrow.parquet
 from numpy.typing import ArrayLike
 
 from photocal.base.arrays import Floats, Integers
-from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.errors import InputMalformedError, InputNotFoundError, OutputError
 
 # As spreadsheets of half the world write them: 1234,5 and 1.234,5.
 _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
@@ -71,8 +71,8 @@ class Table:
 
     def texts(self, column: str) -> tuple[str, ...]:
         """Texts of a column, empty where a cell is."""
-        cells = self.columns[column].cast(pa.string()).to_pylist()
-        return tuple("" if cell is None else cell.strip() for cell in cells)
+        cells = pc.utf8_trim_whitespace(self.columns[column].cast(pa.string()))
+        return tuple(pc.fill_null(cells, "").to_pylist())
 
     def unique_names(self, column: str) -> tuple[str, ...]:
         """Identifiers of a column in which no name may come twice."""
@@ -235,7 +235,7 @@ def _read_csv(path: Path) -> Table:
             read_options=pyarrow.csv.ReadOptions(
                 use_threads=False, encoding=encoding, column_names=names, skip_rows=1
             ),
-            parse_options=pyarrow.csv.ParseOptions(delimiter=separator),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=separator, newlines_in_values=True),
             convert_options=texts,
         )
     except (pa.ArrowInvalid, UnicodeError) as failure:
@@ -315,3 +315,50 @@ def refuse(table: Table, bad: ArrayLike, what: str, remedy: str) -> None:
     rows = np.flatnonzero(bad)
     if len(rows):
         raise InputMalformedError(what, remedy, where=table.place(int(rows[0])))
+
+
+def named_columns(names: str, values: Floats) -> dict[str, ArrayLike]:
+    """Name the columns of an array, shape (n, columns), by words."""
+    return dict(zip(names.split(), values.T, strict=True))
+
+
+def name_cells(column: str, names: Sequence[str]) -> Any:
+    """Names as cells of a column.
+
+    raises OutputError: for a name that a table would not give back as it is.
+    """
+    cells = pa.array(names, pa.string())
+    lost = pc.or_(pc.equal(cells, ""), pc.not_equal(pc.utf8_trim_whitespace(cells), cells))
+    if pc.any(lost).as_py():
+        bad = names[pc.index(lost, True).as_py()]
+        raise OutputError(
+            f"{column} {bad!r} is empty, or begins or ends with a blank, which tables do not keep",
+            "give it another name",
+        )
+    return cells
+
+
+def write_table(path: Path, columns: Mapping[str, Any] | Any) -> None:
+    """Write an Arrow table, or columns by their names, as CSV or Parquet: numbers with all their digits.
+
+    What is no finite number (NaN: not known, infinity: free) is an empty cell.
+    """
+    if isinstance(columns, Mapping):
+        columns = pa.table({name: _cells(column) for name, column in columns.items()})
+    if path.suffix == ".parquet":
+        pyarrow.parquet.write_table(columns, path)
+        return
+    with path.open("wb") as stream:
+        stream.write((",".join(columns.column_names) + "\n").encode())
+        # "needed" puts every text in quotes, needed or not.
+        texts = [cells for cells in columns.columns if pa.types.is_string(cells.type)]
+        quotes = any(pc.any(pc.match_substring_regex(cells, '[",\r\n]')).as_py() for cells in texts)
+        style = "needed" if quotes else "none"
+        options = pyarrow.csv.WriteOptions(include_header=False, quoting_style=style)
+        pyarrow.csv.write_csv(columns, stream, options)
+
+
+def _cells(column: Any) -> Any:
+    if isinstance(column, np.ndarray) and column.dtype.kind == "f":
+        return pa.array(np.where(np.isfinite(column), column, np.nan), from_pandas=True)
+    return pa.array(column, pa.string()) if isinstance(column, list | tuple) else column

@@ -49,7 +49,7 @@ def measure(
 def _written(project: Path | None, images: Path, options: MeasureOptions, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
     from photocal.base.files import output_folder
-    from photocal.measurement.block_files import SCHEMA, Measured, write_block
+    from photocal.measurement.block_files import SCHEMA, Measured
     from photocal.measurement.measure import measure as measured_pictures
     from photocal.measurement.oriented_ties import UnorientedError
     from photocal.project import read_project
@@ -61,7 +61,7 @@ def _written(project: Path | None, images: Path, options: MeasureOptions, output
         refused = refusal
         measured = Measured(refusal.block, {"schema": SCHEMA, "refused": str(refusal)})
     with output_folder(output) as aside:
-        write_block(aside, measured.block, measured.record)
+        measured.write(aside)
     if refused is not None:
         refused.remedy += f" (what was measured is in {output})"
         raise refused

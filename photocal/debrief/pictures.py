@@ -186,7 +186,7 @@ class Quick:
 
 def with_positions(facts: Sequence[ImageFacts], exposures: Exposures) -> list[ImageFacts]:
     """Pictures with the positions of their exposures in place of those that they state."""
-    row = {name: k for k, names in enumerate(exposures.image) for name in names.split()}
+    row = {name: k for k, names in enumerate(exposures.images) for name in names}
     placed, with_place = exposures.placed, []
     sigma = np.sqrt(np.maximum(np.diagonal(placed.covariance_m2, axis1=1, axis2=2), 0.0))
     for image in facts:

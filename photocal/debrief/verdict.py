@@ -24,7 +24,7 @@ from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import ExposureRun
-from photocal.navigation.exposures import Exposures, orientations
+from photocal.navigation.exposures import Exposures, names_cell, orientations
 from photocal.navigation.rig import Rig
 from photocal.planning.area import LocalPlane
 from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
@@ -236,7 +236,7 @@ def _covered(
     if facts is None or ground is None or exposures.placed.placed.sum() < 3:
         return None, [untested("coverage-hole", "no-ground-height")]
     names = {look.path.name for look in good}
-    usable = np.array([any(name in names for name in images.split()) for images in exposures.image])
+    usable = np.array([not names.isdisjoint(images) for images in exposures.images])
     if usable.sum() < 2:
         return None, []
     flown = coverage(exposures, usable, rig, stated_camera("", facts).camera, ground)
@@ -299,12 +299,12 @@ def debrief_json(made: Debrief) -> dict[str, Any]:
 def _exposures(run: ExposureRun, flown: Coverage | None) -> list[dict[str, Any]]:
     placed, listed = run.exposures.placed, []
     strip = {} if flown is None else dict(zip(flown.rows.tolist(), flown.strip.tolist(), strict=True))
-    for k, name in enumerate(run.exposures.image):
+    for k, images in enumerate(run.exposures.images):
         there = bool(placed.placed[k])
         listed.append(
             {
                 "event": int(run.exposures.number[k]),
-                "image": name or None,
+                "image": names_cell(images) or None,
                 "place_deg": [float(placed.lat_deg[k]), float(placed.lon_deg[k])] if there else None,
                 "state": str(placed.status[k]) if there else None,
                 "strip": strip[k] + 1 if k in strip else None,

@@ -12,6 +12,7 @@ from importlib import resources
 from typing import Any
 
 from photocal.base.arrays import as_plain
+from photocal.base.codec import from_plain
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.findings.digits import Measured, Number, as_given, fixed, measured, significant, symbol
@@ -160,16 +161,15 @@ def findings_of(content: object, where: object) -> tuple[Finding, ...]:
 
     raises InputMalformedError: when it was stored by another version.
     """
-    from pydantic import TypeAdapter, ValidationError
-
     try:
-        return TypeAdapter(tuple[Finding, ...]).validate_python(content or ())
-    except ValidationError as refusal:
+        found: tuple[Finding, ...] = from_plain(tuple[Finding, ...], content or ())
+    except ValueError as refusal:
         raise InputMalformedError(
-            f"its findings were stored by another version of photocal ({refusal.errors()[0]['msg']})",
+            f"its findings were stored by another version of photocal ({refusal})",
             "make the stage again",
             where=where,
         ) from None
+    return found
 
 
 def need_words(code: str, figures: Mapping[str, float], say: Catalogue) -> dict[str, str]:

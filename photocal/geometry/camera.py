@@ -112,7 +112,7 @@ class Camera:
     guessed: whether c is a guess: good to start from, and nothing to hold.
     given (20,): of adjusted values: what they were before; else None.
     sigma (20,), correlation (20, 20): standard deviations of adjusted values and their correlations, 0 for
-        held ones; None before an adjustment.
+        held ones (1 on the diagonal); None before an adjustment.
     distortion_at: coordinates at which `brown-observed` evaluates its polynomial in an adjustment: the
         adjusted ones (Gauss-Helmert), or the measured ones with their errors, as older programs do.
     readout_direction: in which order a rolling shutter reads the lines.
@@ -139,6 +139,11 @@ class Camera:
     given: Floats | None = None
     sigma: Floats | None = None
     correlation: Floats | None = None
+    distortion_at: DistortionAt = "adjusted"
+    readout_direction: ReadoutDirection = "top-to-bottom"
+    shutter: Shutter = "global"
+    gust: tuple[float, float] = (0.5, 0.1)
+    shake: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         width, height = self.size_px
@@ -185,12 +190,6 @@ class Camera:
         sigma = [self.sigma_of(name) for name in names]
         return np.asarray(self.correlation_of(names) * np.outer(sigma, sigma))
 
-    distortion_at: DistortionAt = "adjusted"
-    readout_direction: ReadoutDirection = "top-to-bottom"
-    shutter: Shutter = "global"
-    gust: tuple[float, float] = (0.5, 0.1)
-    shake: tuple[float, ...] = ()
-
     @property
     def rolling(self) -> bool:
         """Whether its shutter takes time to read an image, or may."""
@@ -225,7 +224,7 @@ class Camera:
             self.with_values(values),
             given=self.values,
             sigma=np.asarray(sigma, dtype=float),
-            correlation=np.asarray(correlation, dtype=float),
+            correlation=np.where(np.eye(len(PARAMETERS)) > 0, 1.0, correlation),
         )
 
     def with_values(self, values: ArrayLike) -> Self:

@@ -59,7 +59,7 @@ class CommonErrors:
         return np.zeros(3) if moved is None else moved * self.lapse.value
 
     def as_json(self) -> dict[str, Any]:
-        """Give them as a JSON value, which `photocal.base.arrays.from_plain` reads back."""
+        """Give them as a JSON value, which `photocal.base.codec.from_plain` reads back."""
         return {
             **as_plain(self),
             **picked(self, "shift_sigma_m", "zenith_scale_sigma", "correction_per_metre"),

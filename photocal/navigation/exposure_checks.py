@@ -158,7 +158,7 @@ def _other_positions(e: Evidence) -> list[Finding]:
         claimed = e.events.claimed[:, :3]
         findings.append(judge_positions("event-source", e.antenna, claimed, at_antenna, "shift"))
     by_name = {image.name: image.facts for image in e.images}
-    facts = [by_name.get(name.split(" ")[0]) for name in e.antenna.image]
+    facts = [by_name.get(name) for name in e.antenna.first_images]
     if any(f is not None and f.has_position for f in facts):
         stated = stated_places(facts)
         findings.append(judge_positions("image-positions", e.antenna, stated, at_antenna, "shift"))

@@ -12,7 +12,7 @@ from photocal.base.files import output_picture, write_rows
 from photocal.base.geodesy import enu_axes, enu_offsets
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
-from photocal.navigation.exposures import Exposures, Orientations, orientations
+from photocal.navigation.exposures import Exposures, Orientations, names_cell, orientations
 from photocal.navigation.rig import Rig
 from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells
 
@@ -113,7 +113,7 @@ def write_exposures(path: Path, exposures: Exposures) -> None:
             cells = [*position, str(p.status[i]), *sigmas]
         angles = ["" if np.isnan(v) else f"{np.degrees(v):.5f}" for v in all_angles[i].tolist()]
         angles[2] = angles[2] and f"{float(angles[2]) % 360:.5f}"
-        row = [int(exposures.time.ns[i]), *cells, exposures.image[i], *angles]
+        row = [int(exposures.time.ns[i]), *cells, names_cell(exposures.images[i]), *angles]
         spread = ["" if np.isnan(v) else f"{v:.5f}" for v in all_sigmas[i].tolist()]
         above = "" if second is None or np.isnan(second[i]) else f"{second[i]:.3f}"
         rows.append([*row, int(exposures.number[i]), exposures.reason(i), *spread, above])
@@ -122,7 +122,7 @@ def write_exposures(path: Path, exposures: Exposures) -> None:
 
 def with_images(exposures: Exposures) -> Integers:
     """Return the rows that have a position and exactly the name of an image (or several cameras' ones)."""
-    named = np.array([bool(name) for name in exposures.image])
+    named = np.array([bool(names) for names in exposures.images])
     return np.flatnonzero(exposures.placed.placed & named)
 
 
@@ -147,7 +147,7 @@ def write_block_images(
         place = [f"{v:.4f}" for v in xyz[k].tolist()]
         turned = ["" if np.isnan(v) else f"{v:.6f}" for v in np.degrees(angles[k]).tolist()]
         sigmas = ["" if np.isnan(v) else f"{v:.5f}" for v in sigma[k].tolist()]
-        for name in exposures.image[row].split():
+        for name in exposures.images[row]:
             lines.append([name, camera, *place, *turned, *sigmas])
             if np.isfinite(covariance[k]).all():
                 names.append(name)
@@ -214,8 +214,10 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
     return np.stack([east, north, up], axis=1), np.moveaxis(turn, -1, 0)
 
 
-def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
+def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> str:
     """Write OpenDroneMap's `geo.txt` on EPSG:4326: place, and where they are known angles and accuracies.
+
+    There a name ends at its first blank: with such names the file is left out, and the reason is returned.
 
     rig: camera axes and boresight: the angles are the camera's, see `photocal.exchange.ground_points`.
     """
@@ -230,7 +232,12 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> None:
     turned[~np.isfinite(angles).all(axis=1)] = np.nan
     values = np.hstack([places, turned]).tolist()
     rows = with_images(exposures).tolist()
-    write_geo(path, "EPSG:4326", {name: values[row] for row in rows for name in exposures.image[row].split()})
+    torn = next((name for row in rows for name in exposures.images[row] if name.split() != [name]), "")
+    if torn:
+        path.unlink(missing_ok=True)
+        return f"left out: names end at a blank there, and {torn!r} has one"
+    write_geo(path, "EPSG:4326", {name: values[row] for row in rows for name in exposures.images[row]})
+    return ""
 
 
 def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str, changed_utc: str) -> None:
@@ -242,7 +249,7 @@ def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str,
     rows, xyz, (angles, covariance), frame = _oriented(exposures, rig, None)
     origin = Origin(*frame["origin_lat_lon_height"])
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, [3, 4, 5, 0, 1, 2]]
-    names = [exposures.image[row].split() for row in rows.tolist()]
+    names = [exposures.images[row] for row in rows.tolist()]
     every = np.repeat(np.arange(len(rows)), [len(of_row) for of_row in names])
     none = np.zeros(0, np.int64)
     # Without points there are no footprints: the camera gives its name only.
@@ -276,7 +283,8 @@ def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | 
                 where="--crs",
             )
         figures["images_csv"] = write_block_images(folder / "images.csv", run.exposures, camera, rig, crs)
-        write_geo_txt(folder / "geo.txt", run.exposures, rig)
+        left_out = write_geo_txt(folder / "geo.txt", run.exposures, rig)
+        figures |= {"geo_txt": left_out} if left_out else {}
         changed = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
         write_geopackage_of(folder / "exposures.gpkg", run.exposures, rig, camera, changed)
     plot_exposures(run, folder / "exposures.png")

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from photocal.base.arrays import Floats, from_plain
+from photocal.base.arrays import Floats
+from photocal.base.codec import from_plain
 from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.navigation.common_errors import CommonErrors
@@ -117,12 +118,12 @@ def place_exposures(
     if noted is None:
         return _without_events(choices, rover, vehicle, images)
     events = noted.delayed(choices.delay_s, choices.delay_sigma_s)
-    names = [""] * len(events)
+    names: list[tuple[str, ...]] = [()] * len(events)
     cameras: list[CameraMatch] = []
     if images:
         names, cameras = match_images(images, events, choices.largest_offset_s)
     by_name = {image.name: image for image in images}
-    shown = [by_name.get(name.split(" ")[0]) for name in names]
+    shown = [by_name.get(some[0]) if some else None for some in names]
     camera, of_images, stated = attitudes_of_images(shown, rig)
 
     def at(events: Events) -> Exposures:
@@ -172,7 +173,7 @@ def _without_events(
         events, placed = events_of_images(images)
         ordered = sorted(images, key=clock_time_s)
         camera, vehicle, _ = attitudes_of_images(ordered, choices.rig)
-        names = [image.name for image in ordered]
+        names = [(image.name,) for image in ordered]
         made = at_events(events, placed, camera, events.accuracy_s, names, OF_IMAGES)
         antenna = replace(made, carrier=vehicle, above_take_off_m=_above_take_off(ordered))
     elif track is None or len(track.path) < 2:
@@ -184,7 +185,7 @@ def _without_events(
         time, sigma = autopilot_time(track, host)
         events = Events("time of receipt in file names", time, np.arange(len(images)), sigma)
         flown = attitudes_of_vehicle(track, time, choices.rig)
-        names = [image.name for image in images]
+        names = [(image.name,) for image in images]
         antenna = at_events(events, plainly(track.path, time), flown, sigma, names, SEA_LEVEL)
     evidence = Evidence(choices.rig, events, [], antenna, None, rover, track, None, images, None)
     return _judged(choices, evidence, at_camera(antenna, choices.rig), [])
@@ -198,7 +199,7 @@ def _judged(
     clocks = [*([] if vehicle is None else vehicle.clocks.compared), *([] if gnss is None else [gnss])]
     checks = check_exposures(evidence)
     if choices.oriented is not None:
-        oriented = oriented_images(choices.oriented, exposures.image)
+        oriented = oriented_images(choices.oriented, exposures.first_images)
         checks += check_oriented(oriented, exposures, choices.rig, "the-adjustment")
     elif choices.ties is not None:
         checks += check_images(exposures, images, choices.rig, choices.ties)

@@ -1,5 +1,7 @@
 """From events to exposures: where the camera was, how it was turned, and how sure that is."""
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +19,12 @@ from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import LARGEST_GAP_S, Placed
 
 
+def names_cell(names: Sequence[str]) -> str:
+    """Names of the images of one event as a cell: one as it is, several as a JSON list; empty for none."""
+    plain = len(names) < 2 and not "".join(names).startswith("[")
+    return "".join(names) if plain else json.dumps(names, ensure_ascii=False)
+
+
 @dataclass(frozen=True)
 class Exposures:
     """One row per event.
@@ -26,7 +34,7 @@ class Exposures:
     attitude: of the body that carries the camera, with the effect of errors of the time in the covariance.
     cross (n, 3, 3): covariance of position (east, north, up, m) and turn of the body (rad); NaN where
         unknown.
-    image: name of the image; empty where none matched.
+    images: names of the images, one for each camera that took one; none where none matched.
     height_kind: what the heights are above.
     carrier: of the body that the antenna is fixed to, where the camera hangs in a gimbal with an attitude of
         its own; None: the same body.
@@ -38,13 +46,18 @@ class Exposures:
     placed: Placed
     attitude: Attitudes
     cross: Floats
-    image: list[str]
+    images: Sequence[tuple[str, ...]]
     height_kind: str
     carrier: Attitudes | None = None
     above_take_off_m: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def first_images(self) -> list[str]:
+        """The image of each event, that of the first camera where several took one; empty without."""
+        return [names[0] if names else "" for names in self.images]
 
     @property
     def angles(self) -> Floats:
@@ -77,7 +90,7 @@ def at_events(
     placed: Placed,
     attitude: Attitudes,
     time_sigma_s: Floats,
-    image: list[str],
+    images: Sequence[tuple[str, ...]],
     height_kind: str,
 ) -> Exposures:
     """Put positions and attitudes of the same instants together."""
@@ -89,7 +102,7 @@ def at_events(
         covariance = attitude.covariance + s2 * w[:, :, None] * w[:, None, :]
         cross = s2 * velocity[:, :, None] * w[:, None, :] + 0.0 * attitude.covariance
     timed = replace(attitude, covariance=covariance)
-    return Exposures(events.time, events.number, placed, timed, cross, image, height_kind)
+    return Exposures(events.time, events.number, placed, timed, cross, images, height_kind)
 
 
 def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
@@ -176,13 +189,13 @@ class CameraMatch:
 
 def match_images(
     images: list[ImageMetadata], events: Events, largest_offset_s: float
-) -> tuple[list[str], list[CameraMatch]]:
+) -> tuple[list[tuple[str, ...]], list[CameraMatch]]:
     """Match images to events, camera by camera.
 
     raises IllPosedError: when those of one may belong to several events; when those of none belong to any: a
         telephone's among them need not.
     """
-    names = [""] * len(events)
+    names: list[tuple[str, ...]] = [()] * len(events)
     matches, refusals = list[CameraMatch](), list[UnrelatedImagesError]()
     event_s = (events.time.ns - events.time.ns[0]) / 1e9
     origin_s = float(events.time.to_utc().ns[0]) / 1e9
@@ -196,7 +209,7 @@ def match_images(
             refusals.append(refusal)
             matching = no_matching(len(of_camera))
         for i, e in zip(matching.image.tolist(), matching.event.tolist(), strict=True):
-            names[e] = f"{names[e]} {of_camera[i].name}".strip()
+            names[e] = (*names[e], of_camera[i].name)
         matches.append(CameraMatch(camera, [image.name for image in of_camera], matching))
     if len(refusals) == len(matches):
         raise refusals[0]

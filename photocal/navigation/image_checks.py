@@ -100,7 +100,7 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
     """Return what the comparison shows as a check."""
     if not pairs:
         return untested(CODE, "no-neighbours", {"source": source})
-    angles = np.array([pair.angle_deg for pair in pairs])
+    angles, names = np.array([pair.angle_deg for pair in pairs]), exposures.first_images
     turned = stored_turns(pairs)
     # Over a turn of the vehicle attitudes lag behind: pairs within a strip are told apart from those across.
     within = np.array([pair.quarter_turns == 0 for pair in pairs])
@@ -109,8 +109,8 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
         "n": len(pairs),
         "pairs": [
             {
-                "first": exposures.image[pair.first],
-                "second": exposures.image[pair.second],
+                "first": names[pair.first],
+                "second": names[pair.second],
                 "points": pair.points,
                 "angle_deg": pair.angle_deg,
                 "quarter_turns": pair.quarter_turns,
@@ -120,14 +120,14 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
         "median_deg": float(np.median(angles)),
         "median_same_way_deg": float(np.median(angles[within])) if within.any() else None,
         "stored_turned": [
-            {"image": exposures.image[row], "degrees": 90 * turn} for row, turn in sorted(turned.items())
+            {"image": names[row], "degrees": 90 * turn} for row, turn in sorted(turned.items())
         ],
     }
     clauses = ("within",) if within.any() and not within.all() else ()
     figures["within"] = int(within.sum())
     if turned:
         rows = sorted(turned)
-        figures["images"] = tuple(exposures.image[row] for row in rows)
+        figures["images"] = tuple(names[row] for row in rows)
         figures["first"], figures["last"] = figures["images"][0], figures["images"][-1]
         strip = len(rows) > 2 and rows[-1] - rows[0] == len(rows) - 1
         stored = "strip-turned" if strip else "stored-turned"
@@ -229,28 +229,25 @@ def check_images(
 
     Two images alone would not do: over flat ground a tilt and a shift look alike.
     """
-    paths = [image.path for image in images if image.path is not None and image.name in exposures.image]
+    names = exposures.first_images
+    paths = [image.path for image in images if image.path is not None and image.name in names]
     try:
         block = measure_images(paths, "images", how.plan, how.progress).block
     except PhotocalError as refusal:
         return [untested(CODE, "images-not-oriented", {"source": "tie-points", "reason": refusal.what})]
     made = block.images
     oriented = OrientedImages(made.names, block.cameras, made.camera, made.values)
-    return check_oriented(_in_order(oriented, exposures.image), exposures, rig, "tie-points")
+    return check_oriented(oriented.named(names), exposures, rig, "tie-points")
 
 
 def oriented_images(folder: Path, images: list[str]) -> OrientedImages:
     """Read images of a run folder, a block folder, or a table of images with X, Y, Z, omega, phi, kappa."""
     if (folder / RESULT).is_file():
-        return _in_order(read_result(folder).images, images)
+        return read_result(folder).images.named(images)
     path = folder / "images.csv" if folder.is_dir() else folder
     table = read_wider_table(path, ("image", "X", "Y", "Z"))
     # Without angles the positions serve all the same.
     angles = np.radians(table.matrix(("omega", "phi", "kappa"), empty=np.nan))
     values = np.hstack([angles, table.matrix("XYZ")])
     names = table.unique_names("image")
-    return _in_order(OrientedImages(names, (), np.full(len(names), -1), values), images)
-
-
-def _in_order(oriented: OrientedImages, images: list[str]) -> OrientedImages:
-    return oriented.named([name.split(" ")[0] for name in images])
+    return OrientedImages(names, (), np.full(len(names), -1), values).named(images)

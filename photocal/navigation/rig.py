@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +11,7 @@ from acquire.channels.mounting import CAMERA_PLACE_SIGMA_M, MOUNT_SIGMA_DEG, Mou
 from photocal.adjustment.mounting import NADIR
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
+from photocal.block.camera_setup import Sigma, sigmas
 from photocal.block.mounting import BODY_AXES
 from photocal.block.setup import MountingKeys
 from photocal.findings.finding import Finding
@@ -113,7 +114,7 @@ def _signed(values: Iterable[float]) -> tuple[str, ...]:
     return tuple(f"{value:+.3f}" for value in values)
 
 
-def _sigma(given: float | tuple[float, ...] | Literal["free"], unknown: float) -> Floats:
+def _sigma(given: Sigma, unknown: float) -> Floats:
     """Return standard deviations; what an adjustment is to find is not known better than `unknown`."""
-    value = unknown if isinstance(given, str) else given
-    return np.array(np.broadcast_to(np.asarray(value, np.float64), 3))
+    stated = sigmas(given)
+    return np.where(np.isinf(stated), unknown, stated)

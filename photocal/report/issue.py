@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from photocal.base.arrays import as_plain, picked
+from photocal.base.codec import object_of
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_folder
 from photocal.block.model import InputFile
@@ -24,7 +25,7 @@ from photocal.report.derived_figures import DerivedFigures, derived_figures, ver
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
 from photocal.report.stored_analysis import Run, certified_analysis, read_run
-from photocal.results.folder import checked, read_json, result_json
+from photocal.results.folder import read_json, result_json
 from photocal.results.origin import block_of_run, carry
 from photocal.results.result import Figures, Result
 
@@ -166,8 +167,8 @@ def read_record(path: Path) -> tuple[dict[str, Any], Path]:
     file = path / NAME if path.is_dir() else path
     if file.is_symlink() or not file.is_file():
         raise InputNotFoundError("no such file", "name certificate.json or its folder", where=file)
-    text, content = read_json(file, SCHEMA, "name the certificate.json of a certificate")
-    _complete(text, file)
+    content = read_json(file, SCHEMA, "name the certificate.json of a certificate")
+    _complete(content, file)
     return content, file.parent
 
 
@@ -176,13 +177,13 @@ def certified_result(certificate: dict[str, Any], folder: Path) -> Figures:
 
     raises InputMalformedError: when it is not complete.
     """
-    text, remedy = json.dumps(certificate["result"]), "make the certificate again"
-    return checked(text, Figures, folder / NAME, remedy, "result")
+    remedy = "make the certificate again"
+    return object_of(Figures, certificate["result"], folder / NAME, remedy, "result")
 
 
-def _complete(text: str, file: Path) -> None:
+def _complete(content: dict[str, Any], file: Path) -> None:
     """Refuse what lacks or has otherwise what a verification needs, and inputs outside their folder."""
-    needed = checked(text, _Needed, file, "make the certificate again")
+    needed = object_of(_Needed, content, file, "make the certificate again")
     names = [*(entry.path for entry in needed.result.inputs), *(entry.path for entry in needed.run_files)]
     for name in (*names, needed.result.block.setup):
         # A certificate comes from elsewhere: it may not reach outside the folder of its inputs.

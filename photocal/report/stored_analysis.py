@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from photocal.analysis.outcome import ANALYSIS, SCHEMA, Analysis
-from photocal.base.arrays import as_plain, from_plain
+from photocal.base.arrays import as_plain
+from photocal.base.codec import from_plain
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import InputFile, fingerprint
 from photocal.results.folder import RESULT, read_json, read_result
@@ -63,7 +64,7 @@ def read_run(folder: Path) -> Run:
     path = folder / ANALYSIS
     if not path.is_file():
         return Run(result, result.files)
-    _, content = read_json(path, SCHEMA, _AGAIN)
+    content = read_json(path, SCHEMA, _AGAIN)
     malformed = InputMalformedError.at(path)
     try:
         stored: Analysis = from_plain(Analysis, content)

@@ -1,39 +1,26 @@
 """The run folder: the one writer and the one reader of a result."""
 
-import json
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.csv
 import pyarrow.parquet
 
 from photocal.base.arrays import Floats, Integers, as_plain
-from photocal.base.checked_json import read_checked_json
-from photocal.base.errors import InputMalformedError, InputNotFoundError
+from photocal.base.checked_toml import checked_tables
+from photocal.base.codec import object_of, parsed_json
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import write_json
+from photocal.block.camera_setup import CameraKeys, camera_keys, camera_of
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import fingerprint
-from photocal.block.table import known_rows, read_table
-from photocal.geometry.camera import (
-    MOTION,
-    PARAMETERS,
-    SHAKE,
-    Affinity,
-    AffinityForm,
-    Camera,
-    DistortionAt,
-    Model,
-    ReadoutDirection,
-    Shutter,
-    camera,
-)
+from photocal.block.table import known_rows, read_table, write_table
+from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.result import (
     ANGLES,
@@ -46,54 +33,18 @@ from photocal.results.result import (
     Result,
 )
 
-if TYPE_CHECKING:
-    from pydantic import TypeAdapter
-
 SCHEMA = "photocal.adjustment/1"
 RESULT = "result.json"
 COVARIANCE = "covariance.parquet"
 AGAIN = "run `photocal adjust` again"
+# What is called in `result.json` as in `[[camera]]`.
+_SAME = {
+    *("model", "unit", "size_px", "pitch_mm", "affinity", "affinity_form", "distortion_at"),
+    *("readout_direction", "shake_rad"),
+}
+_SOME = {"shutter", "gust", "prior_correlation"}
 # Residual tables longer than this are written as Parquet.
 LONG_TABLE = 500_000
-LARGEST_JSON = 1 << 28
-
-Kind = TypeVar("Kind")
-
-
-@dataclass(frozen=True)
-class _Parameter:
-    value: float
-    sigma: float
-    estimated: bool
-    given: float | None = None
-    prior_sigma: float | None = None
-    deviation_sigma: float | None = None
-
-
-@dataclass(frozen=True)
-class _Correlation:
-    names: tuple[str, ...]
-    matrix: tuple[tuple[float, ...], ...]
-
-
-@dataclass(frozen=True)
-class _Camera:
-    model: Model
-    unit: Literal["mm", "px"]
-    size_px: tuple[int, int]
-    parameters: dict[str, _Parameter]
-    correlation: _Correlation
-    pitch_mm: tuple[float, float] | None = None
-    reference_radius: float = 0.0
-    affinity: Affinity = "additive"
-    affinity_form: AffinityForm = "fraser"
-    focus_m: float | None = None
-    distortion_at: DistortionAt = "adjusted"
-    shutter: Shutter = "global"
-    readout_direction: ReadoutDirection = "top-to-bottom"
-    shake_rad: tuple[float, ...] = ()
-    c_is_a_guess: bool = False
-    photo_variant: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,7 +57,7 @@ class _File(Figures):
     """What `result.json` holds."""
 
     schema: str
-    cameras: dict[str, _Camera]
+    cameras: dict[str, Any]
     images: _Images
 
 
@@ -130,34 +81,30 @@ def result_json(result: Result) -> dict[str, Any]:
 
 
 def _camera_json(camera: Camera) -> dict[str, Any]:
-    parameters = {}
+    """The keys of `[[camera]]`, with what belongs to a parameter together."""
+    said = camera_keys(camera)
+    before, parameters = camera.values if camera.given is None else camera.given, {}
     for name in camera.lens.names if camera.rolling else camera.lens.names[:-1]:
-        k = PARAMETERS.index(name)
-        prior, deviation = float(camera.prior_sigma[k]), float(camera.deviation_sigma[k])
+        k, deviation = PARAMETERS.index(name), said.photo_variant.get(name, "free")
+        prior = float(camera.prior_sigma[k])
         parameters[name] = {
-            "value": float(camera.values[k]),
-            "given": float((camera.values if camera.given is None else camera.given)[k]),
+            "value": camera.value(name),
+            "given": float(before[k]),
             "sigma": camera.sigma_of(name),
-            "estimated": bool(camera.estimated[k]),
+            "estimated": name in said.estimate,
             "prior_sigma": prior if math.isfinite(prior) else None,
+            **({} if deviation == "free" else {"deviation_sigma": deviation}),
         }
-        if deviation and math.isfinite(deviation):
-            parameters[name]["deviation_sigma"] = deviation
+    # Of what shutters alone have, or few blocks state, older files say nothing.
+    more = {"gust"} if camera.shutter != "global" else set()
+    more |= {"prior_correlation"} if camera.prior_correlation is not None else set()
     return {
-        "model": camera.model,
-        "unit": camera.unit,
-        "size_px": list(camera.size_px),
-        "pitch_mm": list(camera.pitch) if camera.unit == "mm" else None,
-        "reference_radius": camera.reference_radius,
-        "affinity": camera.affinity,
-        "affinity_form": camera.affinity_form,
+        **said.model_dump(mode="json", include=_SAME | more),
+        "reference_radius": said.R0,
         "focus_m": camera.focus_m or None,
-        "distortion_at": camera.distortion_at,
         "shutter": camera.shutter,
-        "readout_direction": camera.readout_direction,
-        "shake_rad": list(camera.shake),
         "c_is_a_guess": camera.guessed and not camera.estimated[0],
-        "photo_variant": list(camera.photo_variant),
+        "photo_variant": list(said.photo_variant),
         "parameters": parameters,
         "correlation": {"names": list(camera.free), "matrix": camera.correlation_of(camera.free).tolist()},
     }
@@ -166,17 +113,10 @@ def _camera_json(camera: Camera) -> dict[str, Any]:
 def write_result(folder: Path, result: Result) -> None:
     """Write `result.json` and the tables beside it into a folder that exists."""
     for name, table in result.tables().items():
-        if name == "residuals" and table.num_rows > LONG_TABLE:
-            pyarrow.parquet.write_table(table, folder / f"{name}.parquet")
-        else:
-            write_csv(folder / f"{name}.csv", table)
+        long = name == "residuals" and table.num_rows > LONG_TABLE
+        write_table(folder / (f"{name}.parquet" if long else f"{name}.csv"), table)
     pyarrow.parquet.write_table(_covariances(result), folder / COVARIANCE)
     write_json(folder / RESULT, result_json(result))
-
-
-def write_csv(path: Path, table: Any) -> None:
-    """Write an Arrow table as CSV; null cells are empty."""
-    pyarrow.csv.write_csv(table, path, pyarrow.csv.WriteOptions(quoting_style="needed"))
 
 
 def _covariances(result: Result) -> Any:
@@ -215,8 +155,8 @@ def read_result(folder: Path) -> Result:
     if not folder.is_dir():
         what = "is a file, a folder was expected" if folder.exists() else "no such folder"
         raise InputNotFoundError(what, "give the folder that `photocal adjust` wrote", where=folder)
-    text, _ = read_json(folder / RESULT, SCHEMA, "adjust with this version of photocal")
-    content = checked(text, _File, folder / RESULT, AGAIN)
+    stored = read_json(folder / RESULT, SCHEMA, "adjust with this version of photocal")
+    content = object_of(_File, stored, folder / RESULT, AGAIN)
     cameras = {name: _camera(name, stored, folder / RESULT) for name, stored in content.cameras.items()}
     images = _images(folder, cameras)
     points = _points(folder)
@@ -240,119 +180,80 @@ def read_result(folder: Path) -> Result:
     )
 
 
-def read_json(path: Path, schema: str, remedy: str) -> tuple[str, dict[str, Any]]:
-    """Read a file of JSON of a schema: its text and what that holds."""
-    missing = InputNotFoundError.at(path)
-    if not path.is_file():
-        raise missing("does not exist", "give the folder that `photocal adjust` wrote")
-    if path.stat().st_size > LARGEST_JSON:
-        raise InputMalformedError("is no JSON of ours: it is too large", remedy, where=path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        if not text.strip():
-            raise missing("the file is empty", remedy)
-        content = read_checked_json(text)
-    except UnicodeDecodeError as broken:
-        raise InputMalformedError("is not UTF-8 text", remedy, where=f"{path}, byte {broken.start}") from None
-    except json.JSONDecodeError as broken:
-        raise InputMalformedError(
-            f"is not complete JSON ({broken.msg})", remedy, where=f"{path}, line {broken.lineno}"
-        ) from None
-    except (ValueError, RecursionError) as broken:
-        raise InputMalformedError(str(broken), remedy, where=path) from None
+def read_json(path: Path, schema: str, remedy: str) -> dict[str, Any]:
+    """Read a file of JSON of a schema; errors as of `photocal.base.codec.parsed_json`."""
+    content = parsed_json(path, remedy)
     stored = content.get("schema") if isinstance(content, dict) else None
     if stored != schema:
         raise InputMalformedError(f"schema is {stored!r}, {schema!r} was expected", remedy, where=path)
-    return text, content
+    return dict(content)
 
 
 def cameras_of_json(content: object, path: Path) -> dict[str, Camera]:
     """Give the cameras of what `result_json` made; errors as of `read_result`."""
-    known = checked(json.dumps(content), dict[str, _Camera], path, AGAIN, "cameras")
+    known = object_of(dict[str, Any], content, path, AGAIN, "cameras")
     return {name: _camera(name, stored, path) for name, stored in known.items()}
 
 
 def heads_of_json(content: object, path: Path) -> tuple[AdjustedHead, ...]:
     """Give the heads of what `result_json` made; errors as of `read_result`."""
-    return checked(json.dumps(content), tuple[AdjustedHead, ...], path, AGAIN, "heads")
+    return object_of(tuple[AdjustedHead, ...], content, path, AGAIN, "heads")
 
 
-@cache
-def _adapter(kind: Hashable) -> "TypeAdapter[Any]":
-    """What reads a kind; to make it takes longer than to read."""
-    from pydantic import TypeAdapter
+@dataclass(frozen=True)
+class _Parameter:
+    """What `result.json` says of a parameter."""
 
-    return TypeAdapter(cast("Any", kind))
-
-
-def checked(text: str, kind: type[Kind], path: Path, remedy: str, within: str = "") -> Kind:
-    """Turn JSON into a dataclass; what does not fit is named by its key."""
-    from pydantic import ValidationError
-
-    try:
-        value: Kind = _adapter(cast("Hashable", kind)).validate_json(text, strict=True)
-    except ValidationError as refusal:
-        first = refusal.errors()[0]
-        place = ".".join([*([within] if within else []), *(str(step) for step in first["loc"])])
-        raise InputMalformedError(f"{place}: {first['msg']}", remedy, where=path) from None
-    return value
+    value: float
+    sigma: float
+    estimated: bool
+    given: float | None = None
+    prior_sigma: float | None = None
+    deviation_sigma: float | None = None
 
 
-def _camera(name: str, stored: _Camera, path: Path) -> Camera:
+def _camera(name: str, stored: Any, path: Path) -> Camera:
+    """A camera of `result.json`, said in the keys of `[[camera]]`."""
     malformed = InputMalformedError.at(f"{path}, camera {name}")
-    if "c" not in stored.parameters or not stored.parameters["c"].value > 0.0:
+    content = object_of(dict[str, Any], stored, path, AGAIN, f"cameras.{name}")
+    where, own = f"cameras.{name}.parameters", content.get("parameters")
+    parameters = object_of(dict[str, _Parameter], own, path, AGAIN, where)
+    if not ("c" in parameters and parameters["c"].value > 0.0):
         raise malformed("has no positive principal distance c", AGAIN)
-    if stored.unit == "mm" and (stored.pitch_mm is None or not min(stored.pitch_mm) > 0.0):
+    if content.get("unit") == "mm" and not content.get("pitch_mm"):
         raise malformed("has no positive pixel pitch", "give pitch_mm in block.toml")
-    names = stored.correlation.names
-    if len(stored.correlation.matrix) != len(names) or any(
-        len(row) != len(names) for row in stored.correlation.matrix
-    ):
-        raise malformed(f"correlation matrix is not {len(names)} by {len(names)}", AGAIN)
-    unknown = sorted(set(stored.parameters) - set(PARAMETERS))
-    if unknown:
-        raise malformed(f"{unknown[0]} is no parameter", AGAIN)
-    if sorted(key for key, parameter in stored.parameters.items() if parameter.estimated) != sorted(names):
-        raise malformed("correlation names differ from the estimated parameters", AGAIN)
-    sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
-    for key, entry in stored.parameters.items():
+    for key, entry in parameters.items():
         if not (math.isfinite(entry.sigma) and entry.sigma >= 0.0):
             raise malformed(f"sigma of {key} is negative", AGAIN)
-        sigma[PARAMETERS.index(key)] = entry.sigma
-    rows = [PARAMETERS.index(key) for key in names]
-    correlation[np.ix_(rows, rows)] = np.array(stored.correlation.matrix).reshape(len(names), len(names))
-    adjusted = camera(
-        name,
-        stored.model,
-        stored.unit,
-        stored.size_px,
-        stored.pitch_mm if stored.unit == "mm" and stored.pitch_mm else (1.0, 1.0),
-        {key: parameter.value for key, parameter in stored.parameters.items()},
-        estimate=names,
-        prior_sigma={
-            k: parameter.prior_sigma
-            for k, parameter in stored.parameters.items()
-            if parameter.prior_sigma is not None
-        },
-        reference_radius=stored.reference_radius,
-        affinity=stored.affinity,
-        affinity_form=stored.affinity_form,
+    varying = object_of(tuple[str, ...], content.get("photo_variant", ()), path, AGAIN, "photo_variant")
+    unknown = [key for key in varying if key not in parameters]
+    if unknown:
+        raise malformed(f"{unknown[0]} is no parameter", AGAIN)
+    keys = {
+        "id": name,
+        **{key: content[key] for key in (*_SAME, *_SOME, "reference_radius") if key in content},
+        "focus": {"distance_m": content["focus_m"]} if content.get("focus_m") else None,
+        "guessed": content.get("c_is_a_guess", False),
         # Without its size (older versions did not write it) a deviation is free.
-        photo_variant={
-            key: stored.parameters[key].deviation_sigma or math.inf for key in stored.photo_variant
-        },
-        focus_m=stored.focus_m or 0.0,
-    )
-    given = [stored.parameters[key].given if key in stored.parameters else 0.0 for key in PARAMETERS]
-    return replace(
-        adjusted.adjusted(adjusted.values, sigma, correlation),
-        guessed=stored.c_is_a_guess,
-        distortion_at=stored.distortion_at,
-        shutter=stored.shutter,
-        readout_direction=stored.readout_direction,
-        shake=stored.shake_rad,
-        given=None if None in given else np.array(given, dtype=float),
-    )
+        "photo_variant": {key: parameters[key].deviation_sigma or "free" for key in varying},
+        "parameters": {key: entry.value for key, entry in parameters.items()},
+        "estimate": [key for key, entry in parameters.items() if entry.estimated],
+        "prior_sigma": {k: e.prior_sigma for k, e in parameters.items() if e.prior_sigma is not None},
+        "sigma": {key: entry.sigma for key, entry in parameters.items() if entry.sigma},
+        "given": None
+        if any(entry.given is None for entry in parameters.values())
+        else {key: entry.given for key, entry in parameters.items()},
+        "correlation": content.get("correlation"),
+    }
+    try:
+        said = checked_tables(keys, CameraKeys, f"{path}, camera {name}")
+        names = said.correlation.names if said.correlation is not None else ()
+        made = camera_of(said, path)
+    except ConfigurationError as wrong:
+        raise InputMalformedError(wrong.what, AGAIN, where=wrong.where) from None
+    if sorted(said.estimate) != sorted(names):
+        raise malformed("correlation names differ from the estimated parameters", AGAIN)
+    return replace(made, shutter=said.shutter or "global")
 
 
 def _images(folder: Path, cameras: dict[str, Camera]) -> OrientedImages:

@@ -18,8 +18,8 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, plane_per_unit
+from photocal.block.table import write_table
 from photocal.geometry.camera import OWN
-from photocal.results.folder import write_csv
 from photocal.results.result import AdjustedPoints
 
 
@@ -124,7 +124,7 @@ def _write(path: Path, columns: dict[str, Any]) -> None:
         name: pa.array(values, from_pandas=True) if isinstance(values, np.ndarray) else values
         for name, values in columns.items()
     }
-    write_csv(path, pa.table(arrays))
+    write_table(path, pa.table(arrays))
 
 
 def _photo_variant(block: Block, solution: Solution) -> dict[str, Any]:

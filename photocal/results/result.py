@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
+from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -12,12 +14,15 @@ from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import GlobalTest, Group
 from photocal.base.arrays import Columns, Floats, Integers
+from photocal.base.files import output_folder
 from photocal.block.model import InputFile, Repetition
 from photocal.geometry.camera import MOTION, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
 
 ANGLES, PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
 TURNS, CENTRES = OF_HEAD[TURN], OF_HEAD[CENTRE]
+# Named, not imported: it stands on this module.
+_FOLDER = "photocal.results.folder"
 # Radians and metres to what the tables have.
 SHOWN = np.array([*np.degrees(np.ones(3)), 1.0, 1.0, 1.0])
 
@@ -284,6 +289,17 @@ class Result(Figures):
     points: AdjustedPoints
     residuals: Residuals
     files: tuple[InputFile, ...] = ()
+
+    @staticmethod
+    def read(path: str | Path) -> "Result":
+        """Read a run folder; errors as of `results.folder.read_result`."""
+        result: Result = import_module(_FOLDER).read_result(Path(path))
+        return result
+
+    def write(self, path: str | Path) -> None:
+        """Write a run folder, whole or not at all."""
+        with output_folder(Path(path)) as aside:
+            import_module(_FOLDER).write_result(aside, self)
 
     def __repr__(self) -> str:
         """What a person wants to know first."""

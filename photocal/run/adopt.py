@@ -13,7 +13,8 @@ from scipy.stats import f
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factored
 from photocal.adjustment.groups import member_tests
-from photocal.adjustment.network import NO_RELATIONS
+from photocal.adjustment.mounting import Positions
+from photocal.adjustment.network import NO_RELATIONS, covariance_matrices
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import ray_fit, robust_state, subset
 from photocal.adjustment.state import start_state
@@ -22,8 +23,8 @@ from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.base.files import write_json, write_rows
 from photocal.base.progress import Progress
-from photocal.block.folder import read_block
 from photocal.block.model import ROLES, Block, ObjectPoints
+from photocal.block.mounting import make_mounting
 from photocal.block.network import assemble, behind_cameras, block_frame
 from photocal.block.setup import MountingKeys
 from photocal.exchange.foreign_project import (
@@ -36,7 +37,7 @@ from photocal.geometry.camera import Camera, among
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import aligned_similarity, robust_similarity
 from photocal.measurement.block_files import SCHEMA as MEASURED
-from photocal.measurement.block_files import write_block
+from photocal.measurement.block_files import Measured
 from photocal.measurement.marks import in_map_system, named_after, read_control_marks, with_marks
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_block import TIE, intersected, views_of
@@ -51,7 +52,6 @@ from photocal.run.adoption_figures import (
     position_figures,
     sigma_figures,
 )
-from photocal.run.block import mounting_text
 from photocal.run.folder_survey import ASSUMED_M
 
 SCHEMA = "photocal.adoption/1"
@@ -94,19 +94,21 @@ def adopt(
         block = free_nonzero_parameters(foreign.block, weighted=foreign.weighted)
         foreign = _without_what_hangs_loose(replace(foreign, block=block))
     source, run = output / "block", output / "calibration"
-    source.mkdir(parents=True, exist_ok=True)
+    output.mkdir(parents=True, exist_ok=True)
     with progress("gross errors of the rays", None):
         foreign = _without_what_hangs_loose(_without_gross_rays(foreign, output))
     with progress("weights of the image coordinates", None):
-        foreign = _determined(source, foreign)
+        foreign = _determined(foreign)
         if not foreign.weighted:
-            _weighted(source, foreign)
+            foreign = _weighted(foreign)
+        block = _with_positions(foreign)
+        Measured(block, {"schema": MEASURED, "kind": f"project of {foreign.program}"}).write(source)
     with progress("adjustment", None):
         result = adjust_block(source, run)
     with progress("analysis", None):
         hidden = analyse_run(run, source).findings
     with progress("sigmas of control and positions", None):
-        sigmas = sigma_figures(foreign, result, _as_residuals_agree(source))
+        sigmas = sigma_figures(foreign, result, _as_residuals_agree(block))
     figures = {
         "schema": SCHEMA,
         "program": foreign.program,
@@ -280,27 +282,22 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_NAMED]) + (" ..." if len(names) > MOST_NAMED else "")
 
 
-def _write(folder: Path, foreign: ForeignProject) -> None:
-    """Write the block folder; positions may be shifted all alike where control says so."""
+def _with_positions(foreign: ForeignProject) -> Block:
+    """The block that is adjusted; positions may be shifted all alike where control says so."""
     block = foreign.block
-    known = np.asarray(np.isfinite(foreign.position).all(axis=1))
+    known = np.flatnonzero(np.isfinite(foreign.position).all(axis=1))
     controlled = int(block.points.of_role("control").sum()) >= FEWEST_CONTROL
     held = np.isfinite(block.images.sigma).any()
-    if not (known.any() or block.points.of_role("control").any() or held):
-        block = replace(block, datum="free")
-    write_block(folder, block, {"schema": MEASURED, "kind": f"project of {foreign.program}"})
-    if known.any():
-        rows = [
-            [name, *(f"{v:.6f}" for v in (*place, *sigma))]
-            for name, place, sigma, has in zip(
-                block.images.names, foreign.position, foreign.position_sigma, known.tolist(), strict=True
-            )
-            if has
-        ]
-        write_rows(folder / "positions.csv", ("image", "X", "Y", "Z", "sX", "sY", "sZ"), rows)
-        keys = MountingKeys(lever_arm_sigma_m=0.0, flight_shift_sigma_m="free" if controlled else 0.0)
-        setup = folder / "block.toml"
-        setup.write_text(setup.read_text(encoding="utf-8") + "\n" + mounting_text(keys), encoding="utf-8")
+    if not (len(known) or block.points.of_role("control").any() or held):
+        return replace(block, datum="free")
+    if not len(known):
+        return block
+    place, none = foreign.position[known], np.zeros(len(known))
+    covariance = covariance_matrices(foreign.position_sigma[known], np.zeros((len(known), 3)))
+    strip = np.zeros(len(known), dtype=np.int64)
+    positions = Positions(known, place, covariance, np.zeros_like(place), strip, none, place[:, 2])
+    keys = MountingKeys(flight_shift_sigma_m="free" if controlled else 0.0)
+    return replace(block, positions=positions, mounting=make_mounting(keys, 1))
 
 
 def _without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
@@ -326,11 +323,10 @@ def _without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
     return replace(foreign, block=block, remarks=(*foreign.remarks, *remarks))
 
 
-def _determined(folder: Path, foreign: ForeignProject) -> ForeignProject:
+def _determined(foreign: ForeignProject) -> ForeignProject:
     """Hold the cameras where the block does not determine what the program's camera has."""
-    _write(folder, foreign)
     try:
-        _solved(folder)
+        _solved(foreign)
     except (IllPosedError, NotConvergedError) as refusal:
         if not any(camera.estimated.any() for camera in foreign.block.cameras):
             raise
@@ -345,19 +341,18 @@ def _determined(folder: Path, foreign: ForeignProject) -> ForeignProject:
         remark = f"the cameras are held as the program has them: {refusal.what}"
         block = replace(foreign.block, cameras=cameras)
         foreign = replace(foreign, block=block, remarks=(*foreign.remarks, remark))
-        _write(folder, foreign)
     return foreign
 
 
-def _weighted(folder: Path, foreign: ForeignProject) -> None:
-    """Estimate the sigmas of tie points and of marks from their residuals, px, and write them."""
+def _weighted(foreign: ForeignProject) -> ForeignProject:
+    """Estimate the sigmas of tie points and of marks from their residuals, px."""
     block, tie = foreign.block, foreign.block.points.of_role("tie")[foreign.block.observations.point]
     for _ in range(_WEIGHTINGS):
         try:
             # Control that is exchanged says nothing of the marks.
             residuals = adjust_network(_by_rays_alone(block)).residuals
         except (IllPosedError, NotConvergedError):
-            residuals = _solved(folder).residuals
+            residuals = _solved(replace(foreign, block=block)).residuals
         kinds = tie if len(residuals) == len(tie) else tie[_crossed(block)]
         free = [float(np.nansum(residuals.redundancy[rays])) for rays in (kinds, ~kinds)]
         squares = [float(np.nansum(residuals.residual[rays] ** 2)) for rays in (kinds, ~kinds)]
@@ -369,7 +364,7 @@ def _weighted(folder: Path, foreign: ForeignProject) -> None:
                 for rays, square, count in zip((tie, ~tie), squares, free, strict=True):
                     sigma[rays] = np.sqrt(square / count)
         block = replace(block, observations=replace(block.observations, sigma=sigma))
-        _write(folder, replace(foreign, block=block))
+    return replace(foreign, block=block)
 
 
 def _crossed(block: Block) -> Flags:
@@ -378,9 +373,9 @@ def _crossed(block: Block) -> Flags:
     return np.asarray(np.bincount(seen, minlength=len(block.points.names))[seen] > 1)
 
 
-def _as_residuals_agree(folder: Path) -> dict[str, Floats]:
+def _as_residuals_agree(block: Block) -> dict[str, Floats]:
     """Variances of control points and of positions along the axes, m^2, (3,), that the residuals show."""
-    network = assemble(read_block(folder)).network
+    network = assemble(block).network
     try:
         # Frames may be as stiff as they are stated to be, or stiffer.
         estimated = estimate_components(network, hold=("rig",), settled=_SETTLED)
@@ -405,6 +400,6 @@ def _as_residuals_agree(folder: Path) -> dict[str, Floats]:
     return {kind: np.nanmean(rows, axis=0) for kind, rows in variances.items() if np.isfinite(rows).any()}
 
 
-def _solved(folder: Path) -> Result:
-    block = read_block(folder)
+def _solved(foreign: ForeignProject) -> Result:
+    block = _with_positions(foreign)
     return result_of(block, *adjusted(assemble(block)))

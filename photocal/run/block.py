@@ -1,48 +1,50 @@
 """Stage `block`: what was measured in the images and what GNSS and inertial unit observed, in one folder."""
 
-import csv
-import json
 import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
+
+from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS, Attitudes, Positions
+from photocal.adjustment.network import RELATIONS
 from photocal.base.errors import InputNotFoundError
 from photocal.base.progress import Progress
+from photocal.block.model import Block
 from photocal.block.setup import MountingKeys
 from photocal.project import Project
 from photocal.run.stage import Stage
 
-_FROM_EXPOSURES = ("positions.csv", "attitudes.csv")
+Observed = TypeVar("Observed", Positions, Attitudes)
 
 
 def block_stage(project: Project, exposures: Path | None, measurements: Path) -> Stage:
     """Describe the stage, which follows those whose folders are given; exposures None without a flight."""
-    from photocal.block.folder import read_block
-    from photocal.run.project_checks import check_rays
-
     distances, bent = project.control.distances, project.contents.project.refraction
 
     def make(folder: Path, _: Progress) -> None:
-        for path in sorted(measurements.iterdir()):
-            if path.name != "stage.json":
-                shutil.copyfile(path, folder / path.name)
+        from photocal.block.folder import read_block, read_relations
+        from photocal.block.writer import write_block
+        from photocal.measurement.block_files import RECORD
+        from photocal.run.project_checks import check_rays
+
+        block = read_block(measurements)
         if distances is not None:
-            shutil.copyfile(distances, folder / "distances.csv")
+            given = read_relations(distances, "distance", block.points.names)
+            others = block.relations.rows(block.relations.kind != list(RELATIONS).index("distance"))
+            block = replace(block, relations=given.plus(others))
         if bent is not None:
-            text = (folder / "block.toml").read_text(encoding="utf-8")
-            with_choice = text.replace("[block]\n", f"[block]\nrefraction = {bent}\n", 1)
-            (folder / "block.toml").write_text(with_choice, encoding="utf-8")
-        if exposures is None:
-            return
-        with (folder / "images.csv").open(newline="", encoding="utf-8") as stream:
-            images = {row["image"] for row in csv.DictReader(stream)}
-        for name in _FROM_EXPOSURES:
-            _copy_rows(exposures / name, folder / name, images)
-        setup = folder / "block.toml"
-        keys = project.rig.mounting().model_copy(update=_shared_by_the_flight(exposures))
-        text = setup.read_text(encoding="utf-8") + "\n" + mounting_text(keys)
-        setup.write_text(text, encoding="utf-8")
-        check_rays(read_block(folder), project.control.points)
+            block = replace(block, refraction=bent)
+        if exposures is not None:
+            block = _flown(block, exposures, project.rig.mounting())
+            check_rays(block, project.control.points)
+        write_block(folder, block)
+        if (measurements / RECORD).exists():
+            shutil.copyfile(measurements / RECORD, folder / RECORD)
 
     chosen: dict[str, Any] = {} if bent is None else {"refraction": bent}
     inputs = {} if distances is None else {"distances": distances}
@@ -52,29 +54,45 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
     return Stage("block", "the block", make, inputs, settings, (exposures, measurements))
 
 
-def _shared_by_the_flight(exposures: Path) -> dict[str, Any]:
-    """What the errors of all positions have in common, as keys of `[mounting]`; none without PPK."""
-    common = json.loads((exposures / "exposures.json").read_text(encoding="utf-8")).get("common")
-    if common is None:
-        return {}
-    return {
-        "flight_shift_sigma_m": tuple(common["shift_sigma_m"]),
-        "height_scale_sigma": common["zenith_scale_sigma"],
-        "height_scale_from_m": common["base_height_m"],
-    }
+def _flown(block: Block, exposures: Path, keys: MountingKeys) -> Block:
+    """The block with what was observed at its exposures, and what the errors of all positions share."""
+    from photocal.block.mounting import make_mounting, read_attitudes, read_positions
+    from photocal.block.table import read_wider_table
+    from photocal.run.exposures import read_figures
 
+    common = read_figures(exposures).common
+    if common is not None:
+        keys = keys.model_copy(
+            update={
+                "flight_shift_sigma_m": common.shift_sigma_m,
+                "height_scale_sigma": common.zenith_scale_sigma,
+                "height_scale_from_m": common.base_height_m,
+            }
+        )
 
-def _copy_rows(source: Path, target: Path, images: set[str]) -> None:
-    """Copy the rows of images that take part, for some had no usable points; a table without rows is none."""
-    with source.open(newline="", encoding="utf-8") as given:
-        reader = csv.DictReader(given)
-        rows = [row for row in reader if row["image"] in images]
-    if not rows:
-        return
-    with target.open("w", newline="", encoding="utf-8") as taken:
-        writer = csv.DictWriter(taken, reader.fieldnames or (), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    def observed(name: str, read: Callable[[Path, tuple[str, ...]], Observed], none: Observed) -> Observed:
+        """What was observed at images of the block; some had no usable points."""
+        path = exposures / name
+        with path.open(encoding="utf-8") as rows:
+            if not any(islice(rows, 1, None)):
+                return none
+        names = read_wider_table(path, ("image",)).unique_names("image")
+        place = {image: k for k, image in enumerate(block.images.names)}
+        made = read(path, names)
+        image = np.array([place.get(name, -1) for name in names], dtype=np.int64)[made.image]
+        return replace(made.rows(image >= 0), image=image[image >= 0])
+
+    from_m = keys.height_scale_from_m or 0.0
+    positions = observed("positions.csv", partial(read_positions, from_m=from_m), NO_POSITIONS)
+    # Strips are numbered by their first image that takes part.
+    first = {strip: number for number, strip in enumerate(dict.fromkeys(positions.strip.tolist()))}
+    strip = np.array([first[strip] for strip in positions.strip.tolist()], dtype=np.int64)
+    return replace(
+        block,
+        positions=replace(positions, strip=strip),
+        attitudes=observed("attitudes.csv", read_attitudes, NO_ATTITUDES),
+        mounting=make_mounting(keys, len(first)),
+    )
 
 
 def given_block_stage(source: Path) -> Stage:
@@ -88,9 +106,3 @@ def given_block_stage(source: Path) -> Stage:
         shutil.copytree(source, folder, dirs_exist_ok=True)
 
     return Stage("block", "the block", make, {"block": source})
-
-
-def mounting_text(keys: MountingKeys) -> str:
-    """Write the section `[mounting]` of a `block.toml`."""
-    values = keys.model_dump(mode="json", exclude_unset=True)
-    return "[mounting]\n" + "".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items())

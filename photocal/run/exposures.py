@@ -1,12 +1,12 @@
 """Stage `exposures`: antenna position and attitude of every exposure, matched to its image."""
 
-import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from photocal.base.codec import object_of, parsed_json
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.base.files import write_json, write_rows
 from photocal.base.progress import Progress
@@ -15,10 +15,9 @@ from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
 from photocal.project import Project
-from photocal.run.measurements import pictures_of
 from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY, ppk_stage
-from photocal.run.stage import Stage
+from photocal.run.stage import Stage, pictures_of
 
 if TYPE_CHECKING:
     from photocal.navigation.exposure_run import ExposureRun
@@ -28,6 +27,39 @@ if TYPE_CHECKING:
 FIGURES = "exposures.json"
 # Of a rate between two attitudes of an autopilot, some hundredths of a second apart, deg/s.
 _RATE_SIGMA = 2.0
+
+
+@dataclass(frozen=True)
+class MatchedCamera:
+    """How many images of a camera have an event, and which have none, or may have several."""
+
+    matched: int
+    unmatched_images: tuple[str, ...]
+    ambiguous_images: tuple[str, ...]
+    unmatched_events: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class CommonSigmas:
+    """What the errors of all positions have in common, see `navigation.common_errors.CommonErrors`."""
+
+    shift_sigma_m: tuple[float, float, float]
+    zenith_scale_sigma: float
+    base_height_m: float
+
+
+@dataclass(frozen=True)
+class ExposureFigures:
+    """What later stages take from `exposures.json`; nothing in common without PPK."""
+
+    cameras: tuple[MatchedCamera, ...] = ()
+    common: CommonSigmas | None = None
+
+
+def read_figures(folder: Path) -> ExposureFigures:
+    """Read `exposures.json` of the stage's folder."""
+    path, remedy = folder / FIGURES, "make the exposures again"
+    return object_of(ExposureFigures, parsed_json(path, remedy), path, remedy)
 
 
 def exposures_stage(project: Project, ppk: Path) -> Stage:
@@ -64,7 +96,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     from photocal.run.ppk import kept_trajectory
 
     trajectory = kept_trajectory(ppk / TRAJECTORY)
-    figures_of_ppk = json.loads((ppk / PPK_FIGURES).read_text(encoding="utf-8"))
+    figures_of_ppk = parsed_json(ppk / PPK_FIGURES, "make the PPK again")
     with show("exposures and their images", None):
         run, rig = _placed(project, trajectory, figures_of_ppk)
     if not len(with_images(run.antenna)):
@@ -75,10 +107,10 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
         )
     write_exposures(folder / "exposures.csv", run.exposures)
     write_block_images(folder / "images.csv", run.exposures, project.camera.id, None, project.crs)
-    write_geo_txt(folder / "geo.txt", run.exposures, rig)
+    left_out = write_geo_txt(folder / "geo.txt", run.exposures, rig)
     write_positions(folder / "positions.csv", run.antenna, project.crs)
     write_attitudes(folder / "attitudes.csv", run.antenna)
-    write_json(folder / FIGURES, run.figures, 2)
+    write_json(folder / FIGURES, {**run.figures, **({"geo_txt": left_out} if left_out else {})}, 2)
     plot_exposures(run, folder / "exposures.png")
 
 
@@ -120,7 +152,7 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Rig, s
     finally:
         digests.keep()
     folder = made_in(project.output) / stage.name
-    figures = json.loads((folder / PPK_FIGURES).read_text(encoding="utf-8"))
+    figures = parsed_json(folder / PPK_FIGURES, "make the PPK again")
     return *_placed(project, kept_trajectory(folder / TRAJECTORY), figures), ""
 
 
@@ -138,7 +170,7 @@ def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
         cells = [f"{v:.4f}" for v in xyz[k]] + [f"{v:.5f}" for v in sigma[k]]
         cells += [f"{covariance[k][a, b]:.4e}" for a, b in ((0, 1), (0, 2), (1, 2))]
         cells += [f"{v:.4f}" for v in velocity[k]] + [f"strip {strip[k] + 1}", f"{elapsed[k]:.3f}"]
-        lines += [[name, *cells] for name in antenna.image[row].split()]
+        lines += [[name, *cells] for name in antenna.images[row]]
     write_rows(path, (*POSITION_COLUMNS, *POSITION_EXTRAS), lines)
 
 
@@ -151,5 +183,5 @@ def write_attitudes(path: Path, antenna: Exposures) -> None:
             cells = [f"{v:.6f}" for v in np.degrees([*angles, *sigma])]
             rate = np.degrees(antenna.attitude.rate[row])
             cells += [f"{v:.4f}" for v in rate] + 3 * [f"{_RATE_SIGMA}"] if rate.any() else [""] * 6
-            lines += [[name, *cells] for name in antenna.image[row].split()]
+            lines += [[name, *cells] for name in antenna.images[row]]
     write_rows(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)

@@ -1,6 +1,5 @@
 """Stage `measurements`: tie points, targets and marks in the images, or observations that were given."""
 
-import json
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +16,7 @@ from photocal.block.table import read_table
 from photocal.geometry.distortion import slopes_of
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.project import Project
-from photocal.run.stage import Stage
-
-RECORD = "measurement.json"
-_UNMATCHED = ("unmatched_images", "ambiguous_images")
+from photocal.run.stage import Stage, pictures_of
 
 
 def given_block(project: Project, images: Images, without_exposure: Collection[str] = ()) -> Block:
@@ -47,15 +43,15 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
     starved = (before >= 2) & (after < 2) & (points.role != ROLES.index("control"))
     kept &= ~starved[seen.point]
     block = Block(
-        project.name,
-        project.crs,
-        project.height,
-        "control",
-        project.cameras,
-        images,
-        points,
-        seen.rows(kept),
-        (fingerprint(path),),
+        name=project.name,
+        frame=project.crs,
+        height=project.height,
+        datum="control",
+        cameras=project.cameras,
+        images=images,
+        points=points,
+        observations=seen.rows(kept),
+        inputs=(fingerprint(path),),
     )
     return with_points_on_the_ground(block)
 
@@ -117,16 +113,10 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
     )
 
 
-def pictures_of(project: Project) -> dict[str, Path]:
-    """The pictures as inputs of a stage; their folder may hold the project, too."""
-    from photocal.measurement.image_file import list_images
-
-    return {f"image {path.name}": path for path in list_images(project.picture_folder)}
-
-
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
-    from photocal.measurement.block_files import SCHEMA, write_block
+    from photocal.measurement.block_files import SCHEMA, Measured
     from photocal.measurement.picture_block import control_points
+    from photocal.run.exposures import read_figures
     from photocal.run.project_checks import check_near, picture_places
 
     if exposures is None:
@@ -136,15 +126,14 @@ def _make(project: Project, exposures: Path | None, folder: Path, show: Progress
         # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
         starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
         # Images that belong to no event: the exposures' summary warns of them.
-        cameras = json.loads((exposures / "exposures.json").read_text(encoding="utf-8"))["cameras"]
-        unmatched = [name for camera in cameras for kind in _UNMATCHED for name in camera[kind]]
+        cameras = read_figures(exposures).cameras
+        unmatched = [name for camera in cameras for name in camera.unmatched_images + camera.ambiguous_images]
         block = given_block(project, starts, unmatched)
-        write_block(folder, block, {"schema": SCHEMA, "kind": "given observations"})
+        Measured(block, {"schema": SCHEMA, "kind": "given observations"}).write(folder)
         return
     from photocal.measurement.match_images import MatchingPlan
     from photocal.measurement.orientation import of_exposures
     from photocal.measurement.picture_block import measure_project
 
     oriented = None if exposures is None else of_exposures(project, exposures)
-    measured = measure_project(project, oriented, MatchingPlan(), show)
-    write_block(folder, measured.block, measured.record)
+    measure_project(project, oriented, MatchingPlan(), show).write(folder)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from photocal.adjustment.ledger import ledger
 from photocal.base.errors import InputNotFoundError, OutputError
@@ -24,6 +24,9 @@ from photocal.base.operating_system import lock as take
 from photocal.base.progress import Progress
 from photocal.base.version import __version__
 from photocal.block.model import digest
+
+if TYPE_CHECKING:
+    from photocal.project import Project
 
 # Smaller files are read each time: nothing deceives that, and it takes no time.
 _SMALL_BYTES = 1 << 22
@@ -285,6 +288,13 @@ class Stage:
     inputs: Mapping[str, Path] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     after: tuple[Path, ...] = ()
+
+
+def pictures_of(project: "Project") -> dict[str, Path]:
+    """The pictures as inputs of a stage; their folder may hold the project, too."""
+    from photocal.measurement.image_file import list_images
+
+    return {f"image {path.name}": path for path in list_images(project.picture_folder)}
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from photocal.adjustment.solution import global_test
 from photocal.base.arrays import Floats
 from photocal.base.progress import quiet
 from photocal.geometry.camera import PARAMETERS
-from photocal.measurement.block_files import write_block
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import GivenLens
 from photocal.measurement.target_block import measure_field
@@ -61,7 +60,7 @@ def rendered() -> str:
         paths = list_images(place / "pictures")
         found = measure_field(paths, "4x4_100", place / "tape.csv", "lab", GivenLens(), quiet)
         (place / "block").mkdir()
-        write_block(place / "block", found.block, found.record)
+        found.write(place / "block")
         own = adjust_block(place / "block", place / "run").cameras["camera"]
     cells = []
     for name in ESTIMATED:

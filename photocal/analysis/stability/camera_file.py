@@ -19,16 +19,6 @@ from photocal.geometry.camera import PARAMETERS, Camera, among, camera
 ROUNDING_OF_A_CORRELATION = 0.005
 
 
-class _Correlation(Table):
-    names: list[str]
-    matrix: list[list[FiniteFloat]]
-
-
-class _Camera(CameraKeys):
-    sigma: dict[str, PositiveFloat] | None = None
-    correlation: _Correlation | None = None
-
-
 class _Pix4dParameters(Table):
     f: PositiveFloat
     Px: FiniteFloat
@@ -70,7 +60,7 @@ class Comparison(Table):
 
 
 class _File(Table):
-    camera: Annotated[list[_Camera], Field(min_length=1)]
+    camera: Annotated[list[CameraKeys], Field(min_length=1)]
     comparison: Comparison = Comparison()
     published: tuple[Published, ...] = ()
 
@@ -117,29 +107,25 @@ def _ours(entry: Any, path: Path) -> Any:
     return {**entry, "model": made.model, "pitch_mm": pitch, "size_px": given.size_px, "parameters": values}
 
 
-def _with_sigmas(made: Camera, entry: _Camera, where: str) -> Camera:
+def _with_sigmas(made: Camera, entry: CameraKeys, where: str) -> Camera:
     """The camera with what the file says of its parameters, as after an adjustment."""
     wrong = ConfigurationError.at(where)
     if entry.sigma is None:
         if entry.correlation is not None:
             raise wrong("has correlations but no sigma", "add [camera.sigma]")
         return made
-    names = tuple(entry.sigma) if entry.correlation is None else tuple(entry.correlation.names)
-    stray = [name for name in names if name not in PARAMETERS or name not in entry.sigma]
-    if stray or len(set(names)) != len(entry.sigma):
+    names = tuple(entry.sigma) if entry.correlation is None else entry.correlation.names
+    if sorted(names) != sorted(entry.sigma):
         raise wrong(
             "sigma and correlation do not name the same parameters",
             "name each estimated parameter once in both",
         )
-    rows = entry.correlation.matrix if entry.correlation else np.eye(len(names)).tolist()
-    if any(len(row) != len(rows) for row in rows):
-        raise wrong("the correlation matrix is not square", "give every row in full")
     try:
         estimates = from_sigmas(
             names,
             [made.value(name) for name in names],
             [entry.sigma[name] for name in names],
-            np.array(rows, dtype=np.float64),
+            made.correlation_of(names),
         )
     except PhotocalError as refusal:
         raise wrong(refusal.what, refusal.remedy) from None
@@ -149,10 +135,8 @@ def _with_sigmas(made: Camera, entry: _Camera, where: str) -> Camera:
             f"the correlation matrix is not positive definite (least eigenvalue {least:.3f})",
             "correct the entry that was misprinted",
         )
-    sigma, correlation = np.zeros(len(PARAMETERS)), np.eye(len(PARAMETERS))
-    at = [PARAMETERS.index(name) for name in names]
-    sigma[at], correlation[np.ix_(at, at)] = [entry.sigma[name] for name in names], rows
-    return replace(made, estimated=among(*names), sigma=sigma, correlation=correlation)
+    correlation = np.eye(len(PARAMETERS)) if made.correlation is None else made.correlation
+    return replace(made, estimated=among(*names), correlation=correlation)
 
 
 def brown_from_pix4d(

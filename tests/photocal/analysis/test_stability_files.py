@@ -46,7 +46,7 @@ GOOD = ENTRY.format("a") + "parameters = { c = 350.0 }\n" + ENTRY.format("b") + 
         ),
         (GOOD.replace("c = 350.0", "c = nan"), ConfigurationError, "finite number"),
         (GOOD + "sigma = { c = -1.0 }\n", ConfigurationError, "greater than 0"),
-        (GOOD + "sigma = { z = 1.0 }\n", ConfigurationError, "do not name the same parameters"),
+        (GOOD + "sigma = { z = 1.0 }\n", ConfigurationError, "sigma names z, which is no camera parameter"),
         (
             GOOD + 'correlation = { names = ["c"], matrix = [[1.0]] }\n',
             ConfigurationError,
@@ -55,7 +55,7 @@ GOOD = ENTRY.format("a") + "parameters = { c = 350.0 }\n" + ENTRY.format("b") + 
         (
             GOOD + 'sigma = { c = 1.0 }\ncorrelation = { names = ["c"], matrix = [[1.0, 0.0]] }\n',
             ConfigurationError,
-            "not square",
+            "correlation matrix is not 1 by 1",
         ),
         (
             GOOD.replace("c = 351.0", "c = 351.0, x0 = 1.0, y0 = 1.0")

@@ -16,7 +16,7 @@ from photocal.base.errors import PhotocalError
 from photocal.block.bending import RADIUS_M, apparent_rise
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.measurement.block_files import write_block
+from photocal.block.writer import write_block
 
 
 def seen_at(height: float, level: float, refraction: float, *, curved: bool = False) -> float:
@@ -86,7 +86,7 @@ def test_a_block_of_bent_rays(k: float, curved: bool) -> None:
 
 def test_the_choice_is_kept_in_the_folder(tmp_path: Path) -> None:
     block = replace(bent_block(0.13, curved=True)[0], refraction=0.13, curvature=True)
-    write_block(tmp_path, block, {})
+    write_block(tmp_path, block)
     again = read_block(tmp_path)
     assert (again.refraction, again.curvature) == (0.13, True)
     setup = tmp_path / "block.toml"

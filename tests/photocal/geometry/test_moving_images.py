@@ -11,12 +11,12 @@ import pytest
 from photocal.base.arrays import Integers
 from photocal.block.folder import read_block
 from photocal.block.model import Block, Images, ObjectPoints, Observations
+from photocal.block.writer import write_block
 from photocal.exchange.reconstruction import of_result
 from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.space_intersection import intersect_points
-from photocal.measurement.block_files import write_block
 from photocal.products.kernels import look_up
 from photocal.products.oriented import lens_tables
 from photocal.results.adjusted import adjust_network
@@ -150,7 +150,7 @@ def test_recorded_turns_come_through_files(
     )
     for name in ("block", "run"):
         (tmp_path / name).mkdir()
-    write_block(tmp_path / "block", written, {})
+    write_block(tmp_path / "block", written)
     # Six digits of m/s, and of deg/s.
     assert read_block(tmp_path / "block").images.motion == pytest.approx(motion, abs=0.51e-6)
     result = adjust_network(written)

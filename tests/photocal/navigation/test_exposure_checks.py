@@ -75,7 +75,7 @@ def shots(path: Trajectory, late_s: float = 0.0) -> tuple[Exposures, Events]:
     angles = np.column_stack([rng.normal(0, np.radians(2), (n, 2)), headings[chosen]])
     events = Events("TIM-TM2 rising of rover", stamp, np.arange(n), np.zeros(n))
     placed = interpolate(path, stamp, np.zeros(n))
-    made = at_events(events, placed, from_angles(angles, SIGMAS), np.zeros(n), [""] * n, "ellipsoidal")
+    made = at_events(events, placed, from_angles(angles, SIGMAS), np.zeros(n), [()] * n, "ellipsoidal")
     return made, events
 
 

@@ -63,7 +63,7 @@ def at_antenna(angles: Floats, covariance: Floats, angle_sigma: Floats) -> Expos
     )  # fmt: skip
     time = GpsTime.from_week(np.full(n, 2022), np.arange(n, dtype=float))
     events = Events("test", time, np.arange(n), np.zeros(n))
-    return at_events(events, placed, from_angles(angles, angle_sigma), np.zeros(n), [""] * n, "ellipsoidal")
+    return at_events(events, placed, from_angles(angles, angle_sigma), np.zeros(n), [()] * n, "ellipsoidal")
 
 
 def test_lever_arm_by_hand() -> None:
@@ -191,6 +191,36 @@ def test_event_list_alone(photocal: Photocal, shared: Path, tmp_path: Path) -> N
     assert len(rows) == 176
     assert rows[0]["lat_deg"] == "47.6436873208"
     assert (rows[0]["sn"], rows[0]["se"], rows[0]["su"]) == ("0.01439", "0.01370", "0.02969")
+
+
+@pytest.mark.shared
+def test_names_with_blanks_stay_names(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
+    """Two cameras, both with images at each event, whose names hold blanks, commas and quotation marks."""
+    listed = shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk"
+    lines = [line.split("\t") for line in listed.read_text().splitlines() if line.strip()]
+    gps = GpsTime.from_week([int(x[2][1:-1]) for x in lines], [float(x[1]) for x in lines])
+    # As irregular as needed for a single offset.
+    utc = [ns for i, ns in enumerate(gps.to_utc().ns.tolist()) if i % 7 not in (2, 3)]
+    folder, out = tmp_path / "images", tmp_path / "out"
+    stamp_images(folder, utc, late_s=7.4)
+    stamp_images(folder, utc, late_s=3.1, model="Phone")
+    for path in sorted(folder.iterdir()):
+        path.rename(folder / path.name.replace("IMG_", "IMG a, b ").replace("Phone_", "- Phone "))
+    wanted = {path.name for path in folder.iterdir()}
+    answer = photocal(
+        "exposures", "--mrk", listed, "--images", folder, "-o", out, "--crs", "EPSG:32633", "--json"
+    )
+    assert answer.code == 0, answer.err
+    figures = json.loads(answer.out)
+    assert sum(camera["matched"] for camera in figures["cameras"]) == len(wanted)
+    assert "names end at a blank" in figures["geo_txt"]
+    assert not (out / "geo.txt").exists()
+    assert {row["image"] for row in table(out / "images.csv")} == wanted
+    cells = [row["image"] for row in table(out / "exposures.csv") if row["image"]]
+    assert all(len(json.loads(cell)) == 2 for cell in cells)
+    assert {name for cell in cells for name in json.loads(cell)} == wanted
+    with closing(sqlite3.connect(out / "exposures.gpkg")) as database:
+        assert {name for (name,) in database.execute("SELECT name FROM exposures")} == wanted
 
 
 @pytest.mark.shared

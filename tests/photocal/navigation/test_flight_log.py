@@ -41,7 +41,7 @@ def test_the_exposures_open_the_log_once(log: Path, tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(Path, "open", counted)
     run = run_exposures(Choices(Sources(FlightLog((log,)))), Rtklib(), tmp_path)
-    assert len(run.exposures.image) > 5
+    assert len(run.exposures.images) > 5
     assert opened[log.name] == 1
 
 

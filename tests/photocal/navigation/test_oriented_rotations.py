@@ -78,7 +78,7 @@ def flight(noise: Floats) -> tuple[Exposures, Floats]:
     )
     time = GpsTime.from_week(np.full(n, 2370), 1000 + 2.0 * np.arange(n))
     events = Events("test", time, np.arange(n), zero)
-    names = [f"{k:02d}.JPG" for k in range(n)]
+    names = [(f"{k:02d}.JPG",) for k in range(n)]
     made = at_events(events, placed, recorded, zero, names, "ellipsoidal")
     rotation = Rotation.from_rotvec(TURN).as_matrix() @ Rig().axes @ true.rotation
     return made, rotation
@@ -125,11 +125,11 @@ def test_rotations_without_noise_agree(tmp_path: Path) -> None:
     rows = [
         f"{name},{','.join(f'{v:.6f}' for v in (*place, *angles))}"
         for name, place, angles in zip(
-            exposures.image, own.station, np.degrees(angles_from_matrix(own.rotation)), strict=True
+            exposures.first_images, own.station, np.degrees(angles_from_matrix(own.rotation)), strict=True
         )
     ]
     table.write_text("\n".join(["image,X,Y,Z,omega,phi,kappa", *rows]) + "\n")
-    oriented = oriented_images(tmp_path, [*exposures.image, "missing.JPG"])
+    oriented = oriented_images(tmp_path, [*exposures.first_images, "missing.JPG"])
     assert np.isnan(oriented.rotation[-1]).all()
     read = oriented.only(range(len(oriented) - 1))
     rig = Rig(angle_sigma=SIGMAS, boresight=TURN)

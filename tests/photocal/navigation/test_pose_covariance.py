@@ -61,7 +61,7 @@ def exposure() -> tuple[Exposures, Rig]:
     placed = interpolate(path, event, sigma, np.zeros((1, 3)))
     rig = Rig(LEVER, LEVER_SIGMA, ANGLE_SIGMA, BORESIGHT, BORESIGHT_SIGMA)
     events = Events("test", event, np.arange(1), sigma)
-    return at_camera(at_events(events, placed, attitude, sigma, ["a"], "ellipsoidal"), rig), rig
+    return at_camera(at_events(events, placed, attitude, sigma, [("a",)], "ellipsoidal"), rig), rig
 
 
 def claimed() -> tuple[Floats, Floats]:

@@ -14,7 +14,7 @@ from acquire.simulate.gnss.geometry import Antenna, Place
 from acquire.simulate.gnss.session import simulate
 from acquire.simulate.gnss.settings import ROVER, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
-from photocal.base.arrays import from_plain
+from photocal.base.codec import from_plain
 from photocal.base.errors import ConfigurationError
 from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.engine import Rtklib

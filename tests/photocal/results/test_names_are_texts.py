@@ -13,11 +13,12 @@ import pyarrow.parquet
 import pytest
 
 import photocal
+from photocal.base.codec import same
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
+from photocal.block.writer import write_block
 from photocal.exchange.formats import FORMATS, read_foreign_block
 from photocal.exchange.reconstruction import Choices, Origin, Reconstruction, of_block, of_result
-from photocal.measurement.block_files import write_block
 from photocal.navigation.image_checks import oriented_images
 from photocal.results.folder import read_result, write_result
 from photocal.results.result import Result
@@ -75,7 +76,7 @@ def test_a_block_folder_keeps_them(tmp_path: Path) -> None:
     for kind, value in (("vertical_angle", -0.2), ("horizontal_angle", 1.5), ("line", 0.0)):
         ends = (NAMES[0], NAMES[-1]) if kind == "vertical_angle" else (NAMES[0], NAMES[-1], NAMES[1])
         block = photocal.with_relations(block, kind, [(*ends, value, 0.001)])
-    write_block(tmp_path, block, {})
+    write_block(tmp_path, block)
     for again in (photocal.read_block(tmp_path), _of_parquet(tmp_path)):
         assert again.images.names == again.points.names == NAMES
         assert again.cameras[0].id == "007"
@@ -88,6 +89,16 @@ def test_a_block_folder_keeps_them(tmp_path: Path) -> None:
             ours = getattr(block.relations, name)[np.argsort(block.relations.kind)]
             # Tables have eight decimals, angles in degrees.
             np.testing.assert_allclose(getattr(again.relations, name)[order], ours, atol=1e-9)
+
+
+def test_adjusted_cameras_are_equal_when_they_are_read_again(result: Result, tmp_path: Path) -> None:
+    photocal.write_cameras(tmp_path / "cameras.toml", tuple(result.cameras.values()))
+    assert same(photocal.read_cameras(tmp_path / "cameras.toml"), tuple(result.cameras.values()))
+    result.write(tmp_path / "run")
+    again = Result.read(tmp_path / "run")
+    # Gusts act on rolling shutters only, and stand in the result of these.
+    assert same(again.cameras, result.cameras, but=("gust",))
+    assert (again.chi_squared, again.images.names) == (result.chi_squared, result.images.names)
 
 
 def _of_parquet(folder: Path) -> Block:

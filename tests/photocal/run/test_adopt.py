@@ -14,11 +14,11 @@ import pytest
 
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import ROLES
+from photocal.block.writer import write_block
 from photocal.exchange.formats import named, read_foreign_project
 from photocal.exchange.pinhole import to_pinhole, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, Model, camera
-from photocal.measurement.block_files import write_block
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from photocal.run import adopt as module
@@ -68,7 +68,7 @@ def made_of(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Reconstru
     estimated = np.array([name in ESTIMATED for name in PARAMETERS])
     block = replace(block, cameras=tuple(replace(own, estimated=estimated) for own in block.cameras))
     (folder / "block").mkdir()
-    write_block(folder / "block", block, {})
+    write_block(folder / "block", block)
     adjust_block(folder / "block", folder / "run")
     # Control keeps its survey: what programs take over is what was measured.
     run = of_result(read_result(folder / "run"))

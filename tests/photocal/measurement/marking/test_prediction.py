@@ -130,7 +130,7 @@ def test_images_without_exposures_need_marks_enough(flown: Survey) -> None:
 
 
 def test_a_run_folder_says_how_images_are_oriented(survey: Survey) -> None:
-    from photocal.measurement.block_files import write_block
+    from photocal.block.writer import write_block
     from photocal.measurement.marking.adjustment import block_of_marks
     from photocal.results.adjusted import adjust_block
 
@@ -138,7 +138,7 @@ def test_a_run_folder_says_how_images_are_oriented(survey: Survey) -> None:
     block, _ = block_of_marks(own, points, true_marks(survey))
     folder = survey.folder / "block"
     folder.mkdir()
-    write_block(folder, block, {})
+    write_block(folder, block)
     adjust_block(folder, survey.folder / "run")
     read, direct = of_run(survey.folder / "run"), adjust_marks(own, points, true_marks(survey)).orientation
     assert np.allclose(read.images.values, direct.images.values, atol=2e-5)
