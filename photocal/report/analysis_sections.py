@@ -243,7 +243,7 @@ def _within(camera: Camera, analysis: Analysis, say: Catalogue) -> list[Table]:
             *(change(amount, sigma) for amount, sigma in parameter.parts[1:]),
             f"{Number(parameter.p_value, say.mark):.2g}",
             "; ".join(
-                f"{say(f'course.{key}')} {change(amount, sigma)}"
+                say(f"course.{key}") + f" {change(amount, sigma)}"
                 for key, (amount, sigma, _) in parameter.drifts.items()
             ),
         )
