@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from photocal.base.console import Address, answer, argument, option
+from photocal.base.console import Address, answer, answered, argument, error_lines, option, write_through
+
+# A pipe takes as much at once or not at all (POSIX: PIPE_BUF).
+_PIECE = 4096
 
 if TYPE_CHECKING:
     import threading
@@ -64,17 +68,25 @@ def record(
     """
     from acquire.recording.configuration import read_configuration
     from acquire.recording.recorder import record as recording
+    from photocal.base.errors import PhotocalError
     from photocal.base.operating_system import stopped_by_signals
 
     chosen = read_configuration(configuration)
     stop = stopped_by_signals()
-    result = recording(chosen, configuration.parent, stop, lambda text: typer.echo(text, err=True))
-    answer(
+    try:
+        result = recording(
+            chosen, configuration.parent, stop, lambda text: write_through(sys.stderr, f"{text}\n")
+        )
+    except PhotocalError as failure:
+        _last_words(sys.stderr, error_lines(failure))
+        raise typer.Exit(failure.exit_code) from failure
+    text = answered(
         as_json,
         lambda: {
             "schema": "acquire.record/1",
-            "output": str(result.paths[0]),
+            "output": str(result.paths[0]) if result.paths else None,
             "files": [str(path) for path in result.paths],
+            "untold_lines": result.untold,
             "alarms": [
                 {"kind": a.kind, "link": a.link, "text": a.text, "time_utc_ns": a.time_ns}
                 for a in result.alarms
@@ -97,6 +109,19 @@ def record(
             + [f"wrote {path}" for path in result.paths]
         ),
     )
+    _last_words(sys.stdout, f"{text}\n")
+
+
+def _last_words(stream: TextIO, text: str) -> None:
+    """Print what is said at the end to whoever takes it: a terminal that takes nothing is not waited for."""
+    from acquire.recording.outlet import Outlet
+    from acquire.recording.recorder import LAST_WORDS_S
+
+    pieces = [text[at : at + _PIECE] for at in range(0, len(text), _PIECE)]
+    printed: Outlet[str] = Outlet("last words", lambda piece: write_through(stream, piece), len(pieces))
+    for piece in pieces:
+        printed.put(piece)
+    printed.close(LAST_WORDS_S)
 
 
 def monitor(

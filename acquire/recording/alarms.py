@@ -1,7 +1,7 @@
 """What a person must hear of while a flight is recorded."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from acquire.recording.reader import MOST_BYTES_S, Inbox
 
 LEAST_JUMP_S = 0.5
 FLOOD_TOLD_S = 10.0
+# Of one kind and link so many alarms pass in so many seconds; the others are counted.
+MOST_ALIKE, ALIKE_S = 20, 10.0
 
 ALARM = JsonLayout(
     "photocal.Alarm",
@@ -20,7 +22,7 @@ ALARM = JsonLayout(
     {
         "kind": words(
             "lost, back, source_changed, clock_jump, silent, heard_again, flood, disk_low, disk_full, "
-            "device or note"
+            "file_gone, device or note"
         ),
         "link": words("link that is concerned; empty when none is"),
         "text": words("what happened"),
@@ -56,6 +58,47 @@ def write_alarms(writer: MessageWriter, alarms: Sequence[Alarm], first: int) -> 
     payloads = ALARM.rows(columns, len(alarms))
     numbers = first + np.arange(len(alarms))
     writer.messages(Channel("/alarm", "json", ALARM.schema()), payloads, times, times, numbers)
+
+
+@dataclass
+class _Alike:
+    begun_s: float
+    passed: int = 0
+    held: int = 0
+    last: Alarm | None = None
+
+
+@dataclass
+class AlarmLimit:
+    """Keeps alarms of one kind and link to a rate: of those above it the last is told, with their number."""
+
+    _alike: dict[tuple[str, str], _Alike] = field(default_factory=dict)
+
+    def take(self, alarms: Sequence[Alarm], steady_s: float) -> list[Alarm]:
+        """Return those of some alarms that are told now."""
+        told = self.look(steady_s)
+        for alarm in alarms:
+            alike = self._alike.setdefault((alarm.kind, alarm.link), _Alike(steady_s))
+            if alike.passed < MOST_ALIKE:
+                alike.passed += 1
+                told.append(alarm)
+            else:
+                alike.held += 1
+                alike.last = alarm
+        return told
+
+    def look(self, steady_s: float) -> list[Alarm]:
+        """Return what was held back for long enough; at an infinite time all of it."""
+        told = []
+        for key, alike in list(self._alike.items()):
+            if steady_s - alike.begun_s >= ALIKE_S:
+                del self._alike[key]
+                if alike.last is not None:
+                    more = (
+                        f" ({alike.held} alarms of this kind within {ALIKE_S:g} s)" if alike.held > 1 else ""
+                    )
+                    told.append(replace(alike.last, text=alike.last.text + more))
+        return told
 
 
 @dataclass

@@ -5,7 +5,11 @@ import datetime as dt
 import errno
 import io
 import itertools
+import math
 import os
+import shutil
+import sys
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +20,7 @@ from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from photocal.base.arrays import Integers
 from photocal.base.errors import OutputError
+from photocal.base.operating_system import sync_folder
 
 # What is held in memory while no disk takes anything, and how often it is tried again.
 HELD_BYTES = 256 << 20
@@ -34,6 +39,10 @@ class WholeWrites(io.RawIOBase):
     def __init__(self, file: io.FileIO) -> None:
         super().__init__()
         self._file = file
+        self._path = Path(os.fsdecode(file.name)).absolute()
+        self._folders = list(self._path.parents[:2])
+        # Where a file system gives its files no lasting numbers, only that there is one can be asked.
+        self._numbered = self._same()
         self.size = 0
 
     def writable(self) -> bool:
@@ -54,8 +63,45 @@ class WholeWrites(io.RawIOBase):
         return len(data)
 
     def make_safe(self) -> None:
-        """Wait until the disk has everything."""
+        """Wait until the disk has everything, the first time also the name of the file and of its folder."""
         os.fsync(self._file.fileno())
+        while self._folders:
+            # Not every file system knows how to; the file itself is on the disk.
+            with contextlib.suppress(OSError):
+                sync_folder(self._folders[0])
+            del self._folders[0]
+
+    @property
+    def at_its_name(self) -> bool:
+        """Whether the file is still what its name names: it may have been deleted or moved meanwhile.
+
+        Windows lets nobody delete or move an open file: there nothing is compared.
+        """
+        try:
+            return sys.platform == "win32" or self._same() or not self._numbered
+        except FileNotFoundError:
+            return False
+        except OSError:
+            # Whether it is there cannot be known; that it cannot be written any more will be told.
+            return True
+
+    def _same(self) -> bool:
+        return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
+
+    def whereabouts(self) -> Path | None:
+        """Return where a moved file is now, as far as the system tells; None when it is deleted."""
+        with contextlib.suppress(OSError):
+            if os.fstat(self._file.fileno()).st_nlink:
+                path = Path(f"/proc/self/fd/{self._file.fileno()}").readlink()
+                return path if path.exists() else None
+        return None
+
+    def copy_to(self, target: io.FileIO) -> None:
+        """Copy all that was written, safe on the disk: what has no name any more gets one again."""
+        with io.FileIO(os.dup(self._file.fileno())) as content, target:
+            content.seek(0)
+            shutil.copyfileobj(content, target, 1 << 20)
+            os.fsync(target.fileno())
 
     def close(self) -> None:
         """Close the file."""
@@ -65,7 +111,7 @@ class WholeWrites(io.RawIOBase):
 
 def new_file(path: Path) -> WholeWrites:
     """Make a file that does not exist yet."""
-    return WholeWrites(io.FileIO(path, "xb"))
+    return WholeWrites(io.FileIO(path, "x+b"))
 
 
 def new_log(
@@ -107,8 +153,12 @@ class Limits:
 class LogFiles:
     """Writes messages to one log file after the other.
 
+    A file that is deleted while it is written is copied back from what the system still has of it; one that
+    is moved is left where it is. Either way recording goes on in the next file.
+
     begin: writes to each file what stands at its beginning.
     clock_ns: the clock of the host, UTC nanoseconds since 1970.
+    steady_s: a clock that never jumps, seconds.
     """
 
     def __init__(
@@ -118,18 +168,22 @@ class LogFiles:
         limits: Limits,
         clock_ns: Callable[[], int],
         make: Callable[[Path], WholeWrites] = new_file,
+        steady_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._folders = list(folders)
         self._begin = begin
         self._limits = limits
-        self._clock_ns = clock_ns
+        self._clock_ns, self._steady_s = clock_ns, steady_s
         self._make = make
         self._place = 0
-        # When writing is tried again, UTC ns; None while there is a file.
-        self._again_ns: int | None = None
+        # When writing is tried again, by the steady clock; None while there is a file.
+        self._again_s: float | None = None
         # A disk may take seconds to write what it has taken: nobody waits for it but this thread.
         self._waiter = ThreadPoolExecutor(1, "disk")
         self._safe: Future[None] | None = None
+        # Deleted files that are being copied back, each with its name and that of its copy.
+        self._rescuer = ThreadPoolExecutor(1, "rescue")
+        self._rescues: list[tuple[Path, Path, Future[None]]] = []
         self.paths: list[Path] = []
         path = self._folders[0]
         try:
@@ -142,8 +196,12 @@ class LogFiles:
                 "make room, or choose another folder",
                 where=path,
             ) from failure
-        self._begun_ns = clock_ns()
+        self._begun_s = steady_s()
         self.paths.append(path)
+
+    def existing(self) -> list[Path]:
+        """Return the files of the recording that there are now."""
+        return [path for path in self.paths if path.is_file()]
 
     @property
     def open_bytes(self) -> int:
@@ -168,7 +226,7 @@ class LogFiles:
 
         raises OutputError: when it can be written nowhere and more is held than `HELD_BYTES`.
         """
-        if self._again_ns is not None:
+        if self._again_s is not None:
             return self._try_again()
         try:
             self._writer.end_chunk()
@@ -179,9 +237,11 @@ class LogFiles:
     def make_safe(self) -> list[Notice]:
         """Write everything, let the disk make it safe, and begin the next file when it is time."""
         # See `end_chunk`. Whether the disk has it is known by the next call, or later where the disk is slow.
-        notices = self.end_chunk()
-        if self._again_ns is not None:
+        notices = [*self._rescued(), *self.end_chunk()]
+        if self._again_s is not None:
             return notices
+        if not self._stream.at_its_name:
+            return notices + self._replace()
         if self._safe is not None and self._safe.done():
             failure = self._settled()
             if failure is not None:
@@ -189,7 +249,7 @@ class LogFiles:
                 return notices + self._move(failure)
         if self._safe is None:
             self._safe = self._waiter.submit(self._stream.make_safe)
-        age_s = (self._clock_ns() - self._begun_ns) / 1e9
+        age_s = self._steady_s() - self._begun_s
         if (self._limits.size and self._stream.size >= self._limits.size) or (
             self._limits.age_s and age_s >= self._limits.age_s
         ):
@@ -198,12 +258,85 @@ class LogFiles:
 
     def close(self) -> list[Notice]:
         """Write what is left and the summary; raises OutputError when what is held can be written nowhere."""
-        self._again_ns = None if self._again_ns is None else 0
+        self._again_s = None if self._again_s is None else -math.inf
         notices = self.end_chunk()
-        if self._again_ns is not None:
+        if self._again_s is not None:
             raise self._refusal("no place has room")
+        if not self._stream.at_its_name:
+            notices += self._replace()
         notices += self._finish()
         self._waiter.shutdown()
+        self._rescuer.shutdown()
+        notices += self._rescued()
+        gone = [path for path in self.paths if not path.is_file()]
+        return [*notices, *(("file_gone", f"{path} was deleted or moved after its end") for path in gone)]
+
+    def _replace(self) -> list[Notice]:
+        """Go on in a new file, since the open one is not under its name any more."""
+        gone, stream, moved = self.paths[-1], self._stream, self._stream.whereabouts()
+        for place in range(self._place, len(self._folders)):
+            made = None
+            try:
+                made = path, following = new_log(self._folders[place], self._clock_ns(), self._make)
+                # The one without a name gets its end, too.
+                self._writer, before = self._writer.continued(following), self._writer
+            except OSError:
+                if made is not None:
+                    _discard(*made)
+                continue
+            notices = self._end(before, stream, gone)
+            self._stream, self._place, self._begun_s = following, place, self._steady_s()
+            if moved is None:
+                notices += self._rescue(gone, stream, path.parent)
+            else:
+                _close(stream)
+                self.paths[-1] = moved
+            self.paths.append(path)
+            what = "was deleted" if moved is None else f"was moved to {moved}"
+            notices.append(("file_gone", f"{gone} {what} while it was written, recording goes on in {path}"))
+            try:
+                self._begin(self._writer)
+            except OSError as failure:
+                notices += self._move(failure)
+            return notices
+        # What has no name can still be written: it is tried again with the next flush.
+        return [("file_gone", f"{gone} was deleted or moved, and no new file can be made: look at the disk")]
+
+    def _rescue(self, gone: Path, stream: WholeWrites, folder: Path) -> list[Notice]:
+        """Copy a file that has lost its name to a new one in a thread of its own."""
+        names = (gone.name, *(f"{gone.stem}_saved{number}.mcap" for number in range(1, 100)))
+        copy, reason = None, "no name is free"
+        for name in names:
+            try:
+                copy = io.FileIO(folder / name, "xb")
+                break
+            except FileExistsError:
+                continue
+            except OSError as failure:
+                reason = str(failure.strerror or failure)
+                break
+        if copy is None:
+            _close(stream)
+            self.paths.remove(gone)
+            return [("file_gone", f"{gone} was deleted and cannot be saved ({reason}): it is lost")]
+        self._rescues.append((gone, Path(copy.name), self._rescuer.submit(_copy_back, stream, copy)))
+        return []
+
+    def _rescued(self) -> list[Notice]:
+        """Return what became of the deleted files that were copied back by now."""
+        notices = []
+        for rescue in [rescue for rescue in self._rescues if rescue[2].done()]:
+            self._rescues.remove(rescue)
+            gone, copy, copying = rescue
+            place = self.paths.index(gone)
+            if (failure := copying.exception()) is None:
+                self.paths[place] = copy
+                notices.append(("note", f"{gone} was deleted, what was in it is saved in {copy}"))
+            else:
+                del self.paths[place]
+                notices.append(
+                    ("file_gone", f"{gone} was deleted and cannot be saved ({failure}): it is lost")
+                )
         return notices
 
     def _settled(self) -> OSError | None:
@@ -217,17 +350,22 @@ class LogFiles:
         return failure
 
     def _finish(self) -> list[Notice]:
-        path = self.paths[-1]
+        """End the open file."""
+        try:
+            return self._end(self._writer, self._stream, self.paths[-1])
+        finally:
+            _close(self._stream)
+
+    def _end(self, writer: LogWriter, stream: WholeWrites, path: Path) -> list[Notice]:
+        """Give a file its summary."""
         try:
             if (late := self._settled()) is not None:
                 raise late
-            self._writer.close()
-            self._stream.make_safe()
+            writer.close()
+            stream.make_safe()
         except OSError as failure:
             reason = failure.strerror or failure
             return [("disk_full", f"{path} has no summary ({reason}): acquire recover adds it")]
-        finally:
-            self._stream.close()
         return []
 
     def _rotate(self) -> list[Notice]:
@@ -235,11 +373,15 @@ class LogFiles:
             path, stream = new_log(self._folders[self._place], self._clock_ns(), self._make)
         except OSError as failure:
             return self._move(failure)
-        following = self._writer.continued(stream)
+        try:
+            following = self._writer.continued(stream)
+        except OSError as failure:
+            _discard(path, stream)
+            return self._move(failure)
         notices = self._finish()
         self._writer, self._stream = following, stream
         self.paths.append(path)
-        self._begun_ns = self._clock_ns()
+        self._begun_s = self._steady_s()
         try:
             self._begin(self._writer)
         except OSError as failure:
@@ -251,9 +393,9 @@ class LogFiles:
         reason = failure.strerror or str(failure)
         full = self.paths[-1]
         self._settled()
-        self._stream.close()
+        _close(self._stream)
         # After waiting, room may have come anywhere.
-        first = 0 if self._again_ns is not None else self._place
+        first = 0 if self._again_s is not None else self._place
         for place in range(first, len(self._folders)):
             made = None
             try:
@@ -264,21 +406,20 @@ class LogFiles:
             except OSError:
                 if made is not None:
                     # We have made it, and nothing that was taken is in it alone.
-                    made[1].close()
-                    made[0].unlink(missing_ok=True)
+                    _discard(*made)
                 continue
             self._stream, self._place = stream, place
             self.paths.append(path)
-            self._begun_ns = self._clock_ns()
-            waited, self._again_ns = self._again_ns is not None, None
+            self._begun_s = self._steady_s()
+            waited, self._again_s = self._again_s is not None, None
             if waited:
                 return [("note", f"there is room again, recording goes on in {path}")]
             text = f"{full} cannot be written any more ({reason}), recording goes on in {path}"
             return [("disk_full", text)]
         if self.open_bytes > HELD_BYTES:
             raise self._refusal(reason) from failure
-        waited = self._again_ns is not None
-        self._again_ns = self._clock_ns() + round(TRY_AGAIN_S * 1e9)
+        waited = self._again_s is not None
+        self._again_s = self._steady_s() + TRY_AGAIN_S
         if waited:
             return []
         text = f"no place can be written ({reason}): make room now, what comes is held in memory"
@@ -286,9 +427,7 @@ class LogFiles:
 
     def _try_again(self) -> list[Notice]:
         """Look for a place when it is time for that, or when too much is held."""
-        clock_ns = self._clock_ns()
-        # A clock that was set back must not put it off.
-        soon = self._again_ns is not None and clock_ns < self._again_ns <= clock_ns + TRY_AGAIN_S * 1e9
+        soon = self._again_s is not None and self._steady_s() < self._again_s
         if soon and self.open_bytes <= HELD_BYTES:
             return []
         return self._move(OSError(errno.ENOSPC, "no room yet"))
@@ -299,3 +438,27 @@ class LogFiles:
             "make room or name a spare folder, then acquire recover this file",
             where=self.paths[-1],
         )
+
+
+def _copy_back(stream: WholeWrites, copy: io.FileIO) -> None:
+    try:
+        stream.copy_to(copy)
+    except OSError:
+        with contextlib.suppress(OSError):
+            Path(copy.name).unlink(missing_ok=True)
+        raise
+    finally:
+        _close(stream)
+
+
+def _close(stream: WholeWrites) -> None:
+    # A disk that fails may refuse even that; what it has taken stays.
+    with contextlib.suppress(OSError):
+        stream.close()
+
+
+def _discard(path: Path, stream: WholeWrites) -> None:
+    """Take away a file that we have made in vain."""
+    _close(stream)
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)

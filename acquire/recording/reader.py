@@ -1,6 +1,7 @@
 """The reading of one link: bytes with their times of receipt, again and again after the port was lost."""
 
 import contextlib
+import math
 import threading
 import time
 from collections import deque
@@ -12,8 +13,11 @@ from photocal.base.console import printable
 
 # What a link is kept to, bytes a second and at once: some forty times what a receiver or an autopilot sends.
 MOST_BYTES_S, MOST_AT_ONCE = 4_000_000, 4 << 20
-# What may wait for being framed. More comes only where the computer is too slow for what arrives.
-MOST_WAITING = 16 << 20
+# What may wait for being framed, and what each arrival takes of it besides its bytes. More comes only where
+# the computer is too slow for what arrives.
+MOST_WAITING, PER_ARRIVAL = 16 << 20, 256
+# Senders that take turns at a port are told so often, with how often they did.
+MOVES_TOLD_S = 10.0
 _POLL_S = 0.05
 # How long a link above its rate rests: short against what a socket holds.
 _ABOVE_S = 0.002
@@ -24,13 +28,14 @@ _LAST_POLL_S, _LAST_S = 0.001, 0.3
 
 @dataclass(frozen=True)
 class Arrival:
-    """Bytes of a link and when they were received (UTC ns), or kind and words of what happened to it."""
+    """Bytes of a link, when they were received (UTC ns) and from whom, or kind and words of what happened."""
 
     link: str
     time_ns: int
     data: bytes
     event: str = ""
     kind: str = ""
+    peer: str = ""
 
 
 class Inbox:
@@ -59,24 +64,28 @@ class Inbox:
         self._filled_s = now
         return self._room > 0 and self._size < MOST_WAITING
 
-    def put(self, data: bytes) -> None:
+    def put(self, data: bytes, peer: str = "") -> None:
         """Take bytes that have arrived now."""
         self._room -= len(data)
-        self._append(Arrival(self.link, self._clock_ns(), data))
+        self._append(Arrival(self.link, self._clock_ns(), data, peer=peer))
 
     def tell(self, kind: str, text: str) -> None:
-        """Take note of something that happened to the link now."""
-        self._append(Arrival(self.link, self._clock_ns(), b"", printable(text), kind))
+        """Take note of something that happened to the link now; no more than may wait."""
+        if self._size < MOST_WAITING:
+            self._append(Arrival(self.link, self._clock_ns(), b"", printable(text), kind))
 
     def take(self, most: int) -> list[Arrival]:
-        """Return what has arrived first, at least one arrival and not much more than so many bytes."""
+        """Return what has arrived first, at least one arrival and not much more than so many bytes.
+
+        Each arrival counts for `PER_ARRIVAL` more: many small ones are as much work as few large ones.
+        """
         arrivals: list[Arrival] = []
         with self._lock:
             while self._waiting and most > 0:
                 arrival = self._waiting.popleft()
                 arrivals.append(arrival)
-                most -= len(arrival.data)
-                self._size -= len(arrival.data)
+                most -= len(arrival.data) + PER_ARRIVAL
+                self._size -= len(arrival.data) + PER_ARRIVAL
                 if self._unsaved and self._unsaved[0] is arrival:
                     self._unsaved.popleft()
         return arrivals
@@ -95,7 +104,28 @@ class Inbox:
         with self._lock:
             self._waiting.append(arrival)
             self._unsaved.append(arrival)
-            self._size += len(arrival.data)
+            self._size += len(arrival.data) + PER_ARRIVAL
+
+
+class Moves:
+    """Tells when datagrams come from another place: at once, then every so often with how often they did."""
+
+    def __init__(self, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._peer, self._text, self._count = "", "", 0
+        self._due_s = -math.inf
+
+    def look(self, peer: str, steady_s: float) -> None:
+        """Take note of who has sent last; at an infinite time the rest is told."""
+        if peer != self._peer:
+            if self._peer:
+                self._count += 1
+                self._text = f"comes from another place: {peer}, before {self._peer}"
+            self._peer = peer
+        if self._count and steady_s >= self._due_s:
+            times = f" ({self._count} times: do several senders share the port?)" if self._count > 1 else ""
+            self._inbox.tell("source_changed", self._text + times)
+            self._count, self._due_s = 0, steady_s + MOVES_TOLD_S
 
 
 def start_readers(
@@ -124,7 +154,7 @@ def read_link(source: Source, inbox: Inbox, stop: threading.Event) -> None:
     """Read a link until told to stop, and then what has arrived by then; to be run in a thread of its own."""
     pause = _FIRST_PAUSE_S
     lost = False
-    peer = ""
+    moves = Moves(inbox)
     while not stop.is_set():
         try:
             source.open(stop)
@@ -134,12 +164,7 @@ def read_link(source: Source, inbox: Inbox, stop: threading.Event) -> None:
             while not stop.is_set():
                 if _read(source, inbox, _POLL_S, stop):
                     pause = _FIRST_PAUSE_S
-                if source.peer != peer:
-                    if peer:
-                        inbox.tell(
-                            "source_changed", f"comes from another place: {source.peer}, before {peer}"
-                        )
-                    peer = source.peer
+                moves.look(source.peer, time.monotonic())
             until = time.monotonic() + _LAST_S
             while time.monotonic() < until and inbox.has_room() and _read(source, inbox, _LAST_POLL_S, stop):
                 pass
@@ -152,6 +177,7 @@ def read_link(source: Source, inbox: Inbox, stop: threading.Event) -> None:
             _close(source)
             stop.wait(pause)
             pause = min(2 * pause, _LONGEST_PAUSE_S)
+    moves.look(source.peer, math.inf)
     _close(source)
 
 
@@ -166,7 +192,7 @@ def _read(source: Source, inbox: Inbox, timeout_s: float, stop: threading.Event)
     if not data:
         return False
     if inbox.has_room():
-        inbox.put(data)
+        inbox.put(data, source.peer)
     else:
         inbox.dropped += len(data)
     return True

@@ -6,17 +6,27 @@ import os
 import shutil
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from acquire.channels.link import Tally
 from acquire.log.writer import LogWriter
-from acquire.recording.alarms import LEAST_JUMP_S, Alarm, ClockWatch, FloodWatch, SilenceWatch, write_alarms
+from acquire.recording.alarms import (
+    LEAST_JUMP_S,
+    Alarm,
+    AlarmLimit,
+    ClockWatch,
+    FloodWatch,
+    SilenceWatch,
+    write_alarms,
+)
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import Configuration, Link
 from acquire.recording.files import Limits, LogFiles, Notice, WholeWrites, new_file, unclosed
 from acquire.recording.link_session import LinkSession, link_sessions
+from acquire.recording.outlet import Outlet
 from acquire.recording.reader import Inbox, left_behind, start_readers
 from acquire.transports.ntrip import NtripSource, ntrip_address
 from acquire.transports.sources import Source, source_of
@@ -33,6 +43,10 @@ GATHER_S = 0.02
 # How long a stop may wait for ports that hang, and for what waits for being framed.
 _PATIENCE_S = 0.6
 _LOOK_AT_DISK_EVERY_S = 5.0
+# How long the last words may take: a terminal that is paused takes none.
+LAST_WORDS_S = 0.15
+# Alarms that are kept for the figures at the end; the log has all.
+_MOST_ALARMS = 2000
 _MB = 1_000_000
 
 
@@ -53,11 +67,15 @@ class Host:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was recorded: the files, frames and damage of each link, and the alarms."""
+    """What was recorded: the files that there are, frames and damage of each link, and the alarms.
+
+    untold: number of lines that the terminal did not take.
+    """
 
     paths: tuple[Path, ...]
     tallies: dict[str, Tally]
     alarms: tuple[Alarm, ...]
+    untold: int = 0
 
 
 def record(
@@ -69,6 +87,8 @@ def record(
     sources: dict[str, Source] | None = None,
 ) -> Recorded:
     """Record all links until told to stop.
+
+    tell: takes lines for a person, in a thread of its own: it may wait or fail, recording goes on.
 
     raises OutputError: when the log cannot be written (any more); what was written before stays.
     raises ConfigurationError: when an address cannot be meant.
@@ -92,15 +112,16 @@ def record(
     folders = [base / folder for folder in (chosen.output, *chosen.spare)]
     before = [path for folder in folders for path in unclosed(folder)]
     limits = Limits(round(chosen.rotate_mb * _MB), chosen.rotate_min * 60)
-    files = LogFiles(folders, begin, limits, host.clock_ns, host.make)
-    tell(f"recording to {files.paths[0]}")
+    files = LogFiles(folders, begin, limits, host.clock_ns, host.make, host.steady_s)
+    lines = Outlet("terminal", tell)
+    lines.put(f"recording to {files.paths[0]}")
     for path in before:
-        tell(f"{path} has no end: if it is of this flight, name both in [flight] logs of the project")
+        lines.put(f"{path} has no end: if it is of this flight, name both in [flight] logs of the project")
     if warning := expiry_warning(host.clock_ns()):
-        tell(f"warning: {warning}")
+        lines.put(f"warning: {warning}")
     compile_search()
-    sessions = link_sessions(configuration, files, opened, positions, dialect)
-    flight = _Flight(configuration, files, sessions, host, tell)
+    sessions = link_sessions(configuration, files, opened, positions, dialect, host.clock_ns, host.steady_s)
+    flight = _Flight(configuration, files, sessions, host, lines.put)
     inboxes, readers = start_readers(opened, stop, host.clock_ns)
     try:
         while not stop.is_set():
@@ -113,9 +134,11 @@ def record(
     except BaseException:
         stop.set()
         left_behind(readers, _PATIENCE_S / 2)
+        lines.close(LAST_WORDS_S)
         raise
+    lines.close(LAST_WORDS_S)
     tallies = {name: session.log.tally for name, session in flight.sessions.items()}
-    return Recorded(tuple(files.paths), tallies, tuple(flight.alarms))
+    return Recorded(tuple(files.existing()), tallies, tuple(flight.alarms), lines.dropped + lines.failed)
 
 
 def source_of_link(
@@ -157,18 +180,23 @@ class _Flight:
         tell: Callable[[str], None],
     ) -> None:
         self.sessions = sessions
-        self.alarms: list[Alarm] = []
+        self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
         self._recording = configuration.recording
         self._files = files
         self._host = host
         self._tell = tell
         now = host.steady_s()
+        self._limit = AlarmLimit()
+        self._raised = 0
         self._clock = ClockWatch()
         self._flood = FloodWatch()
         self._silence = SilenceWatch({link.name: link.silent_s for link in configuration.link}, now)
         self._safe_at = now + self._recording.flush_s
         self._disk_at = now
         self._disk_announced = False
+        # A folder on another computer may take its time to say how much room it has.
+        self._looks: Outlet[Path] = Outlet("disk room", self._look_at_disk, 1)
+        self._free_mb: float | None = None
 
     def step(self, inboxes: dict[str, Inbox]) -> bool:
         """Take of each link what the budget allows and do what is due; tell whether something is left."""
@@ -203,8 +231,17 @@ class _Flight:
                 self._raise([Alarm("flood", name, text, self._host.clock_ns())])
             else:
                 session.close()
+            # What a device has not taken by now it does not get: the stop waits for none.
+            session.log_sent()
+            self._raise(session.device.alarms(math.inf))
         self._keep(inboxes)
-        self._report(self._files.close(), final=True)
+        self._raise([], last=True)
+        # The log is closed by then: these are told, and kept for the figures.
+        notices = self._files.close()
+        ended = [Alarm(kind, "", text, self._host.clock_ns()) for kind, text in notices]
+        for alarm in ended:
+            self._tell(str(alarm))
+        self.alarms.extend(ended)
 
     def _keep(self, inboxes: dict[str, Inbox]) -> None:
         """Write what waits for being framed as it is, in a chunk of its own."""
@@ -224,7 +261,6 @@ class _Flight:
             batch = session.take(taken) if taken else None
             if batch is not None and len(batch):
                 self._raise(self._silence.hear(name, now, clock_ns))
-                self._raise(session.forward(batch, clock_ns))
             self._raise(session.converse(batch, now, clock_ns))
 
     def _jump(self) -> list[Alarm]:
@@ -234,13 +270,16 @@ class _Flight:
         after = self._host.steady_s()
         return self._clock.look(clock_ns, before) if after - before < LEAST_JUMP_S / 5 else []
 
+    def _look_at_disk(self, folder: Path) -> None:
+        """Ask how much room there is; runs in the thread of its outlet."""
+        self._free_mb = self._host.free_bytes(folder) / _MB
+
     def _disk(self, now: float) -> list[Alarm]:
-        if now < self._disk_at:
-            return []
-        self._disk_at = now + _LOOK_AT_DISK_EVERY_S
-        try:
-            free_mb = self._host.free_bytes(self._files.paths[-1].parent) / _MB
-        except OSError:
+        if now >= self._disk_at:
+            self._disk_at = now + _LOOK_AT_DISK_EVERY_S
+            self._looks.put(self._files.paths[-1].parent)
+        free_mb, self._free_mb = self._free_mb, None
+        if free_mb is None:
             return []
         low = free_mb < self._recording.least_free_mb
         was_low, self._disk_announced = self._disk_announced, low
@@ -248,18 +287,16 @@ class _Flight:
             return []
         return [Alarm("disk_low", "", f"only {free_mb:.0f} MB are left on the disk", self._host.clock_ns())]
 
-    def _report(self, notices: list[Notice], *, final: bool = False) -> None:
-        alarms = [Alarm(kind, "", text, self._host.clock_ns()) for kind, text in notices]
-        self._raise(alarms, logged=not final)
+    def _report(self, notices: list[Notice]) -> None:
+        self._raise([Alarm(kind, "", text, self._host.clock_ns()) for kind, text in notices])
 
-    def _raise(self, alarms: list[Alarm], *, logged: bool = True) -> None:
-        if not alarms:
-            return
-        for alarm in alarms:
+    def _raise(self, alarms: list[Alarm], *, last: bool = False) -> None:
+        passed = self._limit.take(alarms, math.inf if last else self._host.steady_s())
+        for alarm in passed:
             self._tell(str(alarm))
-        if logged:
-            write_alarms(self._files, alarms, len(self.alarms))
-        self.alarms.extend(alarms)
+        write_alarms(self._files, passed, self._raised)
+        self.alarms.extend(passed)
+        self._raised += len(passed)
 
 
 def _attachments(configuration: Configuration, base: Path) -> list[tuple[str, bytes]]:

@@ -28,15 +28,21 @@ class LinkLostError(Exception):
     """The port, connection or file of a source has ended or gone away."""
 
 
+class NobodyThereError(LinkLostError):
+    """The port is not open, or nobody was heard who could be answered: what is sent goes nowhere."""
+
+
 class Source(ABC):
     """Bytes of one link as they arrive, by a port that is open or not: a failure of it loses the link.
 
     peer: who sent last, where that can change; otherwise empty.
+    device: the peer that is answered, see `heed`.
     lossy: whether what is not read is lost without being counted.
     missed: number of datagrams that the system could not hold until they were read.
     """
 
     peer = ""
+    device = ""
     lossy = False
     missed = 0
 
@@ -55,6 +61,10 @@ class Source(ABC):
     def write(self, data: bytes) -> None:
         """Send bytes to the device; raises `LinkLostError` when that is not possible."""
 
+    def heed(self, peer: str) -> None:
+        """Take who sent intact frames last, as `peer` told, for the device: what is written goes there."""
+        self.device = peer
+
     def close(self) -> None:
         """Close the port."""
         if self._port is not None:
@@ -64,7 +74,7 @@ class Source(ABC):
     @property
     def _opened(self) -> Any:
         if self._port is None:
-            raise LinkLostError("not open")
+            raise NobodyThereError("not open")
         return self._port
 
 
@@ -117,9 +127,9 @@ def _losing(*failures: type[Exception]) -> Iterator[None]:
 
 
 class UdpSource(Source):
-    """Datagrams that arrive at a local address; answers go to whoever sent last.
+    """Datagrams that arrive at a local address; answers go to whom `heed` names.
 
-    A sender that changes its port is followed.
+    A sender that changes its port is followed as soon as intact frames come from there; a stranger is not.
     """
 
     lossy = sys.platform != "linux"
@@ -127,7 +137,6 @@ class UdpSource(Source):
     def __init__(self, host: str, port: int) -> None:
         super().__init__()
         self._address = host, port
-        self._sender: Any = None
         self._missed_before = 0
 
     def open(self, _stop: threading.Event) -> None:
@@ -149,8 +158,8 @@ class UdpSource(Source):
         port.settimeout(timeout_s)
         with _losing(OSError):
             try:
-                data, self._sender = port.recvfrom(PIECE_BYTES)
-                self.peer = f"{self._sender[0]}:{self._sender[1]}"
+                data, sender = port.recvfrom(PIECE_BYTES)
+                self.peer = f"{sender[0]}:{sender[1]}"
             except TimeoutError:
                 return b""
         return bytes(data)
@@ -164,10 +173,12 @@ class UdpSource(Source):
         return self._missed_before + int(_FIGURES.unpack(figures)[-1])
 
     def write(self, data: bytes) -> None:
-        """Send one datagram to the last sender; before there is one nothing is sent."""
-        if self._sender is not None:
-            with _losing(OSError):
-                self._opened.sendto(data, self._sender)
+        """Send one datagram to the device; raises `NobodyThereError` before it was heard."""
+        host, _, port = self.device.rpartition(":")
+        if not host:
+            raise NobodyThereError("nobody was heard yet")
+        with _losing(OSError):
+            self._opened.sendto(data, (host, int(port)))
 
     def close(self) -> None:
         """Close the port."""
@@ -207,9 +218,18 @@ class TcpSource(Source):
                 return None
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the server."""
+        """Send bytes to the server; what it does not take within `_WRITE_LIMIT_S` is given up."""
+        port, left, until = self._opened, memoryview(data), time.monotonic() + _WRITE_LIMIT_S
+        not_yet: tuple[type[OSError], ...] = (*self._not_yet, BlockingIOError)
         with _losing(OSError):
-            self._opened.sendall(data)
+            while left:
+                try:
+                    # Who reads sets how long this may take, a fraction of a second.
+                    left = left[port.send(left) :]
+                except not_yet:
+                    if time.monotonic() > until:
+                        raise LinkLostError(f"takes nothing for {_WRITE_LIMIT_S:g} s") from None
+                    time.sleep(0.005)
 
 
 class SerialSource(Source):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
 from functools import wraps
-from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NoReturn, TextIO, get_args, get_origin, get_type_hints
 from unicodedata import category
 
 import typer
@@ -143,9 +143,14 @@ def run(app: typer.Typer) -> None:
 
 def _end(failure: PhotocalError) -> NoReturn:
     """Say in one line, and by the exit code, what went wrong."""
-    lines = (f"error: {failure}", *map("  ".__add__, failure.details))
-    sys.stderr.write("".join(f"{printable(line)}\n" for line in lines))
+    sys.stderr.write(error_lines(failure))
     sys.exit(failure.exit_code)
+
+
+def error_lines(failure: PhotocalError) -> str:
+    """Return what is said of a failure: one line, and its details below."""
+    lines = (f"error: {failure}", *map("  ".__add__, failure.details))
+    return "".join(f"{printable(line)}\n" for line in lines)
 
 
 def numbers_of(text: str, option: str, form: str) -> list[float]:
@@ -164,12 +169,35 @@ def numbers_of(text: str, option: str, form: str) -> list[float]:
 
 def answer(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> None:
     """Print an answer for a program or for a person."""
+    typer.echo(answered(as_json, figures, text))
+
+
+def answered(as_json: bool, figures: Callable[[], Any], text: Callable[[], str]) -> str:
+    """Return an answer for a program or for a person."""
     if as_json:
         from photocal.base.arrays import as_plain
 
-        typer.echo(json.dumps(as_plain(figures()), indent=2, allow_nan=False))
-    else:
-        typer.echo("\n".join(map(printable, text().split("\n"))))
+        return json.dumps(as_plain(figures()), indent=2, allow_nan=False)
+    return "\n".join(map(printable, text().split("\n")))
+
+
+def write_through(stream: TextIO, text: str) -> None:
+    """Write to a standard stream at once, past its buffers.
+
+    What waits in a buffer is written by the end of the interpreter, which a terminal that is paused would
+    keep from ending.
+    """
+    raw = getattr(getattr(stream, "buffer", None), "raw", None)
+    if raw is None:
+        stream.write(text)
+        stream.flush()
+        return
+    left = memoryview(text.encode(stream.encoding or "utf-8", "backslashreplace"))
+    while left:
+        written = raw.write(left)
+        if written is None:
+            raise BlockingIOError("takes nothing now")
+        left = left[written:]
 
 
 class _Lines:

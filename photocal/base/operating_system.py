@@ -67,7 +67,8 @@ else:
 
     CHILD_FLAGS = 0
     _INTERRUPT = signal.SIGINT
-    _STOPS = (signal.SIGINT, signal.SIGTERM)
+    # A window that is closed and a connection that drops send SIGHUP.
+    _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def lock(stream: IO[Any]) -> bool:
         """Take an open file for this process alone, without waiting; the lock ends with the process."""
@@ -189,10 +190,12 @@ def _user_folder(variable: str, hidden: str, windows: str, mac: str) -> Path:
 
 
 def stopped_by_signals() -> threading.Event:
-    """Give an event that Ctrl-C and a request to end the process set."""
+    """Give an event that Ctrl-C, a request to end the process and the loss of its terminal set."""
     stop = threading.Event()
     for number in _STOPS:
-        signal.signal(number, lambda *_: stop.set())
+        # Who starts it by nohup wants it to outlive the terminal.
+        if number == _INTERRUPT or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda *_: stop.set())
     return stop
 
 

@@ -94,7 +94,7 @@ def test_when_a_full_disk_has_room_again_nothing_is_lost(tmp_path: Path) -> None
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
-    files = LogFiles([tmp_path], _nothing, Limits(), lambda: clock["ns"], make)
+    files = LogFiles([tmp_path], _nothing, Limits(), lambda: clock["ns"], make, lambda: clock["ns"] / 1e9)
     sent = _fill(files, 20)
     told = []
     for second in range(12):

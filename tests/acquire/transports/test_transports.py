@@ -14,7 +14,14 @@ import pytest
 import serial
 import serial.rfc2217
 
-from acquire.transports.sources import LinkLostError, Source, TcpSource, UdpSource, source_of
+from acquire.transports.sources import (
+    LinkLostError,
+    NobodyThereError,
+    Source,
+    TcpSource,
+    UdpSource,
+    source_of,
+)
 from photocal.base.errors import ConfigurationError
 from tests.acquire.live import PATIENCE_S, until
 
@@ -93,13 +100,18 @@ def test_datagrams_of_a_sender_that_moves() -> None:
     source.open(threading.Event())
     there = "127.0.0.1", source._opened.getsockname()[1]
     assert source.read(0.01) == b""
-    source.write(ANSWER)  # to nobody yet
+    with pytest.raises(NobodyThereError):
+        source.write(ANSWER)
     for _ in range(2):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.settimeout(PATIENCE_S)
             sender.sendto(FIRST, there)
             assert source.read(PATIENCE_S) == FIRST
             assert source.peer.endswith(f":{sender.getsockname()[1]}")
+            source.heed(source.peer)
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+                stranger.sendto(b"x", there)
+                assert source.read(PATIENCE_S) == b"x"
             source.write(ANSWER)
             assert sender.recv(100) == ANSWER
     source.close()

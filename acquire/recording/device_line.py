@@ -1,0 +1,171 @@
+"""What is said to the device of a link, beside the log: answers, settings, positions and corrections."""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from acquire.channels.mounting import NAMES
+from acquire.recording.alarms import Alarm
+from acquire.recording.caster_position import CasterPosition
+from acquire.recording.configuration import Link
+from acquire.recording.outlet import Outlet
+from acquire.recording.receiver_dialogue import ReceiverDialogue
+from acquire.recording.vehicle_dialogue import VehicleDialogue
+from acquire.transports.sources import NobodyThereError, Source
+from drivers.frames import Batch
+from drivers.mavlink.dialect import Dialect
+from photocal.base.errors import ConfigurationError
+
+# What may wait for a device; what has waited for longer (an old correction, a late answer) does harm.
+MOST_FRAMES, LONGEST_S = 64, 2.0
+_MOST_TURNS = 64
+_TURN_EVERY_S = 0.1
+_TOLD_EVERY_S = 10.0
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A frame that the device, or the system for it, has taken, and when (UTC ns)."""
+
+    time_ns: int
+    encoding: str
+    frame: bytes
+
+
+@dataclass(frozen=True)
+class _Correction:
+    kind: int
+    frame: bytes
+
+
+class DeviceLine:
+    """The way to a device: one outlet considers what is to be said, another one says it.
+
+    Nothing here waits, so the thread that writes the log may call it. What comes of it is fetched: frames
+    that were sent, and alarms, also of frames that were not.
+
+    source: takes the frames.
+    clock_ns, steady_s: clocks of the host, see `Host`.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        source: Source,
+        dialect: Dialect,
+        clock_ns: Callable[[], int],
+        steady_s: Callable[[], float],
+    ) -> None:
+        # Where this link's device is told to be, and who wants to know where this link's device is.
+        self.position: CasterPosition | None = None
+        self.asked_for_position: list[CasterPosition] = []
+        # Frames that were not even put in.
+        self.skipped = 0
+        self._name = link.name
+        self._source = source
+        self._encoding = link.protocol
+        self._clock_ns, self._steady_s = clock_ns, steady_s
+        self._vehicle = _vehicle(link, dialect) if link.protocol == "mavlink" else None
+        self._dialogue: VehicleDialogue | ReceiverDialogue | None = self._vehicle if link.vehicle else None
+        if link.ublox is not None:
+            self._dialogue = ReceiverDialogue(link.ublox.port, link.ublox.messages, link.ublox.rate_ms)
+        self._port: Outlet[tuple[str, bytes]] = Outlet(
+            f"{link.name} port", self._write, MOST_FRAMES, LONGEST_S
+        )
+        self._talk: Outlet[Batch | _Correction | None] = Outlet(
+            f"{link.name} talk", self._consider, _MOST_TURNS, LONGEST_S
+        )
+        self._turn_due_s = self._tell_due_s = -math.inf
+        self._sent: deque[Sent] = deque()
+        self._said: deque[Alarm] = deque(maxlen=200)
+        self._told = (0, 0, 0)
+
+    def hear(self, batch: Batch | None, steady_s: float) -> None:
+        """Go on with the conversation: the device has said this, or nothing by now."""
+        concerned = self._dialogue is not None or self.position is not None
+        heard = batch is not None and len(batch) > 0 and (concerned or bool(self.asked_for_position))
+        if heard or (concerned and steady_s >= self._turn_due_s):
+            self._turn_due_s = steady_s + _TURN_EVERY_S
+            self._talk.put(batch if heard else None)
+
+    def correct(self, kind: int, frame: bytes) -> None:
+        """Pass a correction on to the device."""
+        if self._vehicle is None:
+            self._port.put(("rtcm3", frame))
+        else:
+            self._talk.put(_Correction(kind, frame))
+
+    def sent(self) -> list[Sent]:
+        """Return what was sent since the last call."""
+        return [self._sent.popleft() for _ in range(len(self._sent))]
+
+    def alarms(self, steady_s: float) -> list[Alarm]:
+        """Return what is to be told since the last call; at an infinite time the last figures, too."""
+        said = [self._said.popleft() for _ in range(len(self._said))]
+        unsent = self._port.dropped + self._port.failed + self.skipped
+        state = unsent, self._talk.dropped, self._talk.failed
+        if state == self._told or steady_s < self._tell_due_s:
+            return said
+        before, self._told = self._told, state
+        self._tell_due_s = steady_s + _TOLD_EVERY_S
+        texts = [
+            f"does not take what it is sent: {unsent} frames (corrections, answers) refused or too old so far"
+            + (f" ({self._port.failure})" if self._port.failure else ""),
+            f"is not answered in time: {self._talk.dropped} of its pieces or corrections too old so far",
+            f"cannot be talked to, it is recorded all the same: {self._talk.failure}",
+        ]
+        changed = [text for text, now, then in zip(texts, state, before, strict=True) if now != then]
+        return said + [Alarm("device", self._name, text, self._clock_ns()) for text in changed]
+
+    def _consider(self, heard: Batch | _Correction | None) -> None:
+        """Find out what is to be said; runs in the thread of its outlet."""
+        clock_ns, steady_s = self._clock_ns(), self._steady_s()
+        if isinstance(heard, _Correction):
+            if self._vehicle is not None:
+                frames, words = self._vehicle.carry(heard.kind, heard.frame)
+                self._say(frames, self._encoding)
+                self._tell("device", [words] if words else [], clock_ns)
+            return
+        if heard is not None:
+            for position in self.asked_for_position:
+                position.hear(heard)
+        if self.position is not None:
+            self._say(self.position.due(steady_s, clock_ns), "nmea")
+        if self._dialogue is not None:
+            step = self._dialogue.step(heard, steady_s, clock_ns)
+            self._say(step.frames, self._encoding)
+            self._tell("note", step.notes, clock_ns)
+            self._tell("device", step.alarms, clock_ns)
+
+    def _say(self, frames: list[bytes] | tuple[bytes, ...], encoding: str) -> None:
+        for frame in frames:
+            self._port.put((encoding, frame))
+
+    def _tell(self, kind: str, texts: list[str] | tuple[str, ...], clock_ns: int) -> None:
+        self._said.extend(Alarm(kind, self._name, text, clock_ns) for text in texts)
+
+    def _write(self, item: tuple[str, bytes]) -> None:
+        """Send a frame; runs in the thread of its outlet."""
+        encoding, frame = item
+        try:
+            self._source.write(frame)
+        except NobodyThereError:
+            # A port that is gone is told by who reads it.
+            return
+        self._sent.append(Sent(self._clock_ns(), encoding, frame))
+
+
+def _vehicle(link: Link, dialect: Dialect) -> VehicleDialogue:
+    rates = link.vehicle.rates_hz if link.vehicle else {}
+    for name in rates:
+        try:
+            dialect.number(name)
+        except KeyError as unknown:
+            raise ConfigurationError(
+                f"{name} is no MAVLink message",
+                where=f"link {link.name}, vehicle.rates_hz",
+                remedy="check it",
+            ) from unknown
+    asked = NAMES if link.vehicle and link.vehicle.parameters else ()
+    return VehicleDialogue(dialect, rates, link.vehicle.timesync_s if link.vehicle else 0.0, asked)
