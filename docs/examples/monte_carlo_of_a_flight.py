@@ -6,13 +6,13 @@ import numpy as np
 
 from photocal.adjustment.adjust import adjust
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import Wish, plan_flight, suggest_layout
+from photocal.planning.flight import FlightRequest, plan_flight, suggest_layout
 from photocal.planning.frame import Frame
 from photocal.planning.simulated_adjustment import Survey, planned_network
 
 corners = [(-22.1200, -51.4100), (-22.1200, -51.4085), (-22.1212, -51.4085), (-22.1212, -51.4100)]
 flight = plan_flight(
-    area_from_corners(corners, "field"), Wish(Frame(8.8e-3, 2.41e-6, 5472, 3648), 100.0, 0.7, 0.6)
+    area_from_corners(corners, "field"), FlightRequest(Frame(8.8e-3, 2.41e-6, 5472, 3648), 100.0, 0.7, 0.6)
 )
 layout = suggest_layout(flight.corners_m, control=5, check=8, margin_m=10.0)
 network, check = planned_network(flight, layout, Survey(image_px=0.5, control_m=(0.02, 0.03)))
