@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field, replace
+from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -278,3 +279,12 @@ class Block:
             f"{len(self.observations.image)} rays, {len(self.cameras)} camera(s), frame {self.frame}, "
             f"datum {self.datum}"
         )
+
+    def _repr_html_(self) -> str:
+        """A short table for a notebook."""
+        of_role = {f"{role} points": int(self.points.of_role(role).sum()) for role in ROLES}
+        counts = {"images": len(self.images.names), **of_role, "rays": len(self.observations.image)}
+        shown = {**counts, "cameras": ", ".join(c.id for c in self.cameras), "frame": self.frame}
+        shown["datum"] = self.datum
+        rows = (f"<tr><td>{key}</td><td>{escape(str(value))}</td></tr>" for key, value in shown.items())
+        return f"<p>Block {escape(self.name)}</p><table>{''.join(rows)}</table>"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from photocal.base.arrays import as_plain
 from photocal.base.console import AsJson, answer, argument, option, progress
 
 if TYPE_CHECKING:
@@ -48,6 +47,7 @@ def compare(
     from photocal.analysis.stability.camera_file import read_camera_file
     from photocal.analysis.stability.compared import compare_cameras
     from photocal.analysis.stability.repeatability import compared_heads, heads_text, repeatability_text
+    from photocal.base.arrays import as_plain
     from photocal.base.files import picture_kind
     from photocal.run.calibrations import cameras_of, exchanged, repeated, uses_text
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import ConfigurationError
 
 Model = Literal["brown-observed", "brown-ideal", "rational", "equidistant", "pix4d-fisheye"]
 Affinity = Literal["additive", "before", "after"]
@@ -254,16 +255,67 @@ def camera(
 ) -> Camera:
     """Make a camera from named parameters; those not named are zero and held.
 
-    Without another word the affinity of Brown's models is additive.
+    Parameters
+    ----------
+    camera_id
+        Name within the block.
+    model
+        "brown-observed" and "brown-ideal" have Brown's polynomial, evaluated at the measured coordinates,
+        which it corrects (photogrammetry), or at the ideal ones, which it distorts (vision); "rational",
+        "equidistant", "pix4d-fisheye".
+    unit
+        Of the image plane: of c, x0, y0 and, in its powers, of the coefficients; "mm" or "px".
+    size_px
+        Width and height of the image, px.
+    pitch
+        Size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
+    parameters
+        Values by name: c, x0, y0, K1 ... K6, P1 ... P4, B1, B2, S1 ... S4, readout (s).
+    estimate
+        Names of the parameters that an adjustment estimates.
+    prior_sigma
+        Standard deviations of values that are observations; start values only where not given.
+    reference_radius
+        R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
+    affinity
+        Where the affinity acts; "additive" for Brown's models, "after" for the others where not given.
+    affinity_form
+        Which terms B1 and B2 stand for.
+    photo_variant
+        Standard deviations by which values of single images deviate from that of the camera.
+    focus_m
+        Distance to which the lens is focused, m, where its distortion varies with the distance; else 0.
 
-    Parameters are as the attributes of `Camera`.
-    raises KeyError: for a name that is no parameter.
+    Returns
+    -------
+    Camera
+        The camera with what is known of it.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name that is no parameter.
+
+    References
+    ----------
+    D. C. Brown: Close-range camera calibration. Photogrammetric Engineering 37(8), 1971.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> lens = photocal.camera("lens", "brown-ideal", "px", (4000, 3000), (1, 1), {"c": 3600.0, "K1": -8e-9})
+    >>> lens.value("c")
+    3600.0
     """
     index = {name: i for i, name in enumerate(PARAMETERS)}
 
     def row(named: dict[str, float] | None, other: float = 0.0) -> Floats:
         values = np.full(len(PARAMETERS), other)
         for name, value in (named or {}).items():
+            if name not in index:
+                raise ConfigurationError(
+                    f"{name!r} is no parameter of a camera", f"use {', '.join(PARAMETERS)}", where=camera_id
+                )
             values[index[name]] = value
         return values
 

@@ -133,11 +133,11 @@ def plan(
     Examples
     --------
     >>> import photocal
-    >>> corners = [(-22.12, -51.41), (-22.12, -51.4085), (-22.1212, -51.4085), (-22.1212, -51.41)]
+    >>> corners = [(-51.41, -22.12), (-51.4085, -22.12), (-51.4085, -22.1212), (-51.41, -22.1212)]
     >>> camera = photocal.FlightOptions(focal_mm=8.8, pixel_um=2.41, image_px="5472x3648", height=100.0)
     >>> field = photocal.area_from_corners(corners, "field")
-    >>> photocal.plan(field, camera.request()).flight.exposures
-    84
+    >>> round(photocal.plan(field, camera.request()).flight.levels[0].gsd_m, 4)
+    0.0274
     """
     limits, of_mission = limits or LimitOptions(), mission or MissionOptions()
     asked = precision or PrecisionOptions()

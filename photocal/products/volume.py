@@ -46,6 +46,13 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         For options that contradict each other, or when there is nothing to compute from.
     InputNotFoundError, InputMalformedError
         For a table that cannot be read.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> tank = photocal.VolumeOptions(radius=6.479, radius_sigma=0.003, height=9.5, height_sigma=0.004)
+    >>> round(photocal.volume(None, tank).figures["by_mean_radius"]["volume_m3"], 1)
+    1252.8
     """
     radius, radius_sigma, height = options.radius, options.radius_sigma, options.height
     if sections is not None and radius is not None:

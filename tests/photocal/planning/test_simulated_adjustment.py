@@ -13,7 +13,7 @@ from scipy import stats
 
 from photocal.adjustment.adjust import adjust
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import Flight, Layout, FlightRequest, plan_flight, suggest_layout
+from photocal.planning.flight import Flight, FlightRequest, Layout, plan_flight, suggest_layout
 from photocal.planning.frame import Frame
 from photocal.planning.simulated_adjustment import Survey, planned_network, simulate
 from tests.photocal.conftest import Answer
