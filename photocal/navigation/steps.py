@@ -15,7 +15,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.measurement.match_images import MatchingPlan
-from photocal.navigation.engine import Rtklib
+from photocal.navigation.engine import Mode, Rtklib
 from photocal.navigation.exposure_files import write_run
 from photocal.navigation.exposure_run import Choices, ExposureRun, choices_of_project, run_exposures
 from photocal.navigation.flight_log import FlightLog
@@ -146,7 +146,7 @@ def ppk(
         heights = asked.rover_antenna_height, asked.base_antenna_height
         plain = options_for(rover, base, *heights, asked.elevation)
         modelled = with_antennas(plain, asked.antex, (rover, asked.rover_antenna), (base, asked.base_antenna))
-        mode = "static" if asked.static else "kinematic"
+        mode: Mode = "static" if asked.static else "kinematic"
         result = process(inputs, modelled, mode, engine, Path(scratch))
     return Ppk(result, ppk_figures(result, remarks))
 

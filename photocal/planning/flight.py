@@ -116,12 +116,18 @@ def _extent_in_band(rotated: Floats, low: float, high: float) -> tuple[float, fl
 class FlightRequest:
     """What is asked of a flight.
 
-    forward_overlap, side_overlap: shares of the footprint, 0 to below 1.
-    along: side of the image that lies along the flight line: "rows" flies with the image width across.
-    azimuth_rad: flying direction, clockwise from north, rad; None takes the one with the fewest strips.
-    second_height_m: height above ground of the cross strips, m; it separates principal distance and flying
-        height.
-    border_m: how far beyond the area is covered as well: distortion and control are weakest at the edge.
+    Attributes
+    ----------
+    forward_overlap, side_overlap
+        Shares of the footprint, 0 to below 1.
+    along
+        Side of the image that lies along the flight line: "rows" flies with the image width across.
+    azimuth_rad
+        Flying direction, clockwise from north, rad; None takes the one with the fewest strips.
+    second_height_m
+        Height above ground of the cross strips, m; it separates principal distance and flying height.
+    border_m
+        How far beyond the area is covered as well: distortion and control are weakest at the edge.
     """
 
     frame: Frame

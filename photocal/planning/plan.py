@@ -142,7 +142,7 @@ def plan(
     limits, of_mission = limits or LimitOptions(), mission or MissionOptions()
     asked = precision or PrecisionOptions()
     flight = plan_flight(area if isinstance(area, Area) else read_area(Path(area)), request)
-    targets = ()
+    targets: tuple[Target, ...] = ()
     if limits.scale is not None:
         targets = targets_of(load_standard(limits.standard), parse_scale(limits.scale), limits.map_class)
     takeoff = None

@@ -283,10 +283,16 @@ class Figures:
 class Result(Figures):
     """The result of an adjustment.
 
-    cameras: adjusted cameras by name, with sigmas and correlations.
-    images: in the block's coordinates, with covariances; their cameras are those of `cameras`.
-    residuals: one for each observation of the block, in its order.
-    files: the files of the run folder that this was read from.
+    Attributes
+    ----------
+    cameras
+        Adjusted cameras by name, with sigmas and correlations.
+    images
+        In the block's coordinates, with covariances; their cameras are those of `cameras`.
+    residuals
+        One for each observation of the block, in its order.
+    files
+        The files of the run folder that this was read from.
     """
 
     cameras: dict[str, Camera]

@@ -7,8 +7,9 @@ import inspect
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from acquire.log.foxglove import location_fixes, schema
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from photocal.base.errors import ConfigurationError
+from photocal.base.options import Option, Options
 from tests.docs.api_page import EXAMPLES, PAGE, page
 
 START_NS, FIXES = 1_700_000_000_000_000_000, 50
@@ -178,6 +180,21 @@ def test_functions_have_a_manual(name: str) -> None:
         assert issubclass(getattr(photocal, error), photocal.PhotocalError)
 
 
+def test_classes_say_what_they_hold() -> None:
+    """By an Attributes section, or, of options, by the help that the command line shows."""
+    for name in dir(photocal):
+        kind = getattr(photocal, name)
+        if inspect.isfunction(kind) or issubclass(kind, Exception):
+            continue
+        assert re.fullmatch(r"[A-Z][^\n]*\.", (inspect.getdoc(kind) or "").splitlines()[0]), name
+        if issubclass(kind, Options):
+            hints = get_type_hints(kind, include_extras=True)
+            own = [hints[field.name] for field in fields(kind)]
+            assert all(any(isinstance(part, Option) for part in get_args(hint)) for hint in own), name
+        else:
+            assert "Attributes\n----------\n" in (inspect.getdoc(kind) or ""), name
+
+
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_examples_in_docstrings_run(
     name: str, block: photocal.Block, result: photocal.Result, monkeypatch: pytest.MonkeyPatch
@@ -251,11 +268,15 @@ def test_a_table_without_its_columns_is_refused() -> None:
 
 
 def test_a_table_in_memory_and_its_file_are_judged_alike(tmp_path: Path) -> None:
-    table = {"point": ["a", "b", "c", "d"], "dE": [0.1, -0.2, 0.3, 0.1], "dN": [0.0, 0.1, 0.2, -0.1]}
+    table: dict[str, list[Any]] = {
+        "point": ["a", "b", "c", "d"],
+        "dE": [0.1, -0.2, 0.3, 0.1],
+        "dN": [0.0, 0.1, 0.2, -0.1],
+    }
     lines = ["point,dE,dN", *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))]
     (tmp_path / "d.csv").write_text("\n".join(lines), encoding="utf-8")
     options = photocal.JudgementOptions(standard=("decree-89817",), scale="1:1000")
-    from_file, from_memory = (photocal.assess(one, options) for one in (tmp_path / "d.csv", table))
+    from_file, from_memory = photocal.assess(tmp_path / "d.csv", options), photocal.assess(table, options)
     assert [one.moments for one in from_file.components] == [one.moments for one in from_memory.components]
 
 
