@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from photocal.geometry.camera import Camera
-    from photocal.results.result import Result
 
 # Readable in print: a column of a page is about 17 cm wide.
 _WIDE_IN, _HIGH_IN = 6.7, 3.2
@@ -27,7 +26,8 @@ _MARKS = {"control": ("^", "tab:red"), "check": ("s", "tab:green"), "tie": (".",
 class Plots:
     """Pictures of a result; each returns its figure, which `savefig` writes."""
 
-    def __init__(self, result: Result) -> None:
+    # A `Result`, which is not named here: it stands on this module.
+    def __init__(self, result: Any) -> None:
         self._result = result
 
     def residuals(self, camera: str = "") -> Figure:
@@ -166,7 +166,7 @@ def _displacement(camera: Camera) -> tuple[Any, Any]:
     return plane, plane - np.array([camera.value("x0"), camera.value("y0")]) - ideal
 
 
-def _check_errors(result: Result, ax: Any) -> None:
+def _check_errors(result: Any, ax: Any) -> None:
     number = {name: k for k, name in enumerate(result.points.names)}
     checked = [point for point in result.checks.points if point.point in number]
     at = result.points.values[[number[point.point] for point in checked]]

@@ -7,7 +7,7 @@ from functools import cached_property
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -20,9 +20,7 @@ from photocal.base.files import output_folder
 from photocal.block.model import InputFile, Repetition
 from photocal.geometry.camera import MOTION, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
-
-if TYPE_CHECKING:
-    from photocal.results.plot import Plots
+from photocal.results.plot import Plots
 
 ANGLES, PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
 TURNS, CENTRES = OF_HEAD[TURN], OF_HEAD[CENTRE]
@@ -461,10 +459,8 @@ class Result(Figures):
         return self.cameras[name]
 
     @property
-    def plot(self) -> "Plots":
+    def plot(self) -> Plots:
         """Pictures: `.residuals()`, `.camera()`, `.block()`; each returns a matplotlib figure."""
-        from photocal.results.plot import Plots
-
         return Plots(self)
 
     def to_pandas(self) -> dict[str, Any]:
