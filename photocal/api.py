@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,27 +16,130 @@ from photocal.base.errors import ConfigurationError
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.geometry.camera import Camera, camera
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.results.folder import read_result, write_result
 from photocal.results.result import Result
 
 if TYPE_CHECKING:
+    from photocal.accuracy.assessment import Assessment
+    from photocal.accuracy.discrepancies import Discrepancies
+    from photocal.accuracy.options import JudgementOptions
+    from photocal.analysis.components import Proposal
+    from photocal.analysis.estimates import FTest
     from photocal.analysis.outcome import Outcome
+    from photocal.analysis.stability.compared import Compared
+    from photocal.base.errors import (
+        DeviceError,
+        IllPosedError,
+        InputMalformedError,
+        InputNotFoundError,
+        NotConvergedError,
+        OutputError,
+        PhotocalError,
+        ProgramMissingError,
+    )
+    from photocal.findings.finding import Finding
     from photocal.georeferencing.comparison import BlockCheck
+    from photocal.judging import analyse, assess, check, compare, components, significance
+    from photocal.measurement.block_files import Measured
+    from photocal.measurement.options import MeasureOptions
+    from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
+    from photocal.navigation.steps import exposures, ppk
+    from photocal.planning.area import area_from_corners, read_area
+    from photocal.planning.flight import FlightRequest
+    from photocal.planning.monte_carlo import simulate_flights
+    from photocal.planning.options import FlightOptions, LimitOptions, MissionOptions, PrecisionOptions
+    from photocal.planning.plan import Plan, plan
+    from photocal.products.options import OrthoOptions, VolumeOptions
+    from photocal.products.ortho import ortho
+    from photocal.products.volume import volume
+    from photocal.report.options import CertificateOptions
+    from photocal.run.certify import certificate
+    from photocal.run.stage import StageResult
+
+# What stands in other rooms is loaded when it is used.
+_ELSEWHERE = {
+    "photocal.accuracy.assessment": ("Assessment",),
+    "photocal.accuracy.discrepancies": ("Discrepancies",),
+    "photocal.accuracy.options": ("JudgementOptions",),
+    "photocal.analysis.components": ("Proposal",),
+    "photocal.analysis.estimates": ("FTest",),
+    "photocal.analysis.outcome": ("Outcome",),
+    "photocal.analysis.stability.compared": ("Compared",),
+    "photocal.base.errors": (
+        "DeviceError", "IllPosedError", "InputMalformedError", "InputNotFoundError", "NotConvergedError",
+        "OutputError",
+        "PhotocalError", "ProgramMissingError",
+    ),
+    "photocal.findings.finding": ("Finding",),
+    "photocal.georeferencing.comparison": ("BlockCheck",),
+    "photocal.judging": ("analyse", "assess", "check", "compare", "components", "significance"),
+    "photocal.measurement.block_files": ("Measured",),
+    "photocal.measurement.options": ("MeasureOptions",),
+    "photocal.navigation.options": ("ExposureOptions", "PpkOptions", "ReceiverOptions"),
+    "photocal.navigation.steps": ("exposures", "ppk"),
+    "photocal.planning.area": ("area_from_corners", "read_area"),
+    "photocal.planning.flight": ("FlightRequest",),
+    "photocal.planning.monte_carlo": ("simulate_flights",),
+    "photocal.planning.options": ("FlightOptions", "LimitOptions", "MissionOptions", "PrecisionOptions"),
+    "photocal.planning.plan": ("Plan", "plan"),
+    "photocal.products.options": ("OrthoOptions", "VolumeOptions"),
+    "photocal.products.ortho": ("ortho",),
+    "photocal.products.volume": ("volume",),
+    "photocal.report.options": ("CertificateOptions",),
+    "photocal.run.certify": ("certificate",),
+    "photocal.run.stage": ("StageResult",),
+}  # fmt: skip
+_MODULE_OF = {name: module for module, names in _ELSEWHERE.items() for name in names}
 
 __all__ = [
-    "Block", "Camera", "Images", "ObjectPoints", "Observations", "OrientedImages", "Result", "adjust",
-    "analyse", "block_of_arrays", "camera", "check", "read_block", "read_cameras", "read_log", "read_result",
-    "with_relations", "write_block", "write_cameras", "write_result",
+    "Assessment", "Block", "BlockCheck", "Camera", "CertificateOptions", "Compared", "ConfigurationError",
+    "DeviceError", "Discrepancies", "ExposureOptions", "FTest", "Finding", "FlightOptions", "FlightRequest",
+    "IllPosedError", "Images", "InputMalformedError", "InputNotFoundError", "JudgementOptions",
+    "LimitOptions", "MeasureOptions", "Measured", "MissionOptions", "NotConvergedError", "ObjectPoints",
+    "Observations", "OrientedImages", "OrthoOptions", "Outcome", "OutputError", "PhotocalError", "Plan",
+    "PpkOptions", "PrecisionOptions", "ProgramMissingError", "Proposal", "ReceiverOptions", "Result",
+    "StageResult", "VolumeOptions", "adjust", "analyse", "area_from_corners", "assess", "block_of_arrays",
+    "camera", "certificate", "check", "compare", "components", "exposures", "measure", "ortho", "plan",
+    "ppk", "read_area", "read_block", "read_cameras", "read_log", "read_result",
+    "run_project", "significance", "simulate_flights", "volume", "with_relations", "write_block",
+    "write_cameras", "write_result",
 ]  # fmt: skip
 
 # What a calibration estimates unless it is told otherwise.
 USUAL = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 
 
-def read_block(path: str | Path) -> Block:
-    """Read a block folder, or the set-up file of another program (DBAT, COLMAP, Metashape, OPF ...).
+def __getattr__(name: str) -> Any:
+    if name in _MODULE_OF:
+        return getattr(import_module(_MODULE_OF[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
-    raises PhotocalError: for what cannot be read, with file and line.
+
+def read_block(path: str | Path) -> Block:
+    """Read a block folder, or the set-up file of another program.
+
+    Parameters
+    ----------
+    path
+        Folder with `block.toml`, or a set-up file or folder of DBAT, COLMAP, Metashape, OPF and others
+        (docs/exchange.md lists them); the format is recognised by the content.
+
+    Returns
+    -------
+    Block
+        Cameras, images, points and observations as they were given.
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is nothing of that name.
+    InputMalformedError, ConfigurationError
+        When a file cannot be what it claims to be, with file and line.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.read_block("photocal/demo/dcs460").name
+    'Kodak DCS460, published observations'
     """
     from photocal.exchange.formats import read_any_block
 
@@ -56,6 +160,11 @@ def write_block(path: str | Path, block: Block) -> None:
     ------
     PhotocalError
         When the folder cannot be written, or the block has what no block folder can hold.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.write_block("block", block)  # doctest: +SKIP
     """
     from photocal.block.writer import write_block as write
 
@@ -70,10 +179,20 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     path
         TOML file, as `photocal compare` takes it and `write_cameras` writes it.
 
+    Returns
+    -------
+    tuple of Camera
+        In the order of the file.
+
     Raises
     ------
     PhotocalError
         For a key or a value that cannot be, with file and camera.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.compare(photocal.read_cameras("cameras.toml"))  # doctest: +SKIP
     """
     from photocal.analysis.stability.camera_file import read_camera_file
 
@@ -94,6 +213,11 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     ------
     PhotocalError
         When the file cannot be written.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.write_cameras("cameras.toml", [result.camera()])  # doctest: +SKIP
     """
     from photocal.base.codec import toml_text
     from photocal.base.files import output_file
@@ -107,16 +231,56 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
 def block_of_arrays(
     object_points: ArrayLike,
     image_points: ArrayLike,
-    size_px: tuple[int, int],
+    lens: Camera | tuple[int, int],
     *,
     sigma_px: float,
     sigma_m: float | None,
-    lens: Camera | None = None,
     point_names: Sequence[str] = (),
     image_names: Sequence[str] = (),
     check: Sequence[str] = (),
 ) -> Block:
-    """Make a block of two arrays: where points are, and where images show them."""
+    """Make a block of two arrays: where points are, and where images show them.
+
+    Parameters
+    ----------
+    object_points
+        X, Y, Z of the points in a local frame, m, shape (n, 3); an array or a DataFrame.
+    image_points
+        Column and row where each image shows each point, px, shape (m, n, 2); the centre of the upper-left
+        pixel is (0, 0); NaN where an image does not show a point.
+    lens
+        The camera; or the size of its images, width and height, px: then c, x0, y0, K1, K2, P1, P2 are
+        estimated from a start value of c of 1.2 times the longer side.
+    sigma_px
+        Standard deviation of an image coordinate, px.
+    sigma_m
+        Standard deviation of the coordinates of control points, m. None makes tie points of all of them: a
+        free network, whose datum is the mean of their coordinates.
+    point_names
+        Names of the points; 1, 2, 3 ... where not given.
+    image_names
+        Names of the images; 1, 2, 3 ... where not given.
+    check
+        Names of points that take no part as control and are compared with the result.
+
+    Returns
+    -------
+    Block
+        To be adjusted; orientations of the images are found by the adjustment.
+
+    Raises
+    ------
+    ConfigurationError
+        When the shapes of the arrays do not belong together.
+
+    Examples
+    --------
+    >>> import numpy as np, photocal
+    >>> points, pixels = np.zeros((4, 3)), np.zeros((2, 4, 2))
+    >>> made = photocal.block_of_arrays(points, pixels, (4000, 3000), sigma_px=0.3, sigma_m=0.001)
+    >>> len(made.observations.image)
+    8
+    """
     points, pixels = np.array(object_points, dtype=float), np.array(image_points, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or pixels.ndim != 3 or pixels.shape[1:] != (len(points), 2):
         raise ConfigurationError(
@@ -124,8 +288,9 @@ def block_of_arrays(
             "give shapes (n, 3) and (m, n, 2), with NaN where an image does not show a point",
         )
     count = len(pixels)
-    start = {"c": 1.2 * max(size_px)}
-    lens = lens or camera("camera", "brown-ideal", "px", size_px, (1.0, 1.0), start, estimate=USUAL)
+    if not isinstance(lens, Camera):
+        start = {"c": 1.2 * max(lens)}
+        lens = camera("camera", "brown-ideal", "px", lens, (1.0, 1.0), start, estimate=USUAL)
     image, point = np.nonzero(np.isfinite(pixels).all(axis=2))
     names = tuple(point_names) or tuple(str(k + 1) for k in range(len(points)))
     roles = ["check" if name in set(check) else "tie" if sigma_m is None else "control" for name in names]
@@ -151,12 +316,40 @@ def with_relations(
 ) -> Block:
     """Add observations between points: scale bars, height differences, angles, lines, your own kinds.
 
-    kind: "distance", "height_difference", "azimuth", "vertical_angle", "horizontal_angle" (at, from, to),
+    Parameters
+    ----------
+    block
+        Block to add to; it stays as it is.
+    kind
+        "distance", "height_difference", "azimuth", "vertical_angle", "horizontal_angle" (at, from, to),
         "line" (from, to, and a point of it, which deviates by the value 0), or a kind of your own.
-    rows: two points, or three, value and standard deviation: m, radians for angles.
-    related: for a kind of your own: from the differences (n, 3) of the points, second less first, the values
+    rows
+        Names of two points, or three, then value and standard deviation: m, or radians for angles; tuples, or
+        a DataFrame with these columns in this order.
+    related
+        For a kind of your own: from the differences (n, 3) of the points, second less first, m, the values
         (n,) and their derivatives (n, 3) with respect to the second point.
+
+    Returns
+    -------
+    Block
+        The block with these observations.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown kind without a function, an unknown point, or another number of cells.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> first, second = block.points.names[:2]
+    >>> scaled = photocal.with_relations(block, "distance", [(first, second, 1.2345, 0.0001)])
+    >>> len(scaled.relations.values) - len(block.relations.values)
+    1
     """
+    if hasattr(rows, "itertuples"):
+        rows = rows.itertuples(index=False, name=None)
     old = block.relations
     if related is not None and kind not in old.names:
         old = replace(old, further=(*old.further, (kind, related)))
@@ -185,8 +378,48 @@ def with_relations(
 def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, components: bool = False) -> Result:
     """Adjust a block by least squares: cameras, orientations and points with their covariances.
 
-    raises PhotocalError: for a block that does not determine its unknowns, or an adjustment that does not
-        converge.
+    The whole covariance is rigorous; nothing is scaled by the variance factor unless the global test rejects
+    the stated standard deviations, and then both figures are given.
+
+    Parameters
+    ----------
+    block
+        Observations, start values and datum. What has no start value is found by resection and intersection.
+    snooping
+        Search for gross errors one by one: "w" with the standard deviations as they were given (Baarda),
+        "tau" with those that the residuals show (Pope); None keeps all observations.
+    components
+        Estimate the standard deviation of each group of observations and adjust with those.
+
+    Returns
+    -------
+    Result
+        Adjusted cameras, images (rad, m), points (m) and residuals, tests and check points; `print` shows
+        what matters, `result.plot` draws it.
+
+    Raises
+    ------
+    IllPosedError
+        When the observations do not determine the unknowns; the message names them.
+    NotConvergedError
+        When the iteration ends without reaching the minimum.
+    ConfigurationError
+        When the block contradicts itself.
+
+    References
+    ----------
+    B. Triggs, P. McLauchlan, R. Hartley, A. Fitzgibbon: Bundle adjustment - a modern synthesis. Vision
+    Algorithms 1999. W. Baarda: A testing procedure for use in geodetic networks. Delft 1968.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> result = photocal.adjust(block)
+    >>> result.converged
+    True
+    >>> camera = result.camera()
+    >>> bool(0 < camera.sigma_of("c") < 0.01 * camera.value("c"))
+    True
     """
     from photocal.results.adjusted import adjust_network
     from photocal.results.more_tables import Wanted
@@ -194,34 +427,170 @@ def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, compone
     return adjust_network(block, snooping, Wanted(components=components))
 
 
-def analyse(
-    block: Block, result: Result | None = None, *, alpha: float = 0.10, threshold: float = 0.8
-) -> Outcome:
-    """Look for what an adjustment hides: systematic errors, insignificant and correlated parameters."""
-    from photocal.analysis.analyse_run import checks_of
-    from photocal.analysis.outcome import analyse_network
-    from photocal.block.network import assemble
-    from photocal.results.adjusted import network_of
+def measure(images: str | Path, *, options: MeasureOptions | None = None) -> Measured:
+    """Measure images: tie points, marked control, boards or coded targets, as a block to be adjusted.
 
-    assembly = assemble(block) if result is None else network_of(block, result)
-    return analyse_network(assembly.network, checks_of(block, assembly), alpha, threshold)
+    Parameters
+    ----------
+    images
+        Folder of the images, or a `project.toml`.
+    options
+        Control, board or field of targets, focal length (mm) or principal distance (px).
 
+    Returns
+    -------
+    Measured
+        The block, and the record of what was measured and left out.
 
-def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = None) -> BlockCheck:
-    """Georeference a block three ways (direct, integrated, indirect) and judge it at its check points.
+    Raises
+    ------
+    ConfigurationError
+        For options that contradict each other.
+    InputNotFoundError, InputMalformedError
+        For images or tables that cannot be read.
+    IllPosedError
+        When the images cannot be oriented.
 
-    standards: such as "decree-89817", "pec-pcd", "asprs-2024", or paths of TOML files.
-    scale: denominator of the map scale to judge at.
+    Examples
+    --------
+    >>> import photocal
+    >>> board = photocal.MeasureOptions(board="10x7", square_m=0.03)
+    >>> photocal.adjust(photocal.measure("photos", options=board).block)  # doctest: +SKIP
     """
-    from photocal.accuracy.standard import Question, load_standard
-    from photocal.georeferencing.comparison import check_block
+    from photocal.base.console import progress
+    from photocal.measurement.measure import measure as measured
+    from photocal.measurement.options import MeasureOptions
+    from photocal.project import read_project
 
-    chosen = tuple(load_standard(name) for name in standards)
-    return check_block(block, chosen, Question(scale_denominator=scale))
+    path = Path(images)
+    return measured(
+        read_project(path) if path.suffix == ".toml" else path, options or MeasureOptions(), progress
+    )
+
+
+def run_project(
+    project: str | Path, *, until: str | None = None, again: str | None = None, rehash: bool = False
+) -> tuple[StageResult, ...]:
+    """Bring all stages of a project up to date.
+
+    They are PPK, exposures, image points, calibration, check, analysis and certificate. A stage is kept while
+    neither its inputs nor the code that it runs change.
+
+    Parameters
+    ----------
+    project
+        `project.toml`, or the folder that has it.
+    until
+        Last stage to be made; all where not given.
+    again
+        Stage to be made although nothing has changed.
+    rehash
+        Read all files again, whatever their size and times say.
+
+    Returns
+    -------
+    tuple of StageResult
+        Each stage with what was made of it.
+
+    Raises
+    ------
+    PhotocalError
+        As the first stage that fails does; what does not need that stage is made nevertheless.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> [stage.name for stage in photocal.run_project("flight", until="block")]  # doctest: +SKIP
+    ['ppk', 'exposures', 'block']
+    """
+    import datetime as dt
+
+    from photocal.base.console import progress
+    from photocal.project import read_project
+    from photocal.run.campaign import run_project as brought_up_to_date
+
+    today = dt.datetime.now().astimezone().date()
+    return brought_up_to_date(read_project(Path(project)), today, progress, until, again, rehash)
+
+
+def read_result(folder: str | Path) -> Result:
+    """Read the result of an adjustment.
+
+    Parameters
+    ----------
+    folder
+        Folder that `photocal adjust` or `write_result` wrote.
+
+    Returns
+    -------
+    Result
+        As it was when it was written.
+
+    Raises
+    ------
+    InputNotFoundError
+        When the folder or one of its files is missing or empty.
+    InputMalformedError
+        When a file is of another schema, cut, not a number where one must stand, or contradicts another.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.read_result("run")  # doctest: +SKIP
+    """
+    from photocal.results.folder import read_result as read
+
+    return read(Path(folder))
+
+
+def write_result(folder: str | Path, result: Result) -> None:
+    """Write `result.json` and the tables beside it.
+
+    Parameters
+    ----------
+    folder
+        Folder to write, whole or not at all; it is made where it is missing.
+    result
+        The result of an adjustment.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.write_result("run", result)  # doctest: +SKIP
+    """
+    result.write(folder)
 
 
 def read_log(path: str | Path, topics: Sequence[str] = ()) -> dict[str, dict[str, NDArray[Any]]]:
-    """Read a flight log into arrays, one for each field of each topic."""
+    """Read a flight log into arrays, one for each field of each topic.
+
+    Parameters
+    ----------
+    path
+        An MCAP file that `acquire record` or `acquire import` wrote.
+    topics
+        Topics to read; all whose messages have fields where not given.
+
+    Returns
+    -------
+    dict
+        By topic and field, arrays of shape (n,); `log_ns` and `publish_ns` are nanoseconds since 1970.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        For a file that is missing or no flight log.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.read_log("flight.mcap")["/gnss/rover/fix"]["altitude"]  # doctest: +SKIP
+    """
     from acquire.log.arrays import arrays_of_log
 
     return arrays_of_log(Path(path), frozenset(topics))

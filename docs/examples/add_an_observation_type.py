@@ -20,7 +20,7 @@ def level_distance(difference):
 
 
 # Start coordinates that are one per cent too large: without control nothing contradicts them.
-free = photocal.block_of_arrays(1.01 * points, pixels, (4000, 3000), sigma_px=0.3, sigma_m=None, lens=lens)
+free = photocal.block_of_arrays(1.01 * points, pixels, lens, sigma_px=0.3, sigma_m=None)
 slope, level = np.linalg.norm(points[0] - points[1]), np.linalg.norm((points[0] - points[1])[:2])
 barred = photocal.with_relations(free, "distance", [("1", "2", slope, 1e-5)])
 own = photocal.with_relations(free, "level distance", [("1", "2", level, 1e-5)], level_distance)

@@ -18,9 +18,7 @@ pixels += rng.normal(0, 0.5, pixels.shape)
 check = [str(k) for k in range(61, 121)]
 for name, terms in (("c, x0, y0", ("c", "x0", "y0")), ("and K1, K2", ("c", "x0", "y0", "K1", "K2"))):
     lens = photocal.camera("lens", "brown-ideal", "px", (4000, 3000), (1, 1), {"c": 3600.0}, estimate=terms)
-    block = photocal.block_of_arrays(
-        points, pixels, (4000, 3000), sigma_px=0.5, sigma_m=0.01, lens=lens, check=check
-    )
+    block = photocal.block_of_arrays(points, pixels, lens, sigma_px=0.5, sigma_m=0.01, check=check)
     result = photocal.adjust(block)
     rmse = ", ".join(f"{axis} {1e3 * value:.0f}" for axis, value in result.checks.rmse_m.items())
     print(f"{name}: v'Pv / r {result.sigma0_squared:.2f}, check points {rmse} mm")

@@ -70,7 +70,25 @@ class TableResult:
 
 @dataclass(frozen=True)
 class Assessment:
-    """Everything that is said about a product at its check points."""
+    """Everything that is said about a product at its check points.
+
+    Attributes
+    ----------
+    discrepancies
+        Product minus reference, m.
+    question
+        What it was judged for.
+    components
+        Statistics and tests of E, N and h, those that were measured.
+    plane, height, space
+        Lengths of the errors in plane, height and space, m; None where they were not measured.
+    similarity
+        Shift, turn and scale of the plane errors; None without positions.
+    tables
+        Classes by standards whose limits belong to a scale or a contour interval.
+    values
+        Classes by standards whose class is the value reached.
+    """
 
     discrepancies: Discrepancies
     question: Question

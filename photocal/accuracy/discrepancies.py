@@ -31,9 +31,14 @@ _EXPECTED = "point, correction_E, correction_N, correction_h (reference minus pr
 class Discrepancies:
     """Product minus reference at check points.
 
-    d_m (n, 3): dE, dN, dh in m; NaN where a component was not measured.
-    positions_m (n, 3): E, N, h of the points, m, for maps; NaN where not given.
-    vegetated (n,): which points lie in vegetated ground; None where nobody said, then none does.
+    Attributes
+    ----------
+    d_m : array, shape (n, 3)
+        DE, dN, dh in m; NaN where a component was not measured.
+    positions_m : array, shape (n, 3)
+        E, N, h of the points, m, for maps; NaN where not given.
+    vegetated : array, shape (n,)
+        Which points lie in vegetated ground; None where nobody said, then none does.
     """
 
     points: tuple[str, ...]

@@ -73,7 +73,10 @@ class RemovalStep:
 class Proposal:
     """What the removal rule ends with.
 
-    recommended: those of the removed that are worth leaving out: not needed, or of unknown significance.
+    Attributes
+    ----------
+    recommended
+        Those of the removed that are worth leaving out: not needed, or of unknown significance.
     """
 
     steps: tuple[RemovalStep, ...]

@@ -126,7 +126,10 @@ def quadratic_form(estimates: Estimates) -> float:
 class FTest:
     """Outcome of one test of "these parameters are zero".
 
-    kind: "single", "group" or "cumulative".
+    Attributes
+    ----------
+    kind
+        "single", "group" or "cumulative".
     """
 
     kind: str

@@ -244,7 +244,17 @@ class Analysis:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome(Analysis):
-    """An analysis with the adjustments behind it."""
+    """An analysis with the adjustments behind it.
+
+    Attributes
+    ----------
+    search
+        The block adjusted without the errors that were found, and all candidates with their tests.
+    findings
+        Hidden errors, worst first.
+    cameras
+        By name significance, effects, correlations and components; None for one without estimated parameters.
+    """
 
     search: Search
 

@@ -88,12 +88,13 @@ def _parameters(kind: type[Any]) -> list[inspect.Parameter]:
     hints, parameters = get_type_hints(kind, include_extras=True), list[inspect.Parameter]()
     for field in fields(kind):
         value_type: Any
-        value_type, *described = get_args(hints[field.name])
-        help_of = next(part for part in described if isinstance(part, Option))
+        value_type, *notes = get_args(hints[field.name])
+        help_of = next(part for part in notes if isinstance(part, Option))
         default: Any = inspect.Parameter.empty if field.default is MISSING else field.default
         if get_origin(value_type) is tuple and get_args(value_type)[1:] == (Ellipsis,):
             value_type, default = types.GenericAlias(list, get_args(value_type)[:1]), list(default)
-        annotation = Annotated[value_type, option(help_of.text, *help_of.names)]
+        described = option(help_of.text, *help_of.names, min=help_of.least, max=help_of.most)
+        annotation = Annotated[value_type, described]
         parameters.append(
             inspect.Parameter(
                 field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation

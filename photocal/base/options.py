@@ -14,10 +14,14 @@ class Option:
         Help, with the unit where the name does not end with it.
     names
         As on the command line (`("-o", "--output")`), where not `--` and the name of the field.
+    least, most
+        Smallest and largest value; None where there is none.
     """
 
     text: str
     names: tuple[str, ...] = ()
+    least: float | None = None
+    most: float | None = None
 
 
 class Options:

@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field, replace
+from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -56,14 +57,22 @@ def fingerprint(path: Path, name: str = "") -> InputFile:
 class Images:
     """Images with their exterior orientation in the block's frame.
 
-    camera (n,): index into the block's cameras.
-    values, sigma (n, 6): omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves
-        it free. Where they are not given nothing is known: NaN and infinity.
-    motion, motion_sigma (n, 6): velocity (m/s) and rate (rad/s) as `adjustment.network.Exposures` has them;
-        NaN where not known. `motion` has 15 columns more where a gyroscope has recorded how images shake.
-    time (n,): of the exposure, s; NaN where it is not known.
-    temperature (n,): of the camera or the air at the exposure, degrees Celsius; NaN where it is not known.
-    exposure: what the images of several cameras on one frame have in common; empty for an image by itself.
+    Attributes
+    ----------
+    camera : array, shape (n,)
+        Index into the block's cameras.
+    values, sigma : array, shape (n, 6)
+        Omega, phi, kappa in radians, X, Y, Z in m; sigma 0 holds a value, infinity leaves it free. Where
+        they are not given nothing is known: NaN and infinity.
+    motion, motion_sigma : array, shape (n, 6)
+        Velocity (m/s) and rate (rad/s) as `adjustment.network.Exposures` has them; NaN where not known.
+        `motion` has 15 columns more where a gyroscope has recorded how images shake.
+    time : array, shape (n,)
+        Of the exposure, s; NaN where it is not known.
+    temperature : array, shape (n,)
+        Of the camera or the air at the exposure, degrees Celsius; NaN where it is not known.
+    exposure
+        What the images of several cameras on one frame have in common; empty for an image by itself.
     """
 
     names: tuple[str, ...]
@@ -111,11 +120,17 @@ class Images:
 class ObjectPoints:
     """Object points.
 
-    values (n, 3): X, Y, Z in m; NaN where a tie point has no start value.
-    sigma (n, 3): of the surveyed coordinates; 0 holds a coordinate, infinity leaves it free, as where it is
-        not given.
-    role (n,): index into `ROLES`; tie points where it is not given.
-    cross (n, 3): covariances XY, XZ, YZ of the surveyed coordinates, m^2; zero when they are not given.
+    Attributes
+    ----------
+    values : array, shape (n, 3)
+        X, Y, Z in m; NaN where a tie point has no start value.
+    sigma : array, shape (n, 3)
+        Of the surveyed coordinates; 0 holds a coordinate, infinity leaves it free, as where it is not
+        given.
+    role : array, shape (n,)
+        Index into `ROLES`; tie points where it is not given.
+    cross : array, shape (n, 3)
+        Covariances XY, XZ, YZ of the surveyed coordinates, m^2; zero when they are not given.
     """
 
     names: tuple[str, ...]
@@ -157,10 +172,15 @@ class ObjectPoints:
 class Observations(Columns):
     """Image observations, in the order of their table.
 
-    axes: column and row from the upper-left pixel, or ("photo") x right and y up from the middle of the
+    Attributes
+    ----------
+    axes
+        Column and row from the upper-left pixel, or ("photo") x right and y up from the middle of the
         image.
-    image, point (n,): indices into those of the block.
-    values, sigma (n, 2): in `unit` and `axes`.
+    image, point : array, shape (n,)
+        Indices into those of the block.
+    values, sigma : array, shape (n, 2)
+        In `unit` and `axes`.
     """
 
     unit: Literal["px", "mm"]
@@ -223,19 +243,32 @@ class Repetition:
 class Block:
     """Everything in a block folder.
 
-    frame: "local", or the name of a coordinate reference system.
-    height: kind of the heights.
-    datum_points: points over which a free datum is taken; empty for all.
-    relations: distances and height differences between points, by their index.
-    positions, attitudes, mounting: observations of a GNSS antenna and an inertial unit, and how they are
-        mounted.
-    fiducial_fits: where the observations were given as readings.
-    repetition: how repeated readings agree, where the block has them.
-    check_distances: known distances that take no part, by the index of their points.
-    heads: cameras that are fixed to each other, the first of each frame among them.
-    global_test: its level and its kind.
-    refraction: coefficient of the rays' bending in the atmosphere; None where it is not modelled.
-    curvature: whether local coordinates are plane, with heights above a curved earth.
+    Attributes
+    ----------
+    frame
+        "local", or the name of a coordinate reference system.
+    height
+        Kind of the heights.
+    datum_points
+        Points over which a free datum is taken; empty for all.
+    relations
+        Distances and height differences between points, by their index.
+    positions, attitudes, mounting
+        Observations of a GNSS antenna and an inertial unit, and how they are mounted.
+    fiducial_fits
+        Where the observations were given as readings.
+    repetition
+        How repeated readings agree, where the block has them.
+    check_distances
+        Known distances that take no part, by the index of their points.
+    heads
+        Cameras that are fixed to each other, the first of each frame among them.
+    global_test
+        Its level and its kind.
+    refraction
+        Coefficient of the rays' bending in the atmosphere; None where it is not modelled.
+    curvature
+        Whether local coordinates are plane, with heights above a curved earth.
     """
 
     name: str
@@ -278,3 +311,12 @@ class Block:
             f"{len(self.observations.image)} rays, {len(self.cameras)} camera(s), frame {self.frame}, "
             f"datum {self.datum}"
         )
+
+    def _repr_html_(self) -> str:
+        """A short table for a notebook."""
+        of_role = {f"{role} points": int(self.points.of_role(role).sum()) for role in ROLES}
+        counts = {"images": len(self.images.names), **of_role, "rays": len(self.observations.image)}
+        shown = {**counts, "cameras": ", ".join(c.id for c in self.cameras), "frame": self.frame}
+        shown["datum"] = self.datum
+        rows = (f"<tr><td>{key}</td><td>{escape(str(value))}</td></tr>" for key, value in shown.items())
+        return f"<p>Block {escape(self.name)}</p><table>{''.join(rows)}</table>"

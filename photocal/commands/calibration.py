@@ -4,13 +4,12 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
-from photocal.base.console import AsJson, answer, argument, option, progress
+from photocal.analysis.options import AnalysisOptions, PublishedOptions
+from photocal.base.console import AsJson, answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    import datetime as dt
+from photocal.report.options import CertificateOptions
 
 
 def adjust(
@@ -74,30 +73,16 @@ def iteration_lines(title: str) -> Callable[[Any], None]:
     return line
 
 
+@spread
 def analyse(
     run: Annotated[
         Path,
         argument("Folder that `photocal adjust` wrote; or a CSV of published parameters or correlations."),
     ],
-    block: Annotated[
-        Path | None, option("Block folder of the run, or its set-up file, when it is not found.")
-    ] = None,
-    alpha: Annotated[float, option("Level of the significance tests.", min=1e-4, max=0.5)] = 0.10,
-    correlation: Annotated[float, option("Correlations from here on are named.", min=0.0, max=1.0)] = 0.8,
-    bootstrap: Annotated[
-        int,
-        option("Adjust so many blocks of images drawn with replacement; 100 tell enough.", min=0, max=10_000),
-    ] = 0,
-    matrix: Annotated[
-        Path | None, option("CSV of the correlations or the covariance of published parameters.")
-    ] = None,
-    set_name: Annotated[
-        str | None, option("Set of a published table; without, all of them.", "--set")
-    ] = None,
-    degrees_of_freedom: Annotated[float, option("Redundancy behind published parameters.", min=1.0)] = float(
-        "inf"
-    ),
+    analysis: AnalysisOptions,
+    published: PublishedOptions,
     language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    *,
     as_json: AsJson = False,
 ) -> None:
     """Analyse a calibration: hidden errors worst first, significance, correlations, method.
@@ -116,97 +101,49 @@ def analyse(
     from photocal.analysis.analyse_run import analyse_run, analysis_record
     from photocal.findings.document import text
     from photocal.findings.texts import catalogue
-    from photocal.report.analysis_sections import analysed, published
+    from photocal.report.analysis_sections import analysed
+    from photocal.report.analysis_sections import published as of_published
     from photocal.report.stored_analysis import read_run
 
     say = catalogue(language)
     if run.is_file():
         from photocal.analysis.published import analyse_published, published_record
 
-        sets = analyse_published(run, matrix, set_name, degrees_of_freedom, alpha, correlation)
-        answer(as_json, lambda: published_record(sets), lambda: text(published(sets, correlation, say)))
+        beside = published.matrix, published.set_name, published.degrees_of_freedom
+        sets = analyse_published(run, *beside, analysis.alpha, analysis.correlation)
+        answer(
+            as_json,
+            lambda: published_record(sets),
+            lambda: text(of_published(sets, analysis.correlation, say)),
+        )
         return
+    levels = analysis.alpha, analysis.correlation
     with progress("adjusting again", 1.0) as advance:
-        outcome = analyse_run(run, block, alpha, correlation, advance, say, bootstrap)
+        outcome = analyse_run(run, analysis.block, *levels, advance, say, analysis.bootstrap)
     answer(as_json, lambda: analysis_record(outcome, say), lambda: text(analysed(read_run(run), say)))
 
 
+@spread
 def certificate(
     run: Annotated[Path, argument("Folder that `photocal adjust` wrote.")],
     output: Annotated[Path, option("Folder for the certificate.", "-o", "--output")],
-    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
-    date: Annotated[str | None, option("Day of the certificate, YYYY-MM-DD; today if not given.")] = None,
-    block: Annotated[
-        Path | None,
-        option(
-            "Block folder of the run, or its set-up file, when it is not found near it: the certificate "
-            "carries the inputs for `photocal verify`."
-        ),
-    ] = None,
-    particulars: Annotated[
-        Path | None,
-        option("TOML file: camera, campaign, positioning system, equipment, validity, responsible."),
-    ] = None,
-    client: Annotated[str, option("For whom.")] = "",
-    operator: Annotated[str, option("By whom.")] = "",
-    images: Annotated[
-        Path | None, option("Folder of the pictures: their EXIF tells camera, aperture, focus and firmware.")
-    ] = None,
+    *,
+    options: CertificateOptions,
     as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
     """Write the certificate of a calibration: HTML page, PDF and JSON.
 
     Example: `photocal certificate run -o certificate --block block --language pt-BR`
     """
-    from photocal.measurement.image_facts import read_facts, told_conditions
-    from photocal.measurement.image_file import list_images
-    from photocal.report.issue import FORMS, issue
-    from photocal.report.keys import own_key
-    from photocal.results.origin import CARRIED
-    from photocal.run.summary import flown_beside, told_beside
+    from photocal.run.certify import certificate as certified
 
-    pictures = told_conditions([read_facts(path) for path in list_images(images)] if images else [])
-    key = own_key()
-    with progress("certificate", 4) as step:
-        document = issue(
-            run,
-            output,
-            day=_day(date),
-            language=language,
-            block=block,
-            particulars=particulars,
-            client=client,
-            operator=operator,
-            key=key.fingerprint if key else "",
-            warnings=told_beside(run),
-            pictures=pictures,
-            flown=flown_beside(run),
-            done=lambda: step(1),
-        )
-    written = [str(output / name) for name in (*FORMS, CARRIED) if (output / name).exists()]
+    made = certified(run, output, options=options)
     answer(
         as_json,
         lambda: {
-            "number": document.number,
-            "files": written,
-            "highlights": {item.label: item.value for item in document.highlights},
+            "number": made.document.number,
+            "files": [str(path) for path in made.files],
+            "highlights": {item.label: item.value for item in made.document.highlights},
         },
-        lambda: "\n".join(
-            [
-                f"{document.title} {document.number}",
-                *(f"  {item.label}: {item.value} ({item.remark})" for item in document.highlights),
-                *(f"  {path}" for path in written),
-            ]
-        ),
+        lambda: str(made),
     )
-
-
-def _day(date: str | None) -> "dt.date":
-    import datetime as dt
-
-    if date is None:
-        return dt.datetime.now().astimezone().date()
-    try:
-        return dt.date.fromisoformat(date)
-    except ValueError:
-        raise ConfigurationError(f"{date!r} is no date", "write it as YYYY-MM-DD", where="--date") from None

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from photocal.base.console import AsJson, answer, argument, numbers_of, option, progress
+from photocal.accuracy.options import JudgementOptions, MapOptions
+from photocal.base.console import AsJson, answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
+from photocal.base.options import Option, Options
+from photocal.georeferencing.options import RepetitionOptions
+from photocal.products.options import ProductOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,14 +27,29 @@ if TYPE_CHECKING:
 Judged: TypeAlias = tuple[dict[str, Any], str]
 
 
+@dataclass(frozen=True, kw_only=True)
+class OtherSources(Options):
+    """What is checked in place of a block."""
+
+    discrepancies: Annotated[
+        Path | None,
+        Option(
+            "Instead of a block: CSV with the columns point, correction_E, correction_N, correction_h, "
+            "or dE, dN, dh as studies print them (both reference minus product), in metres or with the "
+            "unit in the header (dE_cm); optional E, N, h."
+        ),
+    ] = None
+    experiment: Annotated[
+        Path | None, Option("Instead of a block: TOML file with interior orientations and control patterns.")
+    ] = None
+
+
 def judge_product(
     product: Discrepancies | ProductCheck,
     path: Path,
     standards: tuple[Standard, ...],
     question: Question,
-    figures: Path | None,
-    geopackage: Path | None,
-    crs: str | None,
+    maps: MapOptions,
 ) -> Judged:
     """Judge a table of discrepancies, or what an orthomosaic and a terrain model say at the check points."""
     from photocal.accuracy.assessment import assess
@@ -43,17 +63,18 @@ def judge_product(
         likeness, remarks = as_plain(product.likeness), product.remarks
         more, product = {"likeness": likeness, "remarks": list(remarks)}, product.discrepancies
     result = assess(product, standards, question)
-    if figures is not None:
+    if maps.figures is not None:
         from photocal.accuracy.maps import check_figures, save_figures
         from photocal.base.files import output_folder
 
-        with output_folder(figures) as aside:
+        with output_folder(maps.figures) as aside:
             save_figures(aside, check_figures(result.discrepancies, question.gsd_m))
-    if geopackage is not None:
+    if maps.geopackage is not None:
         from photocal.accuracy.maps import reference_system, write_geopackage
         from photocal.base.geopackage import changed_utc
 
-        write_geopackage(geopackage, (("check", product),), reference_system(crs), changed_utc(path))
+        system = reference_system(maps.crs)
+        write_geopackage(maps.geopackage, (("check", product),), system, changed_utc(path))
     return to_json(result) | more, "\n".join([to_text(result), *remarks])
 
 
@@ -108,7 +129,6 @@ def judge_block(
 def with_project(path: Path, question: Question) -> tuple[Project, Question]:
     """Bring the block of a project up to date; what the command line does not ask, the project does."""
     import datetime as dt
-    from dataclasses import replace
 
     from photocal.project import read_project
     from photocal.run.campaign import run_project
@@ -163,8 +183,6 @@ def _with_place(text: str, output: Path | None) -> str:
 
 def _interiors(path: Path) -> tuple[Camera, ...]:
     """Calibrations of a file as `photocal compare` reads it."""
-    from dataclasses import replace
-
     import numpy as np
 
     from photocal.analysis.stability.camera_file import read_camera_file
@@ -179,18 +197,7 @@ def _interiors(path: Path) -> tuple[Camera, ...]:
     return tuple(cameras)
 
 
-def noise_of(text: str, seed: int) -> tuple[Degradation, np.random.Generator]:
-    """Read the noise of simulated exposures: metres, degrees."""
-    import math
-
-    import numpy as np
-
-    from photocal.georeferencing.methods import Degradation
-
-    position, attitude = numbers_of(text, "--simulate-direct", "METRES,DEGREES: a noise such as 0.08,0.02")
-    return Degradation(position, math.radians(attitude)), np.random.default_rng(seed)
-
-
+@spread
 def check(
     block: Annotated[
         Path | None,
@@ -199,74 +206,12 @@ def check(
     output: Annotated[
         Path | None, option("Folder for tables, figures, GeoPackages and the report.", "-o", "--output")
     ] = None,
-    discrepancies: Annotated[
-        Path | None,
-        option(
-            "Instead of a block: CSV with the columns point, correction_E, correction_N, correction_h, "
-            "or dE, dN, dh as studies print them (both reference minus product), in metres or with the "
-            "unit in the header (dE_cm); optional E, N, h."
-        ),
-    ] = None,
-    experiment: Annotated[
-        Path | None, option("Instead of a block: TOML file with interior orientations and control patterns.")
-    ] = None,
-    points: Annotated[
-        Path | None,
-        option(
-            "Instead of a block: CSV of check points (point, E, N, h) for --ortho and --dtm, in their "
-            "reference system."
-        ),
-    ] = None,
-    ortho: Annotated[Path | None, option("Orthomosaic that shows the targets of the check points.")] = None,
-    target_diameter: Annotated[float | None, option("Of those round targets, metres.")] = None,
-    search_radius: Annotated[float, option("How far from its place a target is looked for, metres.")] = 2.0,
-    dtm: Annotated[Path | None, option("Terrain model that is read at the check points.")] = None,
-    height_kind: Annotated[
-        str | None, option("Of the check points: ellipsoidal, orthometric or local.")
-    ] = None,
-    dtm_height_kind: Annotated[str | None, option("Of a terrain model that does not say it itself.")] = None,
-    standard: Annotated[
-        list[str] | None,
-        option("decree-89817, pec-pcd, asprs-2024 or a TOML file; may be repeated. Without: all three."),
-    ] = None,
-    scale: Annotated[str | None, option("Map scale to judge at, such as 1:1000.")] = None,
-    interval: Annotated[float | None, option("Contour interval in metres to judge at.")] = None,
-    confidence: Annotated[
-        float, option("Level of the tests: two-sided for the bias, one-sided for the precision.")
-    ] = 0.90,
-    survey_horizontal: Annotated[
-        float | None, option("Horizontal (radial) RMSE of the survey of the check points, metres.")
-    ] = None,
-    survey_vertical: Annotated[
-        float | None, option("Vertical RMSE of the survey of the check points, metres.")
-    ] = None,
-    target_horizontal: Annotated[
-        float | None, option("Horizontal (radial) RMSE that is asked for, metres.")
-    ] = None,
-    target_vertical: Annotated[float | None, option("Vertical RMSE that is asked for, metres.")] = None,
-    gsd: Annotated[
-        float | None,
-        option(
-            "Ground sampling distance, metres: how many points lie within one and two; a block gives its own."
-        ),
-    ] = None,
-    figures: Annotated[
-        Path | None, option("With --discrepancies: folder for residual map and histograms (PDF).")
-    ] = None,
-    geopackage: Annotated[
-        Path | None, option("With --discrepancies: GeoPackage for QGIS, to be written.")
-    ] = None,
-    crs: Annotated[
-        str | None, option("Projected system of E and N for the GeoPackage, such as EPSG:31982.")
-    ] = None,
-    control_numbers: Annotated[
-        str | None, option("How much control is needed: repeat with so many control points, such as 0,1,3,5.")
-    ] = None,
-    simulate_direct: Annotated[
-        str | None,
-        option("Noise M,DEG of simulated exposures for direct georeferencing from the adjusted orientation."),
-    ] = None,
-    seed: Annotated[int, option("Of that noise.")] = 0,
+    *,
+    other: OtherSources,
+    product: ProductOptions,
+    judgement: JudgementOptions,
+    maps: MapOptions,
+    repetition: RepetitionOptions,
     as_json: AsJson = False,
 ) -> None:
     """Judge a block or a product at its check points: statistics, tests and accuracy classes.
@@ -277,54 +222,49 @@ def check(
 
     Example: `photocal check field7 -o field7-check --scale 1:1000`
     """
-    from photocal.accuracy.standard import SHIPPED, Question, load_standard, parse_scale
-
-    if sum(source is not None for source in (block, discrepancies, experiment, points)) != 1:
+    sources = (block, other.discrepancies, other.experiment, product.points)
+    if sum(source is not None for source in sources) != 1:
         raise ConfigurationError(
             "there must be one thing to check",
             "name a block or project, or --discrepancies, or --experiment, or --points",
         )
-    question = Question(
-        None if scale is None else parse_scale(scale),
-        interval,
-        confidence,
-        survey_horizontal,
-        survey_vertical,
-        target_horizontal,
-        target_vertical,
-        gsd,
-    )
-    project, names = None, tuple(standard or ())
-    if block is not None and block.suffix == ".toml":
-        project, question = with_project(block, question)
-        block, names = project.output / "block", names or project.contents.judgement.standards
-    standards = tuple(load_standard(name) for name in names or SHIPPED)
-    folder = figures or output
-    if experiment is not None:
-        judged = judge_experiment(experiment, output)
-    elif control_numbers is not None:
-        if block is None:
-            raise ConfigurationError("--control-numbers needs a block", "name a block or project")
-        judged = judge_numbers(block, control_numbers, output)
+    # What is wrong with them is said before anything is computed.
+    question, standards = judgement.question(), judgement.standards()
+    at = replace(maps, figures=maps.figures or output)
+    if other.experiment is not None:
+        judged = judge_experiment(other.experiment, output)
     elif block is not None:
-        noise = None if simulate_direct is None else noise_of(simulate_direct, seed)
-        judged = judge_block(block, output, standards, question, noise, crs, on_the_job=project is not None)
-    elif discrepancies is not None:
+        judged = _of_block(block, output, judgement, maps, repetition)
+    elif repetition.control_numbers is not None:
+        raise ConfigurationError("--control-numbers needs a block", "name a block or project")
+    elif other.discrepancies is not None:
         from photocal.accuracy.discrepancies import read_discrepancies
 
-        table = read_discrepancies(discrepancies)
-        judged = judge_product(table, discrepancies, standards, question, folder, geopackage, crs)
-    elif points is not None:
+        table = read_discrepancies(other.discrepancies)
+        judged = judge_product(table, other.discrepancies, standards, question, at)
+    elif product.points is not None:
         from photocal.products.product_check import check_products, read_check_points
 
-        product = check_products(
-            read_check_points(points),
-            ortho=ortho,
-            target_diameter_m=target_diameter,
-            search_m=search_radius,
-            dtm=dtm,
-            height_kind=height_kind,
-            dtm_height_kind=dtm_height_kind,
-        )
-        judged = judge_product(product, points, standards, question, folder, geopackage, crs)
+        found = check_products(read_check_points(product.points), product)
+        judged = judge_product(found, product.points, standards, question, at)
     answer(as_json, lambda: judged[0], lambda: judged[1])
+
+
+def _of_block(
+    block: Path,
+    output: Path | None,
+    judgement: JudgementOptions,
+    maps: MapOptions,
+    repetition: RepetitionOptions,
+) -> Judged:
+    question, on_the_job = judgement.question(), block.suffix == ".toml"
+    if on_the_job:
+        project, question = with_project(block, question)
+        block = project.output / "block"
+        named = judgement.standard or project.contents.judgement.standards
+        judgement = replace(judgement, standard=tuple(named))
+    standards = judgement.standards()
+    if repetition.control_numbers is not None:
+        return judge_numbers(block, repetition.control_numbers, output)
+    noise = repetition.noise()
+    return judge_block(block, output, standards, question, noise, maps.crs, on_the_job=on_the_job)

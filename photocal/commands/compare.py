@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
-from photocal.base.arrays import as_plain
 from photocal.base.console import AsJson, answer, argument, option, progress
 
 if TYPE_CHECKING:
-    from photocal.analysis.stability.camera_file import CameraFile
-    from photocal.analysis.stability.comparison import Figure, Followed, Pair
     from photocal.run.calibrations import Calibrated, Use
-
-SCHEMA = "photocal.comparison/1"
 
 
 def compare(
@@ -49,13 +44,10 @@ def compare(
     Example: `photocal compare configs/studies/canon-elph.toml --picture pairs.png`, or
     `photocal compare MAY.toml JUNE.toml --exchange`
     """
-    import numpy as np
-
     from photocal.analysis.stability.camera_file import read_camera_file
-    from photocal.analysis.stability.comparison import compare as compare_pairs
-    from photocal.analysis.stability.comparison import follow
-    from photocal.analysis.stability.methods import methods, sensor_grid
+    from photocal.analysis.stability.compared import compare_cameras
     from photocal.analysis.stability.repeatability import compared_heads, heads_text, repeatability_text
+    from photocal.base.arrays import as_plain
     from photocal.base.files import picture_kind
     from photocal.run.calibrations import cameras_of, exchanged, repeated, uses_text
 
@@ -65,18 +57,14 @@ def compare(
     flights = _flights(calibrations, exchange=exchange)
     asked = cameras_of(flights) if flights else read_camera_file(calibrations[0])
     how = asked.comparison
-    pixels = sensor_grid(asked.calibrations[0].size_px, how.grid_step_px)
-    chosen = methods(len(pixels), how.terrain, how.terrains_each, how.seed)
     count = len(asked.calibrations) * (len(asked.calibrations) - 1) // 2
     with progress("comparing pairs", count) as advance:
-        pairs = compare_pairs(
-            asked.calibrations, pixels, chosen, np.random.default_rng(how.seed), done=lambda: advance(1)
-        )
-    followed = follow(asked.published, pairs)
+        compared = compare_cameras(asked, lambda: advance(1))
     if picture is not None:
         from photocal.analysis.stability.pictures import draw
 
-        draw(pairs, tuple(calibration.id for calibration in asked.calibrations), how.thresholds_px, picture)
+        names = tuple(calibration.id for calibration in asked.calibrations)
+        draw(compared.pairs, names, how.thresholds_px, picture)
     repeats = repeated(flights)
     heads = compared_heads({flight.name: flight.heads for flight in flights})
     if curves is not None:
@@ -90,14 +78,14 @@ def compare(
     answer(
         as_json,
         lambda: {
-            **_figures(asked, len(pixels), pairs, followed),
+            **compared.figures(),
             "repeatability": as_plain(repeats),
             "heads": [as_plain(head) | {"different": head.different} for head in heads],
             "exchange": as_plain(uses),
         },
         lambda: "\n\n".join(
             [
-                _text(asked, pairs, followed),
+                str(compared),
                 *(repeatability_text(repeat) for repeat in repeats.values()),
                 *([heads_text(heads)] if heads else []),
                 *([uses_text(uses)] if uses else []),
@@ -122,59 +110,3 @@ def _flights(paths: list[Path], *, exchange: bool) -> tuple[Calibrated, ...]:
             "cameras alone have no flights to be used in", "name runs or projects", where="--exchange"
         )
     return ()
-
-
-def _figures(
-    asked: CameraFile, points: int, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]
-) -> dict[str, Any]:
-    from photocal.analysis.stability.comparison import likeness, sentences
-
-    how = asked.comparison
-    return {
-        "schema": SCHEMA,
-        "cameras": [calibration.id for calibration in asked.calibrations],
-        "grid": {"points": points, "step_px": how.grid_step_px},
-        "thresholds_px": how.thresholds_px,
-        "terrains": [terrain.model_dump() for terrain in how.terrain],
-        "terrains_each": how.terrains_each,
-        "seed": how.seed,
-        "pairs": [
-            {
-                "first": pair.first,
-                "second": pair.second,
-                "figures": [
-                    as_plain(figure)
-                    | {"different": figure.different, "within_px": likeness(figure, how.thresholds_px)}
-                    for figure in pair.figures
-                ],
-            }
-            for pair in pairs
-        ],
-        "published": [as_plain(row) | {"follows": row.follows} for row in followed],
-        "findings": list(sentences(pairs, how.thresholds_px, followed)),
-    }
-
-
-def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]) -> str:
-    from photocal.analysis.stability.comparison import sentences
-
-    names = tuple(calibration.id for calibration in asked.calibrations)
-    blocks = [_matrix(pairs, names, k) for k in range(len(pairs[0].figures))]
-    if any(figure.sigma_px is not None for pair in pairs for figure in pair.figures):
-        blocks.append("value +- its standard deviation, px; * differs beyond the noise of both (95 %)")
-    return "\n\n".join([*blocks, "\n".join(sentences(pairs, asked.comparison.thresholds_px, followed))])
-
-
-def _matrix(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> str:
-    from photocal.findings.document import Section, table, text
-
-    cells = {(pair.first, pair.second): _cell(pair.figures[which]) for pair in pairs}
-    kind = pairs[0].figures[which]
-    rows = [(second, *(cells.get((first, second), "") for first in names[:-1])) for second in names[1:]]
-    return text([Section("", (table(f"{kind.method}, {kind.definition}, px", ["", *names[:-1]], rows),))])
-
-
-def _cell(figure: Figure) -> str:
-    if figure.sigma_px is None:
-        return f"{figure.value_px:.2f} "
-    return f"{figure.value_px:.2f}+-{figure.sigma_px:.2f}{'*' if figure.different else ' '}"

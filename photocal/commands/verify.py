@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from photocal.base.arrays import as_plain
 from photocal.base.console import answer, argument, option, printable, progress
 from photocal.base.errors import InputMalformedError, InputNotFoundError, NotSignedError, UnknownSignerError
 
@@ -132,6 +131,7 @@ def verify(
     if certificate.suffix == ".toml":
         _printed(certificate, as_json)
         return
+    from photocal.base.arrays import as_plain
     from photocal.block.model import digest
     from photocal.findings.texts import catalogue, finding_json, finding_text
     from photocal.report.issue import NAME, read_record

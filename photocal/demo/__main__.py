@@ -14,11 +14,14 @@ app = application("Demonstrations: a simulated flight with known truth, a camera
 
 def calibrate(block: Path, output: Path) -> None:
     """Adjust a block into `run` and write its `certificate`, which prints what it says."""
-    from photocal.commands.calibration import certificate
+    from photocal.report.options import CertificateOptions
     from photocal.results.adjusted import adjust_block
+    from photocal.run.certify import certificate
 
     adjust_block(block, output / "run")
-    certificate(output / "run", output / "certificate", block=block)
+    typer.echo(
+        str(certificate(output / "run", output / "certificate", options=CertificateOptions(block=block)))
+    )
 
 
 def fly(recording: Path, output: Path) -> tuple[str, ...]:

@@ -34,12 +34,19 @@ class Size:
 class Finding:
     """One thing that a check found; `texts` says it, `hypotheses` knows what it means.
 
-    code: what it is; the key of its text, and of its remedy where there is one.
-    subject: parameter, pair, camera, image or point that is concerned.
-    figures: the figures behind it (a `Figure` where a text says it), SI where the name has no unit; names of
+    Attributes
+    ----------
+    code
+        What it is; the key of its text, and of its remedy where there is one.
+    subject
+        Parameter, pair, camera, image or point that is concerned.
+    figures
+        The figures behind it (a `Figure` where a text says it), SI where the name has no unit; names of
         points and images as tuples, terms by their codes; None is no number.
-    clauses: codes of what else is to be said, in order.
-    cause, remedy: codes of why, and of what to do where it is not the remedy of the code itself.
+    clauses
+        Codes of what else is to be said, in order.
+    cause, remedy
+        Codes of why, and of what to do where it is not the remedy of the code itself.
     """
 
     code: str

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import ConfigurationError
 
 Model = Literal["brown-observed", "brown-ideal", "rational", "equidistant", "pix4d-fisheye"]
 Affinity = Literal["additive", "before", "after"]
@@ -91,34 +92,59 @@ AFFINITY_MATRICES: dict[AffinityForm, tuple[list[list[float]], list[list[float]]
 class Camera:
     """A camera and what is known of its interior orientation.
 
-    id: name within the block.
-    model: "brown-observed" and "brown-ideal" have Brown's polynomial, evaluated at the measured coordinates,
+    Attributes
+    ----------
+    id
+        Name within the block.
+    model
+        "brown-observed" and "brown-ideal" have Brown's polynomial, evaluated at the measured coordinates,
         which it corrects (photogrammetry), or at the ideal ones, which it distorts (vision).
-    unit: of the image plane and so of c, x0, y0 and, in its powers, of the coefficients.
-    size_px: width and height of the image.
-    pitch: size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
-    values (20,): in the order of `PARAMETERS`; the readout, from the first line to the last, in seconds.
-    estimated (20,): which parameters the adjustment estimates; the others are held.
-    prior_sigma (20,): standard deviation of the value as an observation; infinite where it is a start value
-        only.
-    reference_radius: R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
-    affinity: where the affinity acts.
-    affinity_form: which terms B1 and B2 stand for.
-    deviation_sigma (20,): photo-variant parameters: standard deviation by which the value of each image
-        deviates from that of the camera, infinite for one that is free; 0 for block-invariant parameters.
-    focus_m: distance at which the distortion holds, that to which the lens is focused: it then varies with
-        the distance of the object; 0 where it is the same at all distances.
-    prior_correlation (20, 20): correlations of the values as observations; None when they are independent.
-    guessed: whether c is a guess: good to start from, and nothing to hold.
-    given (20,): of adjusted values: what they were before; else None.
-    sigma (20,), correlation (20, 20): standard deviations of adjusted values and their correlations, 0 for
-        held ones (1 on the diagonal); None before an adjustment.
-    distortion_at: coordinates at which `brown-observed` evaluates its polynomial in an adjustment: the
-        adjusted ones (Gauss-Helmert), or the measured ones with their errors, as older programs do.
-    readout_direction: in which order a rolling shutter reads the lines.
-    shutter: whether images have one pose for all lines; an unknown shutter is tested.
-    gust: by how much velocity (m/s) and rate (rad/s) of an image depart from what is known of the flight.
-    shake: sigmas of the turns of an image during its readout (rad), by their degree from 1 on; empty without.
+    unit
+        Of the image plane and so of c, x0, y0 and, in its powers, of the coefficients.
+    size_px
+        Width and height of the image.
+    pitch
+        Size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
+    values : array, shape (20,)
+        In the order of `PARAMETERS`; the readout, from the first line to the last, in seconds.
+    estimated : array, shape (20,)
+        Which parameters the adjustment estimates; the others are held.
+    prior_sigma : array, shape (20,)
+        Standard deviation of the value as an observation; infinite where it is a start value only.
+    reference_radius
+        R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
+    affinity
+        Where the affinity acts.
+    affinity_form
+        Which terms B1 and B2 stand for.
+    deviation_sigma : array, shape (20,)
+        Photo-variant parameters: standard deviation by which the value of each image deviates from that
+        of the camera, infinite for one that is free; 0 for block-invariant parameters.
+    focus_m
+        Distance at which the distortion holds, that to which the lens is focused: it then varies with the
+        distance of the object; 0 where it is the same at all distances.
+    prior_correlation : array, shape (20, 20)
+        Correlations of the values as observations; None when they are independent.
+    guessed
+        Whether c is a guess: good to start from, and nothing to hold.
+    given : array, shape (20,)
+        Of adjusted values: what they were before; else None.
+    sigma : array, shape (20,)
+        Standard deviations of adjusted values, 0 for held ones; None before an adjustment.
+    correlation : array, shape (20, 20)
+        Their correlations, 0 for held ones (1 on the diagonal); None before an adjustment.
+    distortion_at
+        Coordinates at which `brown-observed` evaluates its polynomial in an adjustment: the adjusted ones
+        (Gauss-Helmert), or the measured ones with their errors, as older programs do.
+    readout_direction
+        In which order a rolling shutter reads the lines.
+    shutter
+        Whether images have one pose for all lines; an unknown shutter is tested.
+    gust
+        By how much velocity (m/s) and rate (rad/s) of an image depart from what is known of the flight.
+    shake
+        Sigmas of the turns of an image during its readout (rad), by their degree from 1 on; empty
+        without.
     """
 
     id: str
@@ -254,16 +280,67 @@ def camera(
 ) -> Camera:
     """Make a camera from named parameters; those not named are zero and held.
 
-    Without another word the affinity of Brown's models is additive.
+    Parameters
+    ----------
+    camera_id
+        Name within the block.
+    model
+        "brown-observed" and "brown-ideal" have Brown's polynomial, evaluated at the measured coordinates,
+        which it corrects (photogrammetry), or at the ideal ones, which it distorts (vision); "rational",
+        "equidistant", "pix4d-fisheye".
+    unit
+        Of the image plane: of c, x0, y0 and, in its powers, of the coefficients; "mm" or "px".
+    size_px
+        Width and height of the image, px.
+    pitch
+        Size of a pixel in x and y, in `unit`; (1, 1) when the unit is the pixel.
+    parameters
+        Values by name: c, x0, y0, K1 ... K6, P1 ... P4, B1, B2, S1 ... S4, readout (s).
+    estimate
+        Names of the parameters that an adjustment estimates.
+    prior_sigma
+        Standard deviations of values that are observations; start values only where not given.
+    reference_radius
+        R0 of the balanced radial distortion, in `unit`; 0 for the unbalanced form.
+    affinity
+        Where the affinity acts; "additive" for Brown's models, "after" for the others where not given.
+    affinity_form
+        Which terms B1 and B2 stand for.
+    photo_variant
+        Standard deviations by which values of single images deviate from that of the camera.
+    focus_m
+        Distance to which the lens is focused, m, where its distortion varies with the distance; else 0.
 
-    Parameters are as the attributes of `Camera`.
-    raises KeyError: for a name that is no parameter.
+    Returns
+    -------
+    Camera
+        The camera with what is known of it.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name that is no parameter.
+
+    References
+    ----------
+    D. C. Brown: Close-range camera calibration. Photogrammetric Engineering 37(8), 1971.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> lens = photocal.camera("lens", "brown-ideal", "px", (4000, 3000), (1, 1), {"c": 3600.0, "K1": -8e-9})
+    >>> lens.value("c")
+    3600.0
     """
     index = {name: i for i, name in enumerate(PARAMETERS)}
 
     def row(named: dict[str, float] | None, other: float = 0.0) -> Floats:
         values = np.full(len(PARAMETERS), other)
         for name, value in (named or {}).items():
+            if name not in index:
+                raise ConfigurationError(
+                    f"{name!r} is no parameter of a camera", f"use {', '.join(PARAMETERS)}", where=camera_id
+                )
             values[index[name]] = value
         return values
 

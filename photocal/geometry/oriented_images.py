@@ -24,12 +24,18 @@ _LINES = 6
 class OrientedImages:
     """Images with their cameras and exterior orientation.
 
-    camera (n,): index into the cameras; -1 where it is not known.
-    values (n, 6): omega, phi, kappa in radians, X, Y, Z of the projection centre in m; NaN where not known.
-    covariance (n, 6, 6): of `values`; NaN where nothing is said of an image; None where nothing is of any.
-    movement (n, 6 or 21): while a rolling shutter reads an image: of the projection centre (m, axes of X, Y,
-        Z) and turn of the camera (rad, its own axes), then the polynomials of what shakes it, see `shutter`.
-        `values` hold in the middle of it. None where none moves.
+    Attributes
+    ----------
+    camera : array, shape (n,)
+        Index into the cameras; -1 where it is not known.
+    values : array, shape (n, 6)
+        Omega, phi, kappa in radians, X, Y, Z of the projection centre in m; NaN where not known.
+    covariance : array, shape (n, 6, 6)
+        Of `values`; NaN where nothing is said of an image; None where nothing is of any.
+    movement : array, shape (n, 6 or 21)
+        While a rolling shutter reads an image: of the projection centre (m, axes of X, Y, Z) and turn of
+        the camera (rad, its own axes), then the polynomials of what shakes it, see `shutter`. `values`
+        hold in the middle of it. None where none moves.
     """
 
     names: tuple[str, ...]

@@ -60,10 +60,16 @@ class Judged:
 class BlockCheck:
     """Everything that is said about a block.
 
-    judged: those methods that the block allows, in the order of `METHODS`.
-    exposures: none unless both the direct and the indirect method are there.
-    systematic: none without positions, or where they cannot be tested.
-    mistyped: control points that contradict the others; systematic errors were looked for without them.
+    Attributes
+    ----------
+    judged
+        Those methods that the block allows, in the order of `METHODS`.
+    exposures
+        None unless both the direct and the indirect method are there.
+    systematic
+        None without positions, or where they cannot be tested.
+    mistyped
+        Control points that contradict the others; systematic errors were looked for without them.
     """
 
     block: Block

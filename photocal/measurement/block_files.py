@@ -16,7 +16,15 @@ PIXEL_ORIGIN = "centre of the upper-left stored pixel is (0, 0); EXIF orientatio
 
 @dataclass(frozen=True)
 class Measured:
-    """A block that was measured, and how, for `measurement.json`."""
+    """A block that was measured, and how.
+
+    Attributes
+    ----------
+    block
+        Cameras, images, points and observations.
+    record
+        Content of `measurement.json`: what was measured, left out and found doubtful.
+    """
 
     block: Block
     record: dict[str, Any]

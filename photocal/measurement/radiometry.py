@@ -1,5 +1,6 @@
 """Radiometry of a camera: MTF at a slanted edge, a Siemens star, fall of light to the corners, linearity."""
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -7,8 +8,11 @@ import numpy as np
 from scipy.optimize import fmin
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import InputMalformedError
-from photocal.measurement.image_file import Grey
+from photocal.base.console import numbers_of
+from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.measurement.image_facts import read_facts
+from photocal.measurement.image_file import Grey, list_images, read_grey
+from photocal.measurement.radiometry_options import RadiometryOptions
 
 # Bins of an edge for each pixel, and least and largest slant of it (ISO 12233 takes 5 degrees).
 OVERSAMPLING = 4
@@ -17,6 +21,51 @@ SLANT_DEG = (1.0, 40.0)
 RESOLVED = 0.10
 # A picture of an even surface is not used where more of its pixels are saturated.
 SATURATED = 0.01
+
+
+def measure_radiometry(options: RadiometryOptions) -> dict[str, float]:
+    """Measure what pictures of an edge, a star and an even surface tell of a camera.
+
+    Parameters
+    ----------
+    options
+        Pictures with linear grey values, and where in them (px) edge and star are.
+
+    Returns
+    -------
+    dict
+        Figures by names that end with their unit, with four digits; those of pictures that are named.
+
+    Raises
+    ------
+    ConfigurationError
+        When no picture is named, or a place is none.
+    InputMalformedError
+        When a picture does not show what it should.
+    """
+    figures: dict[str, float] = {}
+    if options.edge is not None:
+        grey = read_grey(options.edge)
+        if options.region is not None:
+            form = "COLUMN,ROW,WIDTH,HEIGHT: px"
+            column, row, width, height = map(int, numbers_of(options.region, "--region", form))
+            grey = grey[row : row + height, column : column + width]
+        frequency, transfer, figures["edge_slant_deg"] = edge_mtf(grey)
+        figures["mtf50_cycles_px"] = falls_to(frequency, transfer, 0.5)
+        figures["mtf10_cycles_px"] = falls_to(frequency, transfer, RESOLVED)
+        figures["mtf_at_nyquist"] = float(np.interp(0.5, frequency, transfer))
+    if options.star is not None and options.place is not None:
+        across, down, radius = numbers_of(options.place, "--place", "COLUMN,ROW,RADIUS: px")
+        frequency, contrast = siemens_star(read_grey(options.star), (across, down), radius, options.spokes)
+        limit = figures["star_limit_cycles_px"] = falls_to(frequency, contrast, RESOLVED)
+        if options.gsd_cm is not None:
+            figures["ground_resolution_cm"] = options.gsd_cm / limit
+    if options.flat is not None:
+        pictures = ((read_facts(path).exposure_s, read_grey(path)) for path in list_images(options.flat))
+        figures |= even_surface(pictures)
+    if not figures:
+        raise ConfigurationError("there is nothing to measure", remedy="give --edge, --star or --flat")
+    return {name: float(f"{value:.4g}") for name, value in figures.items() if math.isfinite(value)}
 
 
 def edge_mtf(grey: Grey | Floats) -> tuple[Floats, Floats, float]:

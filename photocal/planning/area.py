@@ -59,7 +59,32 @@ class LocalPlane:
 
 
 def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Area:
-    """Make an area from corners and refuse what cannot be flown."""
+    """Make an area from its corners, and refuse what cannot be flown.
+
+    Parameters
+    ----------
+    corners_deg
+        Longitude and latitude of each corner, degrees, in their order around the area.
+    where
+        File or name of the area, for what is said when something is wrong.
+
+    Returns
+    -------
+    Area
+        The polygon.
+
+    Raises
+    ------
+    InputMalformedError
+        For fewer than three corners, sides that cross, or an area of more than 100 km.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> corners = [(-51.41, -22.12), (-51.40, -22.12), (-51.40, -22.13)]
+    >>> len(photocal.area_from_corners(corners, "field").latitude_deg)
+    3
+    """
     wrong = InputMalformedError.at(where)
     if len(corners_deg) > 1 and corners_deg[0] == corners_deg[-1]:
         corners_deg = corners_deg[:-1]
@@ -113,13 +138,32 @@ def _crosses_itself(corners: Floats) -> bool:
     return bool((parted & parted.T).any())
 
 
-def read_area(path: Path) -> Area:
+def read_area(path: str | Path) -> Area:
     """Read the polygon of a flight.
 
-    path: `.geojson` or `.json` (RFC 7946), `.kml`, or `.csv` with the columns lat_deg and lon_deg.
-    raises InputNotFoundError: when there is no such file.
-    raises InputMalformedError: when it does not hold exactly one simple polygon.
+    Parameters
+    ----------
+    path
+        `.geojson` or `.json` (RFC 7946), `.kml`, or `.csv` with the columns lat_deg and lon_deg.
+
+    Returns
+    -------
+    Area
+        The polygon.
+
+    Raises
+    ------
+    InputNotFoundError
+        When there is no such file.
+    InputMalformedError
+        When it does not hold exactly one simple polygon.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.read_area("field.kml")  # doctest: +SKIP
     """
+    path = Path(path)
     readers = {".geojson": _from_geojson, ".json": _from_geojson, ".kml": _from_kml, ".csv": _from_csv}
     reader = readers.get(path.suffix.lower())
     if reader is None:

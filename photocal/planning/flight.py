@@ -113,15 +113,21 @@ def _extent_in_band(rotated: Floats, low: float, high: float) -> tuple[float, fl
 
 
 @dataclass(frozen=True)
-class Wish:
+class FlightRequest:
     """What is asked of a flight.
 
-    forward_overlap, side_overlap: shares of the footprint, 0 to below 1.
-    along: side of the image that lies along the flight line: "rows" flies with the image width across.
-    azimuth_rad: flying direction, clockwise from north, rad; None takes the one with the fewest strips.
-    second_height_m: height above ground of the cross strips, m; it separates principal distance and flying
-        height.
-    border_m: how far beyond the area is covered as well: distortion and control are weakest at the edge.
+    Attributes
+    ----------
+    forward_overlap, side_overlap
+        Shares of the footprint, 0 to below 1.
+    along
+        Side of the image that lies along the flight line: "rows" flies with the image width across.
+    azimuth_rad
+        Flying direction, clockwise from north, rad; None takes the one with the fewest strips.
+    second_height_m
+        Height above ground of the cross strips, m; it separates principal distance and flying height.
+    border_m
+        How far beyond the area is covered as well: distortion and control are weakest at the edge.
     """
 
     frame: Frame
@@ -164,7 +170,7 @@ class Flight:
     area: Area
     plane: LocalPlane
     corners_m: Floats
-    wish: Wish
+    request: FlightRequest
     azimuth_rad: float
     levels: tuple[LevelGeometry, ...]
     strips: tuple[Strip, ...]
@@ -186,7 +192,7 @@ class Flight:
     @property
     def duration_s(self) -> float:
         """Time on strips and turns at the planned speed, s, without take-off and return."""
-        return self.distance_m / self.wish.speed_m_s
+        return self.distance_m / self.request.speed_m_s
 
     @property
     def area_m2(self) -> float:
@@ -194,51 +200,53 @@ class Flight:
         return abs(polygon_area(self.corners_m))
 
 
-def level_geometry(wish: Wish, height_m: float) -> LevelGeometry:
+def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
     """Compute the figures of one flying height."""
     if not (math.isfinite(height_m) and height_m > 0.0):
         raise ConfigurationError(f"a flying height of {height_m:g} m above ground cannot be flown")
-    frame = wish.frame
+    frame = request.frame
     gsd = ground_sample_distance(height_m, frame)
-    across: Side = "columns" if wish.along == "rows" else "rows"
-    base = air_base(wish.forward_overlap, frame.side_px(wish.along) * gsd)
+    across: Side = "columns" if request.along == "rows" else "rows"
+    base = air_base(request.forward_overlap, frame.side_px(request.along) * gsd)
     return LevelGeometry(
         height_m,
         scale_denominator(gsd, frame.pixel_m),
         gsd,
         footprint(gsd, frame),
         base,
-        air_base(wish.side_overlap, frame.side_px(across) * gsd),
-        exposure_interval(base, wish.speed_m_s),
+        air_base(request.side_overlap, frame.side_px(across) * gsd),
+        exposure_interval(base, request.speed_m_s),
         corner_precision(frame, height_m, base, IMAGE_SIGMA_PX),
         expected_altimetric_accuracy(height_m, base, frame.focal_m, frame.pixel_m),
     )
 
 
-def plan_flight(area: Area, wish: Wish) -> Flight:
+def plan_flight(area: Area, request: FlightRequest) -> Flight:
     """Plan a flight over a polygon.
 
     raises ConfigurationError: for heights, overlaps or distances that cannot be flown.
     """
     plane = LocalPlane(*area.centre_deg)
     corners = plane.to_plane(area.latitude_deg, area.longitude_deg)
-    azimuth = best_azimuth(corners) if wish.azimuth_rad is None else wish.azimuth_rad
-    main = level_geometry(wish, wish.height_m)
+    azimuth = best_azimuth(corners) if request.azimuth_rad is None else request.azimuth_rad
+    main = level_geometry(request, request.height_m)
     levels = [main]
-    strips = _strips(corners, azimuth, main, wish)
-    if wish.cross_strips or wish.second_height_m is not None:
+    strips = _strips(corners, azimuth, main, request)
+    if request.cross_strips or request.second_height_m is not None:
         cross = main
-        if wish.second_height_m is not None:
-            cross = level_geometry(wish, wish.second_height_m)
+        if request.second_height_m is not None:
+            cross = level_geometry(request, request.second_height_m)
             levels.append(cross)
-        strips += _strips(corners, azimuth + math.pi / 2.0, cross, wish)
-    return Flight(area, plane, corners, wish, azimuth, tuple(levels), strips)
+        strips += _strips(corners, azimuth + math.pi / 2.0, cross, request)
+    return Flight(area, plane, corners, request, azimuth, tuple(levels), strips)
 
 
-def _strips(corners: Floats, azimuth: float, level: LevelGeometry, wish: Wish) -> tuple[Strip, ...]:
-    run_out = level.footprint_m[0 if wish.along == "columns" else 1] / 2.0
+def _strips(
+    corners: Floats, azimuth: float, level: LevelGeometry, request: FlightRequest
+) -> tuple[Strip, ...]:
+    run_out = level.footprint_m[0 if request.along == "columns" else 1] / 2.0
     spacing, base = level.strip_spacing_m, level.base_m
-    return plan_strips(corners, azimuth, spacing, base, run_out, level.height_m, wish.border_m)
+    return plan_strips(corners, azimuth, spacing, base, run_out, level.height_m, request.border_m)
 
 
 def suggest_layout(corners_m: Floats, control: int, check: int, margin_m: float) -> Layout:

@@ -61,7 +61,7 @@ def mission_items(flight: Flight, home: Home, ground_height_m: float) -> tuple[I
     over_ground = float(mavlink.SPEED_TYPE_GROUNDSPEED)
     items = [
         _at(mavlink.MAV_CMD_NAV_TAKEOFF, (home.latitude_deg, home.longitude_deg), first),
-        _order(mavlink.MAV_CMD_DO_CHANGE_SPEED, over_ground, flight.wish.speed_m_s, -1.0),
+        _order(mavlink.MAV_CMD_DO_CHANGE_SPEED, over_ground, flight.request.speed_m_s, -1.0),
     ]
     for strip in flight.strips:
         height = strip.height_m + raise_m
@@ -175,7 +175,7 @@ def write_plan(
     if takeoff is not None:
         home, ground_height = takeoff
         items = mission_items(flight, home, ground_height)
-        plan = qgroundcontrol_plan(items, home, flight.wish.speed_m_s, autopilot, vehicle)
+        plan = qgroundcontrol_plan(items, home, flight.request.speed_m_s, autopilot, vehicle)
         contents["flight.plan"] = json.dumps(plan, indent=4, allow_nan=False) + "\n"
         contents["flight.waypoints"] = waypoint_file(items, home)
     with output_folder(folder) as aside:

@@ -76,7 +76,7 @@ def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecisi
     except (IllPosedError, NotConvergedError) as refusal:
         return SimulatedPrecision(method, *counts, reason=str(refusal))
     variance = np.diagonal(solution.point_covariance[check], axis1=1, axis2=2)
-    lens = np.sqrt(np.diag(solution.camera_covariance[0])) / (flight.wish.frame.pixel_m * 1e3)
+    lens = np.sqrt(np.diag(solution.camera_covariance[0])) / (flight.request.frame.pixel_m * 1e3)
     camera_px = {name: float(lens[PARAMETERS.index(name)]) for name in ("c", "x0", "y0")}
     return SimulatedPrecision(
         method,
@@ -90,7 +90,7 @@ def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecisi
 def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Network, Integers]:
     """Make the network that the flight will give, free of errors."""
     poses = _poses(flight)
-    frame = flight.wish.frame
+    frame = flight.request.frame
     plane = np.vstack([*layout, _ties(flight)])
     # Waves of about a footprint's length: relief that every photo sees some of.
     length = min(flight.levels[0].footprint_m)
@@ -136,7 +136,7 @@ def _poses(flight: Flight) -> Floats:
     for strip in flight.strips:
         line = strip.exposures_m[-1] - strip.exposures_m[0]
         azimuth = float(np.arctan2(line[0], line[1]))
-        kappa = -azimuth if flight.wish.along == "rows" else np.pi / 2 - azimuth
+        kappa = -azimuth if flight.request.along == "rows" else np.pi / 2 - azimuth
         rows += [[0.0, 0.0, kappa, e, n, strip.height_m] for e, n in strip.exposures_m.tolist()]
     return np.array(rows)
 

@@ -84,7 +84,7 @@ def remarks(
     shortest_interval_s: shortest time between two photos that the camera manages, s.
     """
     listed = []
-    speed = flight.wish.speed_m_s
+    speed = flight.request.speed_m_s
     for level in flight.levels:
         height = f"{level.height_m:.0f} m"
         if shortest_interval_s is not None and level.exposure_interval_s < shortest_interval_s:
@@ -116,7 +116,7 @@ def to_text(flight: Flight, targets: tuple[Target, ...], findings: tuple[Finding
         f"area {flight.area_m2 / 1e4:.2f} ha, {len(flight.strips)} strips, azimuth "
         f"{math.degrees(flight.azimuth_rad) % 180.0:.1f} deg, {flight.exposures} photos, "
         f"{flight.distance_m / 1e3:.2f} km, {flight.duration_s / 60.0:.1f} min at "
-        f"{flight.wish.speed_m_s:g} m/s without take-off and return"
+        f"{flight.request.speed_m_s:g} m/s without take-off and return"
     )
     lines = [area]
     for level in flight.levels:

@@ -20,8 +20,8 @@ def in_wind(flight: Flight, wind_m_s: float, from_rad: float, vehicle: str) -> d
         still air is kept, and the duration with turns as in still air.
     raises ConfigurationError: for a fixed wing that the wind holds or carries off its strips.
     """
-    wish, keeps = flight.wish, vehicle == "quadrotor"
-    speed, ground, air, crab, longer = wish.speed_m_s, [], [], 0.0, 0.0
+    request, keeps = flight.request, vehicle == "quadrotor"
+    speed, ground, air, crab, longer = request.speed_m_s, [], [], 0.0, 0.0
     for strip in flight.strips:
         way = strip.exposures_m[-1] - strip.exposures_m[0]
         off = from_rad + math.pi - math.atan2(way[0], way[1])
@@ -43,20 +43,20 @@ def in_wind(flight: Flight, wind_m_s: float, from_rad: float, vehicle: str) -> d
         "air_m_s": max(air),
         "crab_deg": math.degrees(crab),
         "interval_s": min(level.exposure_interval_s for level in flight.levels) * speed / high,
-        "overlap_least": 1.0 - (1.0 - wish.forward_overlap) * high / speed,
-        "overlap_most": 1.0 - (1.0 - wish.forward_overlap) * low / speed,
+        "overlap_least": 1.0 - (1.0 - request.forward_overlap) * high / speed,
+        "overlap_most": 1.0 - (1.0 - request.forward_overlap) * low / speed,
         "duration_s": flight.duration_s + longer,
     }
 
 
 def at_speed(flight: Flight, speed_m_s: float) -> Flight:
     """Give a flight with another speed over ground, and the intervals of its photos at that."""
-    share = flight.wish.speed_m_s / speed_m_s
+    share = flight.request.speed_m_s / speed_m_s
     intervals = (level.exposure_interval_s * share for level in flight.levels)
     levels = (
         replace(level, exposure_interval_s=s) for level, s in zip(flight.levels, intervals, strict=True)
     )
-    return replace(flight, wish=replace(flight.wish, speed_m_s=speed_m_s), levels=tuple(levels))
+    return replace(flight, request=replace(flight.request, speed_m_s=speed_m_s), levels=tuple(levels))
 
 
 def farthest_m(flight: Flight, home: Home, ground_height_m: float) -> float:

@@ -13,6 +13,7 @@ from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.block.table import read_table
+from photocal.products.options import ProductOptions
 from photocal.products.raster import RasterFile, describe, opened, terrain_source
 
 # Share of the pattern of a round target that must be found again, 0 to 1.
@@ -46,45 +47,52 @@ def read_check_points(path: Path) -> GroundPoints:
     return GroundPoints(table.unique_names("point"), np.column_stack(columns))
 
 
-def check_products(
-    points: GroundPoints,
-    *,
-    ortho: Path | None = None,
-    target_diameter_m: float | None = None,
-    search_m: float | None = None,
-    dtm: Path | None = None,
-    height_kind: str | None = None,
-    dtm_height_kind: str | None = None,
-) -> ProductCheck:
+def check_products(points: GroundPoints, options: ProductOptions) -> ProductCheck:
     """Find the targets of check points in an orthomosaic and sample a terrain model there.
 
-    ortho: orthomosaic with round targets, lighter or darker than their surroundings.
-    search_m: how far from the surveyed place a target is looked for, m; needed with an orthomosaic.
-    dtm: terrain model; its height is taken at the surveyed place (bilinear), so that an error in position
-        does not count twice.
-    height_kind: kind of the surveyed heights; needed with a terrain model.
-    dtm_height_kind: kind of the heights of a terrain model that does not say it itself.
-    raises InputNotFoundError, InputMalformedError: for products that cannot be read.
-    raises ConfigurationError: for missing or contradicting settings.
+    The height of the model is taken at the surveyed place (bilinear), so that an error in position does not
+    count twice.
+
+    Parameters
+    ----------
+    points
+        Surveyed check points, m, in the reference system of the products.
+    options
+        Orthomosaic with round targets, lighter or darker than their surroundings, their diameter and how far
+        they are looked for, m; terrain model; kinds of both heights.
+
+    Returns
+    -------
+    ProductCheck
+        Product minus reference, m, with remarks on points that a product does not show.
+
+    Raises
+    ------
+    InputNotFoundError, InputMalformedError
+        For products that cannot be read.
+    ConfigurationError
+        For missing or contradicting settings.
     """
+    ortho, dtm = options.ortho, options.dtm
+    diameter, search = options.target_diameter, options.search_radius
     if ortho is None and dtm is None:
         raise ConfigurationError("no product is given", "name an orthomosaic or a terrain model")
     product, likeness = np.full((len(points.names), 3), np.nan), np.full(len(points.names), np.nan)
     remarks: list[str] = []
     if ortho is not None:
-        if not (target_diameter_m and target_diameter_m > 0 and search_m and search_m > 0):
+        if not (diameter and diameter > 0 and search > 0):
             raise ConfigurationError(
                 "targets are sought without their size", "give target diameter and search distance, m"
             )
         raster = describe(ortho)
-        _require_square(raster, target_diameter_m)
+        _require_square(raster, diameter)
         for row, (name, place) in enumerate(zip(points.names, points.xyz_m, strict=True)):
-            target = find_target(raster, place[:2], target_diameter_m, search_m)
+            target = find_target(raster, place[:2], diameter, search)
             product[row, :2], likeness[row] = target[:2], target[2]
             if not np.isfinite(target[0]):
-                remarks.append(f"point {name}: no target within {search_m:g} m in {ortho.name}")
+                remarks.append(f"point {name}: no target within {search:g} m in {ortho.name}")
     if dtm is not None:
-        heights = _heights(dtm, points, height_kind, dtm_height_kind)
+        heights = _heights(dtm, points, options.height_kind, options.dtm_height_kind)
         product[:, 2] = heights
         remarks += [
             f"point {name}: no height in {dtm.name}"

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -14,10 +15,12 @@ from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import GlobalTest, Group
 from photocal.base.arrays import Columns, Floats, Integers
+from photocal.base.errors import ConfigurationError, ProgramMissingError
 from photocal.base.files import output_folder
 from photocal.block.model import InputFile, Repetition
 from photocal.geometry.camera import MOTION, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
+from photocal.results.plot import Plots
 
 ANGLES, PLACE = ("omega", "phi", "kappa"), ("X", "Y", "Z")
 TURNS, CENTRES = OF_HEAD[TURN], OF_HEAD[CENTRE]
@@ -278,10 +281,16 @@ class Figures:
 class Result(Figures):
     """The result of an adjustment.
 
-    cameras: adjusted cameras by name, with sigmas and correlations.
-    images: in the block's coordinates, with covariances; their cameras are those of `cameras`.
-    residuals: one for each observation of the block, in its order.
-    files: the files of the run folder that this was read from.
+    Attributes
+    ----------
+    cameras
+        Adjusted cameras by name, with sigmas and correlations.
+    images
+        In the block's coordinates, with covariances; their cameras are those of `cameras`.
+    residuals
+        One for each observation of the block, in its order.
+    files
+        The files of the run folder that this was read from.
     """
 
     cameras: dict[str, Camera]
@@ -423,6 +432,69 @@ class Result(Figures):
                 # Of an observation that takes no part, or that no other checks, cells are empty.
                 columns[name + axis] = pa.array(pair[:, k], from_pandas=True)
         return {"images": pa.table(of_images), "points": pa.table(of_points), "residuals": pa.table(columns)}
+
+    def camera(self, name: str = "") -> Camera:
+        """Give an adjusted camera.
+
+        Parameters
+        ----------
+        name
+            Its name; may be left out where there is one only.
+
+        Returns
+        -------
+        Camera
+            The camera with standard deviations and correlations of its parameters.
+
+        Raises
+        ------
+        ConfigurationError
+            For a name that no camera has, or no name where there are several; the message names them.
+        """
+        if not name and len(self.cameras) == 1:
+            return next(iter(self.cameras.values()))
+        if name not in self.cameras:
+            what = f"there is no camera {name!r}" if name else "there are several cameras"
+            raise ConfigurationError(what, f"name one of {', '.join(self.cameras)}", where=self.block.name)
+        return self.cameras[name]
+
+    @property
+    def plot(self) -> Plots:
+        """Pictures: `.residuals()`, `.camera()`, `.block()`; each returns a matplotlib figure."""
+        return Plots(self)
+
+    def to_pandas(self) -> dict[str, Any]:
+        """Give images, points and residuals as DataFrames.
+
+        Returns
+        -------
+        dict of pandas.DataFrame
+            The tables of `tables`, with the same columns and units.
+
+        Raises
+        ------
+        ProgramMissingError
+            When pandas is not installed.
+        """
+        try:
+            import_module("pandas")
+        except ModuleNotFoundError as missing:
+            raise ProgramMissingError("pandas is not installed", "run: pip install pandas") from missing
+        return {name: table.to_pandas() for name, table in self.tables().items()}
+
+    def _repr_html_(self) -> str:
+        """A short table for a notebook: the verdict, then the parameters of each camera."""
+        first, *_ = repr(self).splitlines()
+        rows = [
+            f"<tr><td>{escape(name)}</td><td>{key}</td><td>{camera.value(key):.8g}</td>"
+            f"<td>{self._sigmas(camera.sigma_of(key))}</td><td>{camera.unit}</td></tr>"
+            for name, camera in self.cameras.items()
+            for key in camera.free
+        ]
+        test = self.global_test
+        verdict = "" if test is None else f", global test {'accepted' if test.accepted else 'REJECTED'}"
+        head = "<tr><th>camera</th><th>parameter</th><th>value</th><th>sigma</th><th>unit of c</th></tr>"
+        return f"<p>{escape(first)}{verdict}</p><table>{head}{''.join(rows)}</table>"
 
     def images_of(self, camera: str) -> Integers:
         """Which images a camera took."""

@@ -301,8 +301,12 @@ def pictures_of(project: "Project") -> dict[str, Path]:
 class StageResult:
     """A stage that is done.
 
-    adjustments: reasons of those that it took, one each.
-    foreign: what lies in its folder and is not of it, one phrase each.
+    Attributes
+    ----------
+    adjustments
+        Reasons of those that it took, one each.
+    foreign
+        What lies in its folder and is not of it, one phrase each.
     """
 
     name: str

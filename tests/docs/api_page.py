@@ -16,7 +16,7 @@ _HEAD = """# photocal in Python
 
 Made from the docstrings by `python -m tests.docs`. `import photocal` is quick; what is used is loaded
 then. Lengths are metres, angles radians, unless a name says otherwise; arrays are numpy, tables Arrow
-(`to_pandas()` goes on). What is wrong raises one of `photocal.base.errors.PhotocalError`, with cause,
+(`to_pandas()` goes on). What is wrong raises one of `photocal.PhotocalError`, with cause,
 place and remedy.
 
 Examples that run: {examples}.

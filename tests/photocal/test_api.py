@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import doctest
+import inspect
 import re
 import subprocess
 import sys
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import photocal
 from acquire.log.foxglove import location_fixes, schema
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from photocal.base.errors import ConfigurationError
+from photocal.base.options import Option, Options
 from tests.docs.api_page import EXAMPLES, PAGE, page
 
 START_NS, FIXES = 1_700_000_000_000_000_000, 50
@@ -137,3 +143,156 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         photocal.block_of_arrays(np.zeros((4, 2)), np.zeros((1, 4, 2)), (4, 3), sigma_px=1.0, sigma_m=None)
     with pytest.raises(ConfigurationError, match="point x is not in the block"):
         photocal.with_relations(block_of(np.random.default_rng(1)), "distance", [("1", "x", 1.0, 0.1)])
+
+
+FUNCTIONS = [name for name in dir(photocal) if inspect.isfunction(getattr(photocal, name))]
+
+
+@pytest.fixture(scope="module")
+def block() -> photocal.Block:
+    """The published observations of a Kodak DCS460."""
+    return photocal.read_block(Path(photocal.__file__).parent / "demo" / "dcs460")
+
+
+@pytest.fixture(scope="module")
+def result(block: photocal.Block) -> photocal.Result:
+    return photocal.adjust(block)
+
+
+def sections(text: str) -> dict[str, str]:
+    """Parts of a numpydoc docstring by their titles."""
+    parts = re.split(r"^(\w[\w ]*)\n-+\n", text, flags=re.MULTILINE)
+    return {"Summary": parts[0], **dict(zip(parts[1::2], parts[2::2], strict=True))}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_have_a_manual(name: str) -> None:
+    function = getattr(photocal, name)
+    parts = sections(inspect.getdoc(function) or "")
+    signature = inspect.signature(function)
+    described = re.findall(r"^(\w[\w, ]*)(?: : .*)?\n +\S", parts.get("Parameters", ""), re.MULTILINE)
+    told = [one for names in described for one in names.split(", ")]
+    assert told == list(signature.parameters), "every parameter in its order"
+    assert len(signature.parameters) <= 8 or name == "camera"
+    assert signature.return_annotation == "None" or "Returns" in parts
+    assert {"Raises", "Examples"} <= parts.keys()
+    for error in re.findall(r"^\w+Error", parts["Raises"], re.MULTILINE):
+        assert issubclass(getattr(photocal, error), photocal.PhotocalError)
+
+
+def test_classes_say_what_they_hold() -> None:
+    """By an Attributes section, or, of options, by the help that the command line shows."""
+    for name in dir(photocal):
+        kind = getattr(photocal, name)
+        if inspect.isfunction(kind) or issubclass(kind, Exception):
+            continue
+        assert re.fullmatch(r"[A-Z][^\n]*\.", (inspect.getdoc(kind) or "").splitlines()[0]), name
+        if issubclass(kind, Options):
+            hints = get_type_hints(kind, include_extras=True)
+            own = [hints[field.name] for field in fields(kind)]
+            assert all(any(isinstance(part, Option) for part in get_args(hint)) for hint in own), name
+        else:
+            assert "Attributes\n----------\n" in (inspect.getdoc(kind) or ""), name
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_examples_in_docstrings_run(
+    name: str, block: photocal.Block, result: photocal.Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(Path(photocal.__file__).parents[1])
+    example = doctest.DocTestParser().get_doctest(
+        inspect.getdoc(getattr(photocal, name)) or "", {"block": block, "result": result}, name, None, 0
+    )
+    assert example.examples
+    assert doctest.DocTestRunner().run(example).failed == 0
+
+
+def test_a_result_draws_itself_with_units(result: photocal.Result) -> None:
+    for draw in (result.plot.residuals, result.plot.camera, result.plot.block):
+        figure = draw()
+        assert isinstance(figure, Figure)
+        labels = [label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())]
+        with_unit = [label for label in labels if label.endswith((", px", ", mm", ", m"))]
+        assert len(with_unit) >= 2
+        assert set(labels) - set(with_unit) <= {"standardised residual", "density"}
+
+
+def test_a_camera_that_is_not_there_is_refused_by_the_names_of_those_that_are(
+    result: photocal.Result,
+) -> None:
+    assert result.camera() is result.camera("dcs460")
+    for ask in (result.camera, result.plot.camera, result.plot.residuals):
+        with pytest.raises(photocal.PhotocalError, match=r"no camera 'ricoh'.*dcs460"):
+            ask("ricoh")
+    with pytest.raises(photocal.PhotocalError, match=r"'k1' is no parameter.*K1"):
+        photocal.camera("lens", "brown-ideal", "px", (4, 3), (1, 1), {"k1": 1.0})
+
+
+def test_notebooks_show_short_tables(block: photocal.Block, result: photocal.Result) -> None:
+    assert "<td>control points</td><td>40</td>" in block._repr_html_()
+    shown = result._repr_html_()
+    assert shown.count("<tr>") == 1 + len(result.camera().free)
+    assert "accepted" in shown
+
+
+def test_results_go_round_by_names_as_texts(result: photocal.Result, tmp_path: Path) -> None:
+    folder = str(tmp_path / "new" / "run")
+    photocal.write_result(folder, result)
+    again = photocal.read_result(folder)
+    np.testing.assert_array_equal(again.camera().values, result.camera().values)
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(photocal.OutputError):
+        photocal.write_result(tmp_path / "file", result)
+
+
+def test_without_pandas_its_name_is_said(result: photocal.Result, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(photocal.ProgramMissingError, match="pip install pandas"):
+        result.to_pandas()
+
+
+def test_one_camera_is_the_same_and_a_changed_one_is_not(result: photocal.Result) -> None:
+    first = result.camera()
+    same = photocal.compare([first, replace(first, id="again")]).pairs[0].figures
+    other = replace(first.changed(c=1.05 * first.value("c")), id="other")
+    changed = photocal.compare([first, other]).pairs[0].figures
+    assert max(figure.value_px for figure in same) == pytest.approx(0.0, abs=1e-6)
+    assert max(figure.value_px for figure in changed) > 10.0
+    with pytest.raises(photocal.ConfigurationError, match="mixed"):
+        photocal.compare([first, "run"])
+
+
+def test_a_table_without_its_columns_is_refused() -> None:
+    with pytest.raises(photocal.ConfigurationError, match="no column dN"):
+        photocal.assess({"point": ["a"], "dE": [0.0]})
+
+
+def test_a_table_in_memory_and_its_file_are_judged_alike(tmp_path: Path) -> None:
+    table: dict[str, list[Any]] = {
+        "point": ["a", "b", "c", "d"],
+        "dE": [0.1, -0.2, 0.3, 0.1],
+        "dN": [0.0, 0.1, 0.2, -0.1],
+    }
+    lines = ["point,dE,dN", *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))]
+    (tmp_path / "d.csv").write_text("\n".join(lines), encoding="utf-8")
+    options = photocal.JudgementOptions(standard=("decree-89817",), scale="1:1000")
+    from_file, from_memory = photocal.assess(tmp_path / "d.csv", options), photocal.assess(table, options)
+    assert [one.moments for one in from_file.components] == [one.moments for one in from_memory.components]
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    from importlib.metadata import version
+
+    assert photocal.__version__ == version("photocal")
+
+
+@pytest.mark.parametrize("command", ["plan", "check", "exposures", "ortho"])
+def test_help_loads_nothing_heavy(command: str) -> None:
+    heavy = ("numpy", "scipy", "numba", "pyarrow", "matplotlib")
+    code = (
+        "import sys\nfrom photocal.cli import app\n"
+        f"try:\n    app(['{command}', '--help'])\nexcept SystemExit:\n    pass\n"
+        f"print([m for m in {heavy} if m in sys.modules])"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert told.splitlines()[-1] == "[]"

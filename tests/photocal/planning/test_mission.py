@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.cli import app
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import Flight, Wish, plan_flight
+from photocal.planning.flight import Flight, FlightRequest, plan_flight
 from photocal.planning.frame import Frame
 from photocal.planning.mission import (
     Home,
@@ -39,8 +39,8 @@ HOME = Home(-28.8535, -51.2945, 700.0)
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    wish = Wish(PHANTOM, 100.0, 0.7, 0.6, speed_m_s=8.0, second_height_m=140.0)
-    return plan_flight(area_from_corners(list(FIELD), "field"), wish)
+    request = FlightRequest(PHANTOM, 100.0, 0.7, 0.6, speed_m_s=8.0, second_height_m=140.0)
+    return plan_flight(area_from_corners(list(FIELD), "field"), request)
 
 
 def test_figures_of_both_heights(flight: Flight) -> None:

@@ -13,7 +13,7 @@ from scipy import stats
 
 from photocal.adjustment.adjust import adjust
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import Flight, Layout, Wish, plan_flight, suggest_layout
+from photocal.planning.flight import Flight, FlightRequest, Layout, plan_flight, suggest_layout
 from photocal.planning.frame import Frame
 from photocal.planning.simulated_adjustment import Survey, planned_network, simulate
 from tests.photocal.conftest import Answer
@@ -23,8 +23,8 @@ POSITIONS = (0.03, 0.05)
 
 
 def planned(forward: float = 0.7, side: float = 0.6, second: float | None = None) -> tuple[Flight, Layout]:
-    wish = Wish(Frame(8.8e-3, 2.41e-6, 5472, 3648), 100.0, forward, side, second_height_m=second)
-    flight = plan_flight(area_from_corners(CORNERS, "here"), wish)
+    request = FlightRequest(Frame(8.8e-3, 2.41e-6, 5472, 3648), 100.0, forward, side, second_height_m=second)
+    flight = plan_flight(area_from_corners(CORNERS, "here"), request)
     return flight, suggest_layout(flight.corners_m, 5, 8, 10.0)
 
 

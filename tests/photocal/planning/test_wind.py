@@ -10,7 +10,7 @@ from pyproj import Geod
 
 from photocal.base.errors import ConfigurationError
 from photocal.planning.area import Area
-from photocal.planning.flight import Flight, Wish, plan_flight
+from photocal.planning.flight import Flight, FlightRequest, plan_flight
 from photocal.planning.frame import Frame
 from photocal.planning.mission import Home
 from photocal.planning.wind import WIND_TEXT, at_speed, farthest_m, in_wind
@@ -22,7 +22,9 @@ FRAME = Frame(8.8e-3, 2.41e-6, 5472, 3648)
 def flight_of(azimuth_deg: float, border: float = 0.0) -> Flight:
     return plan_flight(
         AREA,
-        Wish(FRAME, 100.0, 0.8, 0.7, speed_m_s=10.0, azimuth_rad=math.radians(azimuth_deg), border_m=border),
+        FlightRequest(
+            FRAME, 100.0, 0.8, 0.7, speed_m_s=10.0, azimuth_rad=math.radians(azimuth_deg), border_m=border
+        ),
     )
 
 
@@ -65,7 +67,7 @@ def test_what_limits_a_camera_is_the_fastest_strip() -> None:
     flight = flight_of(0.0)
     quick = at_speed(flight, in_wind(flight, 6.0, 0.0, "fixed-wing")["fastest_m_s"])
     assert quick.levels[0].exposure_interval_s == pytest.approx(flight.levels[0].base_m / 16.0)
-    assert quick.wish.speed_m_s == pytest.approx(16.0)
+    assert quick.request.speed_m_s == pytest.approx(16.0)
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 90.0])

@@ -15,6 +15,7 @@ from photocal.accuracy.assessment import assess
 from photocal.accuracy.ground_points import GroundPoints
 from photocal.accuracy.standard import Question, load_standard
 from photocal.base.errors import ConfigurationError
+from photocal.products.options import ProductOptions
 from photocal.products.product_check import check_products, read_check_points
 from photocal.products.raster import system_wkt, write_terrain
 from photocal.products.terrain import Terrain
@@ -85,11 +86,13 @@ def test_published_statistics_from_sampled_products(name: str, tmp_path: Path) -
     products = render(tmp_path, name)
     found = check_products(
         products.points,
-        ortho=products.ortho,
-        target_diameter_m=DIAMETER,
-        search_m=6.0,
-        dtm=products.dtm,
-        height_kind="ellipsoidal",
+        ProductOptions(
+            ortho=products.ortho,
+            target_diameter=DIAMETER,
+            search_radius=6.0,
+            dtm=products.dtm,
+            height_kind="ellipsoidal",
+        ),
     )
     assert found.remarks == ()
     assert (found.likeness > 0.8).all()
@@ -114,11 +117,13 @@ def test_what_a_product_does_not_show_is_said(tmp_path: Path) -> None:
     enh[7, :2] += 5000.0
     found = check_products(
         GroundPoints(products.points.names, enh),
-        ortho=products.ortho,
-        target_diameter_m=DIAMETER,
-        search_m=3.0,
-        dtm=products.dtm,
-        height_kind="ellipsoidal",
+        ProductOptions(
+            ortho=products.ortho,
+            target_diameter=DIAMETER,
+            search_radius=3.0,
+            dtm=products.dtm,
+            height_kind="ellipsoidal",
+        ),
     )
     assert [remark.split(":")[0] for remark in found.remarks] == ["point 04", "point 08", "point 08"]
     assert np.isnan(found.discrepancies.d_m[[3, 7], 0]).all()
@@ -130,7 +135,10 @@ def test_what_a_product_does_not_show_is_said(tmp_path: Path) -> None:
     [
         (lambda _: {}, "no product"),
         (lambda p: {"ortho": p.ortho}, "size"),
-        (lambda p: {"ortho": p.ortho, "target_diameter_m": 0.3, "search_m": 2.0}, "smaller than two cells"),
+        (
+            lambda p: {"ortho": p.ortho, "target_diameter": 0.3, "search_radius": 2.0},
+            "smaller than two cells",
+        ),
         (lambda p: {"dtm": p.dtm}, "not said"),
         (lambda p: {"dtm": p.dtm, "height_kind": "orthometric"}, "has ellipsoidal heights"),
         (lambda p: {"dtm": p.dtm, "height_kind": "local", "dtm_height_kind": "local"}, "not local ones"),
@@ -139,7 +147,7 @@ def test_what_a_product_does_not_show_is_said(tmp_path: Path) -> None:
 def test_complaints(change: Callable[[Products], dict[str, object]], complaint: str, tmp_path: Path) -> None:
     products = render(tmp_path, "gcp_8")
     with pytest.raises(ConfigurationError, match=complaint):
-        check_products(products.points, **change(products))  # type: ignore[arg-type]
+        check_products(products.points, ProductOptions(**change(products)))  # type: ignore[arg-type]
 
 
 def test_check_points_are_read(tmp_path: Path) -> None:

@@ -52,10 +52,9 @@ def simulated() -> Block:
     block = photocal.block_of_arrays(
         points,
         pixels,
-        (4000, 3000),
+        lens,
         sigma_px=0.3,
         sigma_m=0.001,
-        lens=lens,
         point_names=NAMES,
         image_names=NAMES,
     )

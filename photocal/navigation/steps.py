@@ -1,0 +1,250 @@
+"""The steps `ppk` and `exposures`: from receivers and images to a trajectory and to exposures."""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photocal.base.arrays import Floats
+from photocal.base.console import numbers_of, progress
+from photocal.base.errors import ConfigurationError
+from photocal.base.files import output_folder, write_json
+from photocal.base.operating_system import cache_folder
+from photocal.measurement.match_images import MatchingPlan
+from photocal.navigation.engine import Mode, Rtklib
+from photocal.navigation.exposure_files import write_run
+from photocal.navigation.exposure_run import Choices, ExposureRun, choices_of_project, run_exposures
+from photocal.navigation.flight_log import FlightLog
+from photocal.navigation.image_checks import TieMatching
+from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
+from photocal.navigation.ppk import PpkResult, options_for, process, with_antennas
+from photocal.navigation.ppk_inputs import Sources, gather_inputs
+from photocal.navigation.ppk_report import ppk_figures, write_ppk
+from photocal.navigation.rig import Rig, camera_axes
+from photocal.project import read_project
+
+Paths = str | Path | Sequence[str | Path]
+
+
+@dataclass(frozen=True)
+class Ppk:
+    """A trajectory from raw observations, and the figures by which it is judged.
+
+    Attributes
+    ----------
+    result
+        The trajectory and the engine's own solutions.
+    figures
+        As in `ppk.json`: epochs, share of fixed ones, gaps of the base, findings.
+    """
+
+    result: PpkResult
+    figures: dict[str, Any]
+
+    def write(self, folder: str | Path) -> None:
+        """Write `trajectory.csv`, `ppk.json` and `ppk.png` into a folder that is made.
+
+        Parameters
+        ----------
+        folder
+            Folder to write.
+        """
+        with output_folder(Path(folder)) as aside:
+            write_ppk(aside, self.result, self.figures)
+
+
+@dataclass(frozen=True)
+class ExposuresOfFlight:
+    """Position and attitude of every exposure of a flight, and what was noticed on the way.
+
+    Attributes
+    ----------
+    run
+        Exposures at the antenna and at the camera, trajectory, images and findings.
+    rig
+        Lever arm, boresight and axes by which they came from the antenna to the camera.
+    camera
+        Id of the camera in `images.csv`.
+    crs
+        System of `images.csv`; None for local coordinates.
+    """
+
+    run: ExposureRun
+    rig: Rig
+    camera: str
+    crs: str | None
+
+    def write(self, folder: str | Path) -> dict[str, Any]:
+        """Write `exposures.csv`, `images.csv`, GeoPackage and picture; give the figures of `exposures.json`.
+
+        Parameters
+        ----------
+        folder
+            Folder to write.
+
+        Returns
+        -------
+        dict
+            Figures by which the exposures are judged.
+        """
+        with output_folder(Path(folder)) as aside:
+            figures = write_run(aside, self.run, self.rig, self.camera, self.crs)
+            write_json(aside / "exposures.json", figures, 2)
+        return figures
+
+
+def ppk(
+    flight: Paths = (), *, receivers: ReceiverOptions | None = None, options: PpkOptions | None = None
+) -> Ppk:
+    """Compute the trajectory of a rover from raw observations of rover and base.
+
+    Fixes are validated (ratio, both directions, Doppler velocity, code) and doubtful ones become float; float
+    sigmas are rescaled to what both directions show.
+
+    Parameters
+    ----------
+    flight
+        Flight logs with raw frames of both receivers, that follow each other.
+    receivers
+        RINEX files in place of the log, and what is known of the base.
+    options
+        Antennas, elevation mask (degrees) and motion.
+
+    Returns
+    -------
+    Ppk
+        Trajectory and figures.
+
+    Raises
+    ------
+    ConfigurationError
+        When something that is needed was not named.
+    IllPosedError
+        Without overlap, with too few epochs, without ephemerides, or with a wrong position of the base.
+    ProgramMissingError
+        When RTKLIB is not installed.
+
+    References
+    ----------
+    T. Takasu, A. Yasuda: Development of the low-cost RTK-GPS receiver with an open source program package
+    RTKLIB. International Symposium on GPS/GNSS, Jeju 2009.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> photocal.ppk("FLIGHT.mcap").write("ppk")  # doctest: +SKIP
+    """
+    asked, engine = options or PpkOptions(), Rtklib()
+    sources = sources_of(flight, receivers or ReceiverOptions())
+    with tempfile.TemporaryDirectory() as scratch:
+        inputs, remarks = gather_inputs(sources, engine, Path(scratch))
+        rover, base = inputs.rover, inputs.base
+        heights = asked.rover_antenna_height, asked.base_antenna_height
+        plain = options_for(rover, base, *heights, asked.elevation)
+        modelled = with_antennas(plain, asked.antex, (rover, asked.rover_antenna), (base, asked.base_antenna))
+        mode: Mode = "static" if asked.static else "kinematic"
+        result = process(inputs, modelled, mode, engine, Path(scratch))
+    return Ppk(result, ppk_figures(result, remarks))
+
+
+def exposures(
+    flight: Paths = (), *, receivers: ReceiverOptions | None = None, options: ExposureOptions | None = None
+) -> ExposuresOfFlight:
+    """Compute position and attitude of every exposure, with covariances, and check them.
+
+    Positions come from PPK where the log has raw frames of rover and base, else from the event list, the
+    autopilot or the images; images are matched to events by the differences of their times.
+
+    Parameters
+    ----------
+    flight
+        Flight logs that follow each other, or one `project.toml` that names everything.
+    receivers
+        RINEX files in place of the log, and what is known of the base.
+    options
+        Images and events, delay (s), lever arm (m), boresight (degrees), and what checks the exposures.
+
+    Returns
+    -------
+    ExposuresOfFlight
+        Exposures, images and findings.
+
+    Raises
+    ------
+    ConfigurationError
+        When the log has neither events nor images, or nothing that tells positions.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> images = photocal.ExposureOptions(images="photos")
+    >>> photocal.exposures("FLIGHT.mcap", options=images).write("exposures")  # doctest: +SKIP
+    """
+    asked, logs = options or ExposureOptions(), _paths(flight)
+    project = [path for path in logs if path.suffix == ".toml"]
+    if project and len(logs) > 1:
+        raise ConfigurationError("a project file stands for itself", "give it alone", where=project[0])
+    camera, crs = asked.camera, asked.crs
+    if project:
+        named = read_project(project[0])
+        choices, camera = choices_of_project(named), named.camera.id
+        crs = None if named.crs == "local" else named.crs
+    else:
+        choices = Choices(
+            sources_of(logs, receivers or ReceiverOptions()),
+            None if asked.images is None else Path(asked.images),
+            None if asked.mrk is None else Path(asked.mrk),
+            asked.edge,
+            asked.delay,
+            asked.delay_sigma,
+            rig_of(asked),
+            asked.clock_offset,
+        )
+    choices = replace(choices, oriented=None if asked.oriented is None else Path(asked.oriented))
+    if asked.check_images:
+        plan = MatchingPlan(cache_folder(), os.cpu_count() or 1)
+        choices = replace(choices, ties=TieMatching(plan, progress))
+    with tempfile.TemporaryDirectory() as scratch:
+        return ExposuresOfFlight(run_exposures(choices, Rtklib(), Path(scratch)), choices.rig, camera, crs)
+
+
+def sources_of(flight: Paths, receivers: ReceiverOptions) -> Sources:
+    """Give where the observations come from; ConfigurationError for texts that are no numbers."""
+    return Sources(
+        FlightLog(_paths(flight)),
+        None if receivers.rover is None else Path(receivers.rover),
+        None if receivers.base is None else Path(receivers.base),
+        tuple(receivers.nav),
+        receivers.base_position,
+        receivers.rover_link,
+        receivers.base_link,
+    ).with_base(receivers.base_sigma, receivers.weather)
+
+
+def rig_of(asked: ExposureOptions) -> Rig:
+    """Give lever arm, boresight and camera axes in numbers; ConfigurationError for texts that are none."""
+    lever, attitude = asked.camera_to_antenna, asked.attitude_sigma
+    return Rig(
+        None if lever is None else _triple(lever, "--camera-to-antenna"),
+        _triple(asked.camera_to_antenna_sigma, "--camera-to-antenna-sigma"),
+        None if attitude is None else _radians(attitude, "--attitude-sigma"),
+        _radians(asked.boresight, "--boresight"),
+        _radians(asked.boresight_sigma, "--boresight-sigma"),
+        camera_axes(tuple(asked.camera_axes.split(","))),
+    )
+
+
+def _triple(text: str, option: str) -> Floats:
+    return np.array(numbers_of(text, option, "A,B,C: three numbers in the unit of the help"))
+
+
+def _radians(text: str, option: str) -> Floats:
+    return np.asarray(np.radians(_triple(text, option)))
+
+
+def _paths(given: Paths) -> tuple[Path, ...]:
+    return (Path(given),) if isinstance(given, str | Path) else tuple(map(Path, given))

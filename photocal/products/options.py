@@ -1,0 +1,95 @@
+"""Options of orthophotos, of products under check, and of volumes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from photocal.base.errors import ConfigurationError
+from photocal.base.options import Option, Options
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProductOptions(Options):
+    """Orthomosaic and terrain model that are read at check points."""
+
+    points: Annotated[
+        Path | None,
+        Option(
+            "Instead of a block: CSV of check points (point, E, N, h) for --ortho and --dtm, in their "
+            "reference system."
+        ),
+    ] = None
+    ortho: Annotated[Path | None, Option("Orthomosaic that shows the targets of the check points.")] = None
+    target_diameter: Annotated[float | None, Option("Of those round targets, metres.")] = None
+    search_radius: Annotated[float, Option("How far from its place a target is looked for, metres.")] = 2.0
+    dtm: Annotated[Path | None, Option("Terrain model that is read at the check points.")] = None
+    height_kind: Annotated[str | None, Option("Of the check points: ellipsoidal, orthometric or local.")] = (
+        None
+    )
+    dtm_height_kind: Annotated[str | None, Option("Of a terrain model that does not say it itself.")] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrthoOptions(Options):
+    """Orientation, images, cells, terrain and comparison of an orthophoto."""
+
+    run: Annotated[Path | None, Option("Adjustment of the block; without: orientations as given.")] = None
+    image: Annotated[tuple[str, ...], Option("Only this image; may be repeated.")] = ()
+    cell: Annotated[float | None, Option("Size of a cell, m; without: the pixel on the ground.")] = None
+    bounds: Annotated[str | None, Option("Rectangle: WEST,SOUTH,EAST,NORTH in metres.")] = None
+    resampling: Annotated[str, Option("nearest, bilinear or cubic.")] = "bilinear"
+    crs: Annotated[str | None, Option("Reference system of block and terrain model.")] = None
+    heights: Annotated[str | None, Option("Kind of heights of a terrain model that does not say it.")] = None
+    dtm_cell: Annotated[
+        float | None, Option("Size of the cells that a CSV of terrain points is put on, m.")
+    ] = None
+    dtm_output: Annotated[Path | None, Option("GeoTIFF of the terrain model made from a CSV.")] = None
+    nodata: Annotated[float, Option("Value of cells without image; real grey levels keep clear of it.")] = 0.0
+    compare: Annotated[
+        Path | None, Option("Another adjustment of the block, with another interior orientation.")
+    ] = None
+    displacement: Annotated[
+        Path | None, Option("Map (.pdf, .svg, .png) of how far --compare would put things elsewhere.")
+    ] = None
+    workers: Annotated[int, Option("Threads; 0 for all cores.")] = 0
+
+    def __post_init__(self) -> None:
+        """Refuse half a comparison."""
+        if (self.compare is None) != (self.displacement is None):
+            raise ConfigurationError("--compare and --displacement go together", "give both or none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VolumeOptions(Options):
+    """Lengths, sigmas and shape of a tank."""
+
+    radius: Annotated[float | None, Option("Mean radius, m, in place of sections.")] = None
+    radius_sigma: Annotated[float | None, Option("Its standard deviation, m.")] = None
+    height: Annotated[
+        float | None, Option("Measured height, m; with sections: volume by their mean radius too.")
+    ] = None
+    height_sigma: Annotated[float | None, Option("Its standard deviation, m.")] = None
+    sigma: Annotated[float | None, Option("Standard deviation of all coordinates of a table without, m.")] = (
+        None
+    )
+    vertical: Annotated[str, Option("Axis of the table that points up: X, Y or Z.")] = "Z"
+    shape: Annotated[
+        str,
+        Option(
+            "circle; or a curve or a polygon through the points of a section in their order around it: "
+            "areas and volume by quadrature."
+        ),
+    ] = "circle"
+    wall_thickness: Annotated[
+        float, Option("Taken from the measured radii, m, where the points lie outside.")
+    ] = 0.0
+    plot: Annotated[Path | None, Option("Residual ring plot to write: .pdf, .svg, .png.")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse a length without its standard deviation."""
+        pairs = ((self.radius, self.radius_sigma), (self.height, self.height_sigma))
+        if any((length is None) != (sigma is None) for length, sigma in pairs):
+            raise ConfigurationError(
+                "a length stands without its standard deviation, or the other way round",
+                "give --radius with --radius-sigma and --height with --height-sigma",
+            )

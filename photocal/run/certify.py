@@ -1,0 +1,99 @@
+"""The step `certificate`: of a run folder, with what stands beside it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from photocal.base.console import progress
+from photocal.findings.document import Document
+from photocal.measurement.image_facts import read_facts, told_conditions
+from photocal.measurement.image_file import list_images
+from photocal.report.issue import FORMS, issue
+from photocal.report.keys import own_key
+from photocal.report.options import CertificateOptions
+from photocal.results.origin import CARRIED
+from photocal.run.summary import flown_beside, told_beside
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A certificate that was written.
+
+    Attributes
+    ----------
+    document
+        Its content: number, title, highlights and sections.
+    files
+        What was written.
+    """
+
+    document: Document
+    files: tuple[Path, ...]
+
+    def __str__(self) -> str:
+        """Say number, highlights and files."""
+        shown = self.document
+        return "\n".join(
+            [
+                f"{shown.title} {shown.number}",
+                *(f"  {item.label}: {item.value} ({item.remark})" for item in shown.highlights),
+                *(f"  {path}" for path in self.files),
+            ]
+        )
+
+
+def certificate(
+    run: str | Path, output: str | Path, *, options: CertificateOptions | None = None
+) -> Certificate:
+    """Write the certificate of a calibration: HTML page, PDF and JSON.
+
+    Parameters
+    ----------
+    run
+        Folder that `adjust` wrote (`photocal.write_result`, `photocal adjust`).
+    output
+        Folder for the certificate.
+    options
+        Language, day, particulars, and the block when it is not found near the run.
+
+    Returns
+    -------
+    Certificate
+        The document and its files.
+
+    Raises
+    ------
+    ConfigurationError
+        For a date that is none, or a principal distance that was only guessed.
+    InputNotFoundError, InputMalformedError
+        For inputs that cannot be read or have changed.
+    OutputError
+        When the folder cannot be written.
+
+    Examples
+    --------
+    >>> import photocal
+    >>> options = photocal.CertificateOptions(client="Mapping Ltd")
+    >>> photocal.certificate("run", "certificate", options=options)  # doctest: +SKIP
+    """
+    asked, run, output = options or CertificateOptions(), Path(run), Path(output)
+    images = [] if asked.images is None else list_images(Path(asked.images))
+    pictures = told_conditions([read_facts(path) for path in images])
+    day, key = asked.day(), own_key()
+    with progress("certificate", 4) as step:
+        document = issue(
+            run,
+            output,
+            day=day,
+            language=asked.language,
+            block=asked.block,
+            particulars=asked.particulars,
+            client=asked.client,
+            operator=asked.operator,
+            key=key.fingerprint if key else "",
+            warnings=told_beside(run),
+            pictures=pictures,
+            flown=flown_beside(run),
+            done=lambda: step(1),
+        )
+    written = tuple(output / name for name in (*FORMS, CARRIED) if (output / name).exists())
+    return Certificate(document, written)
