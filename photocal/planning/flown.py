@@ -134,6 +134,7 @@ def figures_of(block: FlownBlock, **of_images: Floats) -> dict[str, Any]:
     """
 
     def spread(values: Floats) -> dict[str, float] | None:
+        """Least, median and largest of the known values; None where none is known."""
         known = values[np.isfinite(values)]
         if not len(known):
             return None

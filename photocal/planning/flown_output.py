@@ -122,6 +122,7 @@ def _cells(block: FlownBlock, to_given: Callable[[Floats], Floats]) -> list[Feat
     shape = (rows * k, columns * k)
 
     def merged(values: Any) -> Any:
+        """Values of the cells of the ground that each cell of the map covers, along the last axis."""
         grid = values.reshape(-1, ground.columns)[: shape[0], : shape[1]]
         return grid.reshape(rows, k, columns, k).swapaxes(1, 2).reshape(rows, columns, k * k)
 

@@ -122,6 +122,7 @@ def stereo_precision(
     scale = height_m / focal_m
 
     def plane(coordinate: float) -> float:
+        """Standard deviation of a ground coordinate: of its parallax and of the image point itself."""
         return scale * math.hypot(coordinate / focal_m * height_m / base_m * parallax, image_sigma_m)
 
     height = normal_case_height_sigma(height_m, base_m, focal_m, parallax)

@@ -197,9 +197,11 @@ def _map(flight: Flight, layout: Layout) -> dict[str, Any]:
     """GeoJSON (RFC 7946) of area, strips and suggested points."""
 
     def positions(points_m: Floats) -> list[list[float]]:
+        """Longitude and latitude, the order that GeoJSON has."""
         return [[longitude, latitude] for latitude, longitude in _places(flight, points_m)]
 
     def feature(geometry: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+        """A feature of RFC 7946 with its properties."""
         shape = {"type": geometry, "coordinates": coordinates}
         return {"type": "Feature", "geometry": shape, "properties": properties}
 
