@@ -77,6 +77,7 @@ def measure_closed(points: RingPoints, shape: Shape) -> tuple[dict[str, Any], st
         )
 
     def volume(at: Floats, areas: Floats) -> float:
+        """Integral of a spline through the areas of the sections, cubic where there are enough."""
         spline: Any = make_interp_spline(at, areas, k=min(3, len(at) - 1))
         return float(spline.integrate(at[0], at[-1]))
 

@@ -188,6 +188,7 @@ def write_orthophoto(
     count = np.zeros(len(paths) + 1, dtype=np.int64)
 
     def read(number: int) -> NDArray[Any]:
+        """Pixels of an image by its number, as the store of images asks for them."""
         return read_image(paths[number])
 
     with geotiff(

@@ -154,6 +154,7 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
     borders = border_directions(recipe.shots)
 
     def make(window: tuple[int, int, int, int]) -> Tile:
+        """Colour one tile, from the images whose footprints reach it."""
         column, row, columns, rows = window
         x, y = recipe.grid.centers(*window)
         half = recipe.grid.cell / 2

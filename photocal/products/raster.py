@@ -127,6 +127,7 @@ def terrain_source(raster: RasterFile, height_kind: str) -> Callable[[Bounds], T
         raise malformed(f"has {raster.bands} bands, a terrain model has one", "name the model")
 
     def piece(bounds: Bounds) -> Terrain:
+        """Heights of a rectangle, with the cells around it that interpolation needs."""
         west, south, east, north = bounds
         corners = [(x - c, y - f) for x in (west, east) for y in (south, north)]
         columns = [(e * x - b * y) / determinant for x, y in corners]
@@ -182,6 +183,7 @@ def same_system(first: str, second: str) -> bool:
     from pyproj import CRS
 
     def horizontal(wkt: str) -> Any:
+        """The plane part of a system: heights are compared by their kind, not here."""
         system = CRS.from_wkt(wkt)
         return system.sub_crs_list[0] if system.is_compound else system.to_2d()
 
@@ -230,6 +232,7 @@ def geotiff(
                     target.update_tags(**tags)
 
                     def write(pixels: NDArray[Any], column: int, row: int) -> None:
+                        """Put bands, rows and columns of a tile where it begins."""
                         window = rasterio.windows.Window(column, row, pixels.shape[2], pixels.shape[1])
                         target.write(pixels, window=window)
 
