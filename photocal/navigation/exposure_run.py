@@ -127,6 +127,7 @@ def place_exposures(
     camera, of_images, stated = attitudes_of_images(shown, rig)
 
     def at(events: Events) -> Exposures:
+        """Exposures at times of events, with the attitude of vehicle or gimbal."""
         placed, kind = placed_by(events, trajectory, listed, vehicle)
         flown = attitudes_of_vehicle(vehicle, events.time, rig)
         if not stated.any():

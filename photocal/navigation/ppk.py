@@ -194,6 +194,7 @@ def process(
     rover_alone = [inputs.rover.path, *inputs.navigation]
 
     def run(direction: Direction) -> EngineSolution:
+        """Solve in one direction, or with both combined."""
         return engine.solve(mode, direction, files, options, inputs.base_m, folder)
 
     # The engine's runs are programs of their own: two at a time keep two cores busy.

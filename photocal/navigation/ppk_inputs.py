@@ -72,6 +72,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     navigation: list[Path] = []
 
     def recorded(link: str, role: str, near: GpsTime | None = None) -> tuple[Path, ReceiverRecording]:
+        """RINEX file and recording of a link; its ephemerides are added to those known."""
         log = _needed(sources.log, role)
         recording = pick(receivers, link, role, log)
         refuse_unusable(recording, role, log)

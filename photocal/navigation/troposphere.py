@@ -117,6 +117,7 @@ def _engine_lapse(lat_deg: float, height_m: float) -> float:
     """Return the fall of the engine's zenith delay with height, m per m."""
 
     def delay(height: float) -> float:
+        """Hydrostatic zenith delay at a height in the standard atmosphere, m (Saastamoinen)."""
         pressure = 1013.25 * (1 - 2.2557e-5 * height) ** 5.2568
         return float(0.0022768 * pressure / (1 - 0.00266 * np.cos(2 * np.radians(lat_deg)) - 2.8e-7 * height))
 
