@@ -145,9 +145,11 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
     space, gsd_m = discrepancies.spatial()[1], question.gsd_m
 
     def circle(_: float) -> float:
+        """Radius that holds half of the plane errors, by their covariance."""
         return statistics.circular_error(plane.T @ plane / len(plane), PROBABLE_ERROR)
 
     def line(rms_m: float) -> float:
+        """Half-width that holds half of the height errors, by their rms."""
         return statistics.linear_error(rms_m, PROBABLE_ERROR)
 
     return Assessment(

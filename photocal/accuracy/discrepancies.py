@@ -90,6 +90,7 @@ def read_discrepancies(path: Path) -> Discrepancies:
     points = table.unique_names(title["point"])
 
     def metres(names: str) -> Floats:
+        """Columns by their names, in metres; NaN where a column is missing or a cell is empty."""
         given = (
             factor[name] * table.numbers(title[name], empty=np.nan)
             if name in title
