@@ -80,6 +80,7 @@ def better_lens(fits: tuple[LensFit, ...]) -> LensFit | None:
     given = min((lens for lens in fits if lens.model == fits[0].model), key=lambda lens: lens.left_out)
 
     def gain(lens: LensFit) -> float:
+        """By how much chi-squared falls beyond what the further terms of a lens must gain."""
         return given.chi_squared - lens.chi_squared - GAIN * max(len(lens.terms) - len(given.terms), 1)
 
     others = [lens for lens in fits if lens.model != given.model]

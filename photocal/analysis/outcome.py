@@ -278,6 +278,7 @@ def analyse_network(
     left, share = 1.0, 1.0 / (_steps(network) + draws)
 
     def step() -> None:
+        """Tell of one adjustment more, within what was announced."""
         nonlocal left
         # Each error that is found makes more of them.
         now = min(share, left / 2)
@@ -333,6 +334,7 @@ def _opinions(search: Search, robust: Floats, drawn: Floats | None) -> dict[str,
         at = np.flatnonzero(camera.estimated).tolist()
 
         def named(values: Floats, at: list[int] = at) -> dict[str, float]:
+            """Values by the names of the parameters that they belong to."""
             return {PARAMETERS[i]: float(values[i]) for i in at}
 
         removals = zip(before.left_out, before.cameras, strict=True)

@@ -126,6 +126,7 @@ def _changes(
     """Give the change of the misfit, (p, n, 2) px, for each unit normal variable, at a fixed pose."""
 
     def moved(view: View, by: View, sign: float) -> View:
+        """A view displaced by one standard deviation of its calibration, forwards or backwards."""
         return View(view.ideal + sign * by.ideal, view.c + sign * by.c)
 
     of_first = [

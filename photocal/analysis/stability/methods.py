@@ -142,6 +142,7 @@ def resection_misfit(heights: Floats) -> Misfit:
     """Make the misfit of the single photo resection over given ground."""
 
     def misfit(first: View, second: View, pose: Floats) -> Floats:
+        """Ground of the first view in the second image at a pose, less where the second one sees it."""
         ground = np.column_stack([first.ideal / first.c, -np.ones(len(heights))]) * heights[:, None]
         rays = (ground - pose[3:]) @ matrix_from_angles(pose[:3]).T
         return np.asarray(-second.c * rays[:, :2] / rays[:, 2:] - second.ideal)

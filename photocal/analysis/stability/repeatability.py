@@ -108,6 +108,7 @@ def between_flights(x: Floats, variance: Floats, design: Floats) -> float:
     freedom = len(x) - len(design.T)
 
     def excess(between: float) -> float:
+        """Weighted squares less their expectation, at a variance between flights."""
         values, _ = _fitted(x, variance + between, design)
         return float(np.sum((x - design @ values) ** 2 / (variance + between))) - freedom
 

@@ -105,6 +105,7 @@ def _within(fit: Fit, name: str, slope: Floats, information: Floats, courses: It
     amounts = -covariance @ slope[:count]
 
     def statistic(fall: float, unknowns: int) -> float:
+        """F of a fall of chi-squared against what is left of it."""
         left = max(fit.solution.chi_squared - fall, 1e-300)
         return fall / unknowns / (left / (freedom - unknowns))
 
