@@ -167,6 +167,7 @@ def _judge(
     index = {name: k for k, name in enumerate(block.points.names)}
 
     def at_given_places(role: Role) -> Differences:
+        """Differences with the coordinates that the block has, not those of the local frame."""
         group = differences(block, result, role)
         return replace(group, xyz=places[np.array([index[name] for name in group.names], dtype=np.int64)])
 

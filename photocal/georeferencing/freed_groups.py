@@ -244,6 +244,7 @@ def estimates_of(block: Block, freed: Block, solution: Shared, fault: Fault) -> 
     critical = float(stats.norm.ppf(1.0 - policy.SIGNIFICANCE / 2.0))
 
     def estimate(label: str, unit: str, value: float, given: float, sigma: float) -> Estimate:
+        """A freed value with its sigma and its test against the given one."""
         t = (value - given) / sigma if sigma > 0 else 0.0
         return Estimate(label, unit, value - given, value, sigma, t, abs(t) > critical)
 
