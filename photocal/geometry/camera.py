@@ -335,6 +335,7 @@ def camera(
     index = {name: i for i, name in enumerate(PARAMETERS)}
 
     def row(named: dict[str, float] | None, other: float = 0.0) -> Floats:
+        """Values by names in the order of `PARAMETERS`."""
         values = np.full(len(PARAMETERS), other)
         for name, value in (named or {}).items():
             if name not in index:

@@ -153,11 +153,13 @@ def _fitted(camera: Camera, model: Model, affinity: Affinity, terms: Sequence[st
     unit = radius ** MODELS[model].powers()[index] / np.where(np.arange(len(index)) < 3, radius, 1.0)
 
     def filled(unknown: Floats) -> Camera:
+        """The camera with the unknowns put in."""
         values = start.copy()
         values[index] = start[index] + unknown * unit
         return target.with_values(values)
 
     def miss(unknown: Floats) -> Floats:
+        """Differences of its rays from those of the other model, over the format."""
         guess = filled(unknown)
         if model == "brown-observed":
             return np.ravel(undistorted(guess, measured) - guess.values[0] * rays)
