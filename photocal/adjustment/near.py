@@ -98,6 +98,7 @@ class Removals:
             changed = replace(problem, design=design, held=held)
 
             def equations(state: State) -> list[Equations]:
+                """Other equations than of rays, but for those of the columns that are held."""
                 return [_untouched(rows, columns) for rows in other_equations(problem, state).values()]
 
             clear(problem.layout.envelope, normal.matrix, columns)

@@ -58,6 +58,7 @@ def along(
     step, point_step, change = step.reshape(-1, step.shape[-1]), _each(point_step), _each(change)
 
     def work(piece: int) -> None:
+        """The rays of one piece; pieces run side by side."""
         along_piece(design, values, structure, piece, step, point_step, change, scratch(width(design)))
 
     each_piece(len(design.pieces) - 1, work)
@@ -128,6 +129,7 @@ def across(
     reduced = reduced.reshape(len(reduced), -1, reduced.shape[-1])
 
     def work(piece: int) -> None:
+        """The rays of one piece; pieces run side by side."""
         room = scratch(width(design))
         across_piece(design, values, structure, piece, change, room, reduced[piece], points)
 
@@ -165,6 +167,7 @@ def pulls(
     reduced, points = reduced[:, None], points[None]
 
     def work(piece: int) -> None:
+        """The rays of one piece; pieces run side by side."""
         room = scratch(width(design))
         totals[piece] = pulls_piece(design, values, structure, piece, room, reduced[piece], points)
 
@@ -237,6 +240,7 @@ def point_effects(
     """Change of the point that a ray belongs to per unit of change of the ray's coordinates."""
 
     def work(piece: int) -> None:
+        """The rays of one piece; pieces run side by side."""
         size = width(design) * most_rays(design, piece) + structure.border
         point_effects_piece(design, values, structure, piece, inverse, kept, covariance, effect,
                             scratch(width(design)), np.zeros((3, size)), np.zeros((3, size)),

@@ -269,6 +269,7 @@ def _by_chords(
     made = [Iteration(len(steps) + 1, np.inf, decrement, 0.0)]
 
     def progress(chi_squared: float, length: float) -> None:
+        """Note a step; the one before it learns its chi-squared from it."""
         if len(made) == 1:
             made[0] = replace(made[0], chi_squared=chi_squared + length)
         made.append(Iteration(made[-1].number + 1, chi_squared, length, 0.0))
@@ -412,6 +413,7 @@ def chords(
     """
 
     def solved(right: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+        """Solve for one right-hand side; an unknown that is held stays where it is."""
         step, moved = full_solution(problem, normal, *right)
         if hold is None:
             return step, moved

@@ -130,6 +130,7 @@ def round_the_middle(network: Network, before: State, after: State) -> State:
     shift = middle - matrix @ middle + along @ middle
 
     def bent(old: Floats, new: Floats) -> Floats:
+        """New places after the common turn, less what it alone does to the old ones."""
         return np.asarray(new @ matrix.T - old @ along.T + shift)
 
     return replace(after, centre=bent(before.centre, after.centre), points=bent(before.points, after.points))

@@ -146,6 +146,7 @@ def with_factors(network: Network, rays: RayGroups, factors: dict[str, float]) -
     """Multiply the standard deviations of groups of observations."""
 
     def of(name: str) -> float:
+        """Factor of a group; 1 for one that is not estimated."""
         return factors.get(name, 1.0)
 
     by_ray = np.array([of(name) for name in rays.names])[rays.group]

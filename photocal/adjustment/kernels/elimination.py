@@ -287,6 +287,7 @@ def accumulate(
     """
 
     def work(piece: int) -> None:
+        """One piece of the rays, or one share of the strips: they run side by side."""
         rays, lens, wide = most_rays(design, piece), structure.lens + 1, width(design)
         shapes = (rays, 2, wide), (rays, 2, 3), (rays, 2, lens), (3, lens), (2, lens), (2, 3), (2, wide)
         of_images, of_cameras = np.split(gradients[piece], [structure.band])
@@ -335,6 +336,7 @@ def join(
     shares = np.linspace(0, len(strips.last), len(design.pieces)).astype(np.int64)
 
     def work(share: int) -> None:
+        """One piece of the rays, or one share of the strips: they run side by side."""
         join_strips(design, strips, structure, start, pieces, shares[share], shares[share + 1], matrix)
 
     each_piece(len(shares) - 1, work)

@@ -26,6 +26,7 @@ def evaluate(design: Design, values: Values, residuals: Floats, depth: Floats) -
     """
 
     def work(piece: int) -> None:
+        """Residuals of one piece; pieces run side by side."""
         evaluate_piece(design, values, piece, scratch(width(design)), residuals, depth)
 
     each_piece(len(design.pieces) - 1, work)

@@ -177,6 +177,7 @@ def statistics(
     """
 
     def work(piece: int) -> None:
+        """Residuals and redundancy of one piece; pieces run side by side."""
         size = width(design) * most_rays(design, piece) + structure.border
         statistics_piece(design, values, structure, piece, inverse, kept, point_covariance, residuals,
                          redundancy, scratch(width(design)), np.zeros((3, size)), np.zeros((3, size)),

@@ -37,6 +37,7 @@ def back_substitute(
     """Move the points by the steps that belong to a step of the reduced system."""
 
     def work(piece: int) -> None:
+        """The points of one piece; pieces run side by side."""
         decreases[piece] = back_substitute_piece(design, structure, step, kept, piece, points)
 
     each_piece(len(decreases), work)
@@ -68,6 +69,7 @@ def reduce_right(
     """Eliminate the points from a right-hand side: what each piece takes off, (pieces, layout.size)."""
 
     def work(piece: int) -> None:
+        """The points of one piece; pieces run side by side."""
         reduce_right_piece(design, structure, right, kept, piece, reduced[piece])
 
     each_piece(len(reduced), work)
