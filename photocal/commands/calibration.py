@@ -64,6 +64,7 @@ def iteration_lines(title: str) -> Callable[[Any], None]:
     began = time.monotonic()
 
     def line(iteration: Any) -> None:
+        """Write one iteration, when a person watches and it takes long."""
         if sys.stderr.isatty() and time.monotonic() - began > 1.0:
             sys.stderr.write(
                 f"{title}: iteration {iteration.number}, chi-squared {iteration.chi_squared:.6g}, "

@@ -133,6 +133,7 @@ def debrief(
         from photocal.debrief.live import follow
 
         def report(so_far: "Debrief") -> None:
+            """Say the verdict so far, while the flight is still being read."""
             typer.echo(printable(finding_text(so_far.verdict, say)), err=True)
 
         made = follow(known, crew, stopped_by_signals(), report, last)
