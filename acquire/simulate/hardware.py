@@ -42,6 +42,7 @@ def on_udp(device: Device, host: str, port: int) -> Iterator[None]:
     line.bind(("127.0.0.1", 0))
 
     def send(data: bytes, _stop: threading.Event) -> None:
+        """Hand bytes to the line; what nobody takes is lost."""
         with contextlib.suppress(OSError):
             for at in range(0, len(data), _DATAGRAM_BYTES):
                 line.sendto(data[at : at + _DATAGRAM_BYTES], (host, port))
@@ -59,6 +60,7 @@ def on_pty(device: Device) -> Iterator[str]:
     gone = False
 
     def send(data: bytes, stop: threading.Event) -> None:
+        """Hand bytes to the line; what nobody takes is lost."""
         # A line without a listener fills up; a receiver would lose the bytes, too. A listener that is busy
         # for a moment takes them piece by piece: such a line holds no more than some kilobytes.
         nonlocal gone
@@ -88,6 +90,7 @@ def on_tcp(device: Device, host: str = "127.0.0.1", port: int = 0) -> Iterator[i
     server = socket.create_server((host, port))
 
     def run(stop: threading.Event, start: float) -> None:
+        """Let the device speak until it is told to stop."""
         server.settimeout(0.1)
         while not stop.is_set():
             with contextlib.suppress(OSError):
@@ -123,6 +126,7 @@ def _serving(
     send: Callable[[bytes, threading.Event], None],
 ) -> Iterator[None]:
     def run(stop: threading.Event, start: float) -> None:
+        """Let the device speak until it is told to stop."""
         while not stop.is_set():
             ready, _, _ = select.select([descriptor], [], [], _TICK_S)
             now = time.monotonic() - start

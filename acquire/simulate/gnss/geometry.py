@@ -113,6 +113,7 @@ def _wind_up(satellite: Floats, ray: Floats, sun: Floats, antenna: tuple[Floats,
     along = np.cross(across, down)
 
     def dipole(x: Floats, y: Floats, sign: float) -> Floats:
+        """Effective dipole of an antenna for a circularly polarised signal (Wu et al. 1993)."""
         return np.asarray(x - ray * np.einsum("ij,ij->i", ray, x)[:, None] + sign * np.cross(ray, y))
 
     sent, received = dipole(along, across, -1.0), dipole(*antenna, 1.0)

@@ -92,6 +92,7 @@ def legs(plan: configuration.Plan, lines: tuple[Strip, ...], ground_m: float) ->
     way = [Leg(home, plan.on_ground_s)]
 
     def go(to_m: Floats, speed_m_s: float, strip: int = -1) -> None:
+        """Add a leg to a place at a speed."""
         length = float(np.linalg.norm(to_m - way[-1].to_m))
         way.append(Leg(to_m, length / speed_m_s, strip))
 

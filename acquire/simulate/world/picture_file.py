@@ -45,6 +45,7 @@ def write_pictures(world: World, folder: Path, advance: Callable[[float], None])
     kept = np.flatnonzero(kept_images(world)).tolist()
 
     def make(number: int) -> None:
+        """Render one picture and write it with its EXIF."""
         image = Image.fromarray(np.ascontiguousarray(render(scene, number)[..., ::-1]))
         exif = _exif(world, stamps[number], places[number], image.size)
         more: dict[str, Any] = {}

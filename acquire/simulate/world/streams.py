@@ -132,10 +132,12 @@ def _session(world: World) -> tuple[Session, np.random.Generator]:
 
 def _rover(world: World) -> Antenna:
     def position(time_gps_ns: Integers) -> Floats:
+        """Earth-centred position of the antenna, m."""
         local = antenna_at(world.motion, world.rig, world.seconds(time_gps_ns))
         return world.place.to_geocentric(local)
 
     def velocity(time_gps_ns: Integers) -> Floats:
+        """Earth-centred velocity of the antenna, m/s."""
         local = antenna_velocity(world.motion, world.rig, world.seconds(time_gps_ns))
         return np.asarray(local @ world.place.axes)
 
