@@ -37,6 +37,7 @@ def token_proxy(address: Address, behind: tuple[str, int]) -> Iterator[str]:
     started: Future[Callable[[], object]] = Future()
 
     async def let_in(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Pass a connection on to the inner server when it brings the token."""
         try:
             with contextlib.suppress(OSError, TimeoutError, asyncio.IncompleteReadError):
                 await _let_in(reader, writer, token, behind)
@@ -44,6 +45,7 @@ def token_proxy(address: Address, behind: tuple[str, int]) -> Iterator[str]:
             writer.close()
 
     async def serve() -> None:
+        """Run the server that asks for the token until the monitor ends."""
         stop = asyncio.Event()
         loop = asyncio.get_running_loop()
         server = await asyncio.start_server(let_in, sock=listener, limit=_LONGEST_HEAD)
@@ -136,6 +138,7 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
     served: dict[Channel, Any] = {}
 
     def listen(chunk: list[Messages]) -> None:
+        """Publish what has arrived."""
         for part in chunk:
             channel = served.get(part.channel)
             if channel is None:

@@ -105,9 +105,11 @@ def application(latest: Latest) -> Starlette:
     """Return the page, its files and its feed."""
 
     async def feed(_: Request) -> StreamingResponse:
+        """Server-sent events of what the monitor knows."""
         return StreamingResponse(_events(latest), media_type="text/event-stream")
 
     async def heard(request: Request) -> Response:
+        """Take a number that the page sends, and refuse what is longer than any."""
         body = b""
         async for piece in request.stream():
             body += piece

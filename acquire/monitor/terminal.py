@@ -40,6 +40,7 @@ def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
     middle = (low + high) / 2
 
     def dots(layer: Layer) -> Floats:
+        """Places of a layer in dots of the terminal's map."""
         away = (metres(layer.points, drawn[0].points[0]) - middle) * dots_per_m
         return np.column_stack([width - 0.5 + away[:, 0], 2 * rows - 0.5 - away[:, 1]])
 

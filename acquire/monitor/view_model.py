@@ -404,6 +404,7 @@ def _disk(state: State) -> Disk:
     hours = free / speed / 3600 if speed else None
 
     def below(limit: tuple[float, float]) -> bool:
+        """Whether room or time left on the disk is below a limit."""
         return free < limit[0] or (hours is not None and hours < limit[1])
 
     level = "bad" if below(_NO_ROOM) else "warn" if below(_LITTLE_ROOM) else "good"
