@@ -135,7 +135,7 @@ def mounting_equations(network: Network, layout: Layout, state: State) -> dict[s
     if len(rig.first):
         exposures, heads = network.exposures, head_values(network, state.common)
         head_columns = common[of_mounting:]
-        moving = exposures.camera, state.rotation, state.centre, exposures.motion
+        moving = exposures.camera, (state.rotation, state.centre), exposures.motion
         result["rig"] = rig_equations(rig, heads, *moving, columns, basis, head_columns.reshape(heads.shape))
         result["head"] = common_equations(rig.values.ravel(), rig.sigma.ravel(), heads.ravel(), head_columns)
     if not mounted:

@@ -112,8 +112,7 @@ def rig_equations(
     rig: Rig,
     values: Floats,
     image_camera: Integers,
-    rotation: Floats,
-    centre: Floats,
+    poses: tuple[Floats, Floats],
     motion: Floats | None,
     image_columns: Integers,
     basis: Floats,
@@ -122,8 +121,10 @@ def rig_equations(
     """Linearise the relations between images of one exposure.
 
     values (heads, 7); columns (heads, 7): of the unknowns of the heads, -1 for what is none.
+    poses: rotations (images, 3, 3) from object to camera axes, and projection centres (images, 3), m.
     motion (images, 6 or 21): velocity and rate as `Exposures` has them; None at rest.
     """
+    rotation, centre = poses
     a, b = rig.first, rig.second
     head = rig.head_of(image_camera)
     p, q = head[a], head[b]

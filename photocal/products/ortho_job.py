@@ -193,8 +193,7 @@ def write_orthophoto(
 
     with geotiff(
         path,
-        columns=grid.columns,
-        rows=grid.rows,
+        size=(grid.columns, grid.rows),
         bands=recipe.bands,
         dtype=recipe.dtype,
         transform=grid.transform,

@@ -194,8 +194,7 @@ def same_system(first: str, second: str) -> bool:
 def geotiff(
     path: Path,
     *,
-    columns: int,
-    rows: int,
+    size: tuple[int, int],
     bands: int,
     dtype: str,
     transform: Transform,
@@ -203,7 +202,11 @@ def geotiff(
     nodata: float,
     tags: dict[str, str],
 ) -> Iterator[Callable[[NDArray[Any], int, int], None]]:
-    """Write a tiled, compressed GeoTIFF with overviews; it appears when it is whole."""
+    """Write a tiled, compressed GeoTIFF with overviews; it appears when it is whole.
+
+    size: columns and rows.
+    """
+    columns, rows = size
     floating = dtype.startswith("float")
     options = {
         "driver": "GTiff",
@@ -259,8 +262,7 @@ def write_terrain(terrain: Terrain, path: Path) -> None:
     tags = {HEIGHT_TAG: terrain.height_kind} if terrain.height_kind else {}
     with geotiff(
         path,
-        columns=columns,
-        rows=rows,
+        size=(columns, rows),
         bands=1,
         dtype="float32",
         transform=terrain.transform,
