@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from photocal.findings.finding import Finding
     from photocal.georeferencing.comparison import BlockCheck
     from photocal.judging import analyse, assess, check, compare, components, significance
-    from photocal.measurement.block_files import Measured
+    from photocal.measurement.block_files import MeasuredBlock
     from photocal.measurement.options import MeasureOptions
     from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
     from photocal.navigation.steps import exposures, ppk
@@ -72,7 +72,7 @@ _ELSEWHERE = {
     "photocal.findings.finding": ("Finding",),
     "photocal.georeferencing.comparison": ("BlockCheck",),
     "photocal.judging": ("analyse", "assess", "check", "compare", "components", "significance"),
-    "photocal.measurement.block_files": ("Measured",),
+    "photocal.measurement.block_files": ("MeasuredBlock",),
     "photocal.measurement.options": ("MeasureOptions",),
     "photocal.navigation.options": ("ExposureOptions", "PpkOptions", "ReceiverOptions"),
     "photocal.navigation.steps": ("exposures", "ppk"),
@@ -94,7 +94,7 @@ __all__ = [
     "Assessment", "Block", "BlockCheck", "Camera", "CertificateOptions", "Compared", "ConfigurationError",
     "DeviceError", "Discrepancies", "ExposureOptions", "FTest", "Finding", "FlightOptions", "FlightRequest",
     "IllPosedError", "Images", "InputMalformedError", "InputNotFoundError", "JudgementOptions",
-    "LimitOptions", "MeasureOptions", "Measured", "MissionOptions", "NotConvergedError", "ObjectPoints",
+    "LimitOptions", "MeasureOptions", "MeasuredBlock", "MissionOptions", "NotConvergedError", "ObjectPoints",
     "Observations", "OrientedImages", "OrthoOptions", "Outcome", "OutputError", "PhotocalError", "Plan",
     "PpkOptions", "PrecisionOptions", "ProgramMissingError", "Proposal", "ReceiverOptions", "Result",
     "StageResult", "VolumeOptions", "adjust", "analyse", "area_from_corners", "assess", "block_of_arrays",
@@ -427,7 +427,7 @@ def adjust(block: Block, *, snooping: Literal["w", "tau"] | None = None, compone
     return adjust_network(block, snooping, Wanted(components=components))
 
 
-def measure(images: str | Path, *, options: MeasureOptions | None = None) -> Measured:
+def measure(images: str | Path, *, options: MeasureOptions | None = None) -> MeasuredBlock:
     """Measure images: tie points, marked control, boards or coded targets, as a block to be adjusted.
 
     Parameters

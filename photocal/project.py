@@ -79,7 +79,7 @@ class AirAtBase(Table):
     pressure_hpa: Annotated[float, Field(ge=400, le=1100)] | None = None
 
 
-class Flight(Table):
+class FlightKeys(Table):
     """`[flight]`: recordings and what is known of the receivers and the camera's events.
 
     logs: flight logs in the order of time.
@@ -113,7 +113,7 @@ class Flight(Table):
     clock_offset_s: PositiveFloat = 60.0
 
 
-class Images(Table):
+class ImageKeys(Table):
     """`[images]`: a folder of pictures, or without pictures a table of their names and times.
 
     position_sigma_m: without a flight: east, north, up, of positions whose pictures do not state it; "free"
@@ -138,7 +138,7 @@ class Images(Table):
         return self
 
 
-class Rig(Table):
+class RigSettings(Table):
     """`[rig]`: camera, antenna and inertial unit beside each other, in body axes forward, right, down.
 
     camera_to_antenna_m: vector from the projection centre to the antenna.
@@ -252,7 +252,7 @@ class Measurements(Table):
         return self
 
 
-class Judgement(Table):
+class JudgementKeys(Table):
     """`[judgement]`: what the check points are judged against."""
 
     scale: str | None = None
@@ -278,14 +278,14 @@ class Contents(Table):
     """The whole file."""
 
     project: ProjectKeys
-    flight: Flight | None = None
-    images: Images | None = None
-    rig: Rig | None = None
+    flight: FlightKeys | None = None
+    images: ImageKeys | None = None
+    rig: RigSettings | None = None
     camera: tuple[CameraKeys, ...] = ()
     head: tuple[HeadKeys, ...] = ()
     control: Control | None = None
     measurements: Measurements | None = None
-    judgement: Judgement = Judgement()
+    judgement: JudgementKeys = JudgementKeys()
     certificate: CertificateKeys = CertificateKeys()
 
     @model_validator(mode="after")
@@ -333,12 +333,12 @@ class Project:
         return self.contents.project.output
 
     @property
-    def flight(self) -> Flight:
+    def flight(self) -> FlightKeys:
         """`[flight]`; ConfigurationError without it, as for all sections below."""
         return self._needed(self.contents.flight, "[flight]")
 
     @property
-    def images(self) -> Images:
+    def images(self) -> ImageKeys:
         """`[images]`."""
         return self._needed(self.contents.images, "[images]")
 
@@ -348,7 +348,7 @@ class Project:
         return self._needed(self.images.folder, "folder in [images]")
 
     @property
-    def rig(self) -> Rig:
+    def rig(self) -> RigSettings:
         """`[rig]`."""
         return self._needed(self.contents.rig, "[rig]")
 

@@ -45,7 +45,7 @@ _NEUTRAL_MODE = 1.0
 
 
 @dataclass(frozen=True)
-class MountingValue:
+class MountingParameter:
     """What parameters tell of one thing: its name, their names, values and unit."""
 
     thing: str
@@ -59,7 +59,7 @@ class MountingValue:
 
 
 @dataclass(frozen=True)
-class Mounting:
+class AutopilotMounting:
     """What an autopilot tells of its mounting, and what follows for the camera.
 
     camera_to_antenna_m: lever arm, body axes, m, of a camera at the body's origin, `CAMERA_PLACE_SIGMA_M`
@@ -68,7 +68,7 @@ class Mounting:
         camera is fixed, or the mount is turned in flight.
     """
 
-    values: tuple[MountingValue, ...]
+    values: tuple[MountingParameter, ...]
     camera_to_antenna_m: tuple[float, float, float] | None = None
     mount_deg: tuple[float, float, float] | None = None
 
@@ -108,19 +108,19 @@ class Mounting:
         return lines
 
 
-def mounting_of(parameters: Mapping[str, float]) -> Mounting:
+def mounting_of(parameters: Mapping[str, float]) -> AutopilotMounting:
     """Return what parameters of an autopilot, by their names, tell of its mounting."""
     values = []
     for thing, (unit, ways) in _VALUES.items():
         names = next((names for names in ways if all(name in parameters for name in names)), None)
         if names is not None:
-            values.append(MountingValue(thing, names, tuple(parameters[name] for name in names), unit))
+            values.append(MountingParameter(thing, names, tuple(parameters[name] for name in names), unit))
     by_thing = {value.thing: value.values for value in values}
     x, y, z = by_thing.get(ANTENNA, (0.0, 0.0, 0.0))
     kind = by_thing.get("camera mount, type", (0.0,))[0]
     held = kind > 0 and by_thing.get("camera mount, mode at start", (0.0,))[0] == _NEUTRAL_MODE
     roll, pitch, yaw = by_thing.get(NEUTRAL, (0.0, 0.0, 0.0))
-    return Mounting(
+    return AutopilotMounting(
         tuple(values),
         (x, y, z) if x or y or z else None,
         (roll, pitch, yaw) if held and NEUTRAL in by_thing else None,

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
 
-    from acquire.log.reader import Messages
-    from acquire.monitor.state import State
+    from acquire.log.reader import LoggedMessages
+    from acquire.monitor.state import RecordingState
     from acquire.monitor.tail import Tail
 
 
@@ -165,7 +165,7 @@ def _show(
     tail: Tail,
     address: str | None,
     mute: bool,
-    listen: Callable[[list[Messages]], None],
+    listen: Callable[[list[LoggedMessages]], None],
     debrief: Path | None,
 ) -> None:
     """Show a recording until Ctrl-C, on a page or here."""
@@ -186,7 +186,7 @@ def _show(
 
 
 def _in_terminal(
-    tail: Tail, stop: threading.Event, mute: bool, listen: Callable[[list[Messages]], None]
+    tail: Tail, stop: threading.Event, mute: bool, listen: Callable[[list[LoggedMessages]], None]
 ) -> None:
     from rich.console import Console
     from rich.live import Live
@@ -203,7 +203,7 @@ def _in_terminal(
     announced = 0
     with Live(console=console, screen=True, auto_refresh=False) as live:
 
-        def show(state: State) -> None:
+        def show(state: RecordingState) -> None:
             nonlocal announced
             if not mute and any(a.number > announced and a.level == "bad" for a in state.alarms):
                 console.bell()

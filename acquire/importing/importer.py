@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from acquire.channels.link import LinkLog, Tally
-from acquire.importing.recording import Format, Source, identify, open_recording
+from acquire.importing.recording import RecordedBytes, RecordingFormat, identify, open_recording
 from acquire.importing.timing import way_of
 from acquire.log.writer import LogWriter
 from drivers.mavlink.dialect import Dialect, ardupilotmega
@@ -34,7 +34,7 @@ class Imported:
     path: Path
     sha256: str
     size: int
-    form: Format
+    form: RecordingFormat
     log_time: str
     tally: Tally
     cut: int
@@ -106,8 +106,8 @@ def import_recordings(
 def _import(
     writer: LogWriter,
     link: str,
-    source: Source,
-    form: Format,
+    source: RecordedBytes,
+    form: RecordingFormat,
     dialect: Dialect,
     advance: Callable[[float], None],
     near_ns: int,

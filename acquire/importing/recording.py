@@ -24,7 +24,7 @@ _GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True)
-class Format:
+class RecordingFormat:
     """A kind of recording.
 
     link: what a link with it is called when nobody names it; empty: after the file.
@@ -36,15 +36,17 @@ class Format:
     framer: Callable[[Dialect], Framer]
 
 
-TELEMETRY_LOG = Format("MAVLink telemetry log", "vehicle", TlogFramer)
-RECEIVER_STREAM = Format("GNSS receiver stream", "", lambda dialect: StreamFramer(receiver_wires(), dialect))
-DATAFLASH_LOG = Format("ArduPilot DataFlash log", "vehicle", lambda _: DataflashFramer())
-PX4_LOG = Format("PX4 log (ULog)", "vehicle", lambda _: UlogFramer())
-EVENT_LIST = Format("event list (Timestamp.MRK)", "camera", lambda _: MrkFramer())
+TELEMETRY_LOG = RecordingFormat("MAVLink telemetry log", "vehicle", TlogFramer)
+RECEIVER_STREAM = RecordingFormat(
+    "GNSS receiver stream", "", lambda dialect: StreamFramer(receiver_wires(), dialect)
+)
+DATAFLASH_LOG = RecordingFormat("ArduPilot DataFlash log", "vehicle", lambda _: DataflashFramer())
+PX4_LOG = RecordingFormat("PX4 log (ULog)", "vehicle", lambda _: UlogFramer())
+EVENT_LIST = RecordingFormat("event list (Timestamp.MRK)", "camera", lambda _: MrkFramer())
 FORMATS = (TELEMETRY_LOG, RECEIVER_STREAM, DATAFLASH_LOG, PX4_LOG, EVENT_LIST)
 
 
-class Source:
+class RecordedBytes:
     """The bytes of a recording, unpacked, with the hash and the size of the file that they come from."""
 
     def __init__(self, path: Path, raw: BufferedReader) -> None:
@@ -100,7 +102,7 @@ class Source:
 
 
 @contextmanager
-def open_recording(path: Path) -> Iterator[Source]:
+def open_recording(path: Path) -> Iterator[RecordedBytes]:
     """Open a recording."""
     if path.is_dir():
         raise InputNotFoundError("is a folder, a recording was expected", "name the file", where=path)
@@ -110,10 +112,10 @@ def open_recording(path: Path) -> Iterator[Source]:
         if not raw.read(1):
             raise InputNotFoundError("is empty", "name a recording that has data", where=path)
         raw.seek(0)
-        yield Source(path, raw)
+        yield RecordedBytes(path, raw)
 
 
-def identify(source: Source, dialect: Dialect) -> Format:
+def identify(source: RecordedBytes, dialect: Dialect) -> RecordingFormat:
     """Tell the format of a recording by what its first part holds."""
     head = bytearray()
     for piece in source.pieces():

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from acquire.channels.link import LinkLog
-from acquire.log.reader import LogReader, Messages, link_of
+from acquire.log.reader import LoggedMessages, LogReader, link_of
 from acquire.log.records import ARRIVED_ENCODING, ARRIVED_HEAD
 from acquire.log.writer import LogWriter
 from drivers.frames import StreamFramer
@@ -45,7 +45,7 @@ class _Unframed:
     next: int = 0
     pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
 
-    def take(self, part: Messages) -> None:
+    def take(self, part: LoggedMessages) -> None:
         """Take messages of the link."""
         if part.channel.encoding == ARRIVED_ENCODING:
             self.protocol = part.channel.metadata.get("protocol", "")

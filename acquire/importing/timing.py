@@ -19,7 +19,14 @@ from acquire.channels.log_decoder import (
 from acquire.channels.receiver import ReceiverDecoder
 from acquire.channels.receiver_time import ReceiverClock
 from acquire.channels.vehicle import VehicleDecoder
-from acquire.importing.recording import DATAFLASH_LOG, EVENT_LIST, PX4_LOG, TELEMETRY_LOG, Format, Source
+from acquire.importing.recording import (
+    DATAFLASH_LOG,
+    EVENT_LIST,
+    PX4_LOG,
+    TELEMETRY_LOG,
+    RecordedBytes,
+    RecordingFormat,
+)
 from drivers.dataflash import DataflashFormats
 from drivers.frames import Batch
 from drivers.mavlink.dialect import Dialect
@@ -31,7 +38,7 @@ from photocal.base.time_scales import expiry_warning
 Clock = ReceiverClock | EventListClock
 Definitions = UlogFormats | DataflashFormats
 # What decodes an autopilot's own log, what it defines, and what is to be known of its times.
-_LOGS: dict[Format, tuple[Any, type[Definitions], Callable[[int], str]]] = {
+_LOGS: dict[RecordingFormat, tuple[Any, type[Definitions], Callable[[int], str]]] = {
     DATAFLASH_LOG: (DataflashDecoder, DataflashFormats, expiry_warning),
     PX4_LOG: (UlogDecoder, UlogFormats, lambda _: ""),
 }
@@ -109,7 +116,7 @@ class Way:
     warned: Callable[[int], str] = expiry_warning
 
 
-def way_of(source: Source, form: Format, link: str, dialect: Dialect, near_ns: int) -> Way:
+def way_of(source: RecordedBytes, form: RecordingFormat, link: str, dialect: Dialect, near_ns: int) -> Way:
     """Return the way of a recording."""
     if form is TELEMETRY_LOG:
         # Host stamps are UTC already; what a receiver tells in GPS time needs the leap seconds.

@@ -26,7 +26,7 @@ LONGEST_CHUNK, LONGEST_RECORD = 64 << 20, 256 << 20
 
 
 @dataclass(frozen=True)
-class Messages:
+class LoggedMessages:
     """Messages of one channel in one chunk, in the order of the file.
 
     payloads (n,): the messages.
@@ -65,7 +65,7 @@ class LogReader:
 
     def chunks(
         self, damaged: Callable[[InputMalformedError], None] | None = None
-    ) -> Iterator[list[Messages]]:
+    ) -> Iterator[list[LoggedMessages]]:
         """Yield the messages of each whole chunk, channel by channel.
 
         raises InputNotFoundError: when the file is missing, empty or a folder.
@@ -91,7 +91,7 @@ class LogReader:
             if messages is not None:
                 yield messages
 
-    def _take(self, opcode: int, body: bytes) -> list[Messages] | None:
+    def _take(self, opcode: int, body: bytes) -> list[LoggedMessages] | None:
         stream = ReadDataStream(io.BytesIO(body))
         if opcode == Opcode.CHUNK:
             return self._chunk(mcap.Chunk.read(stream))
@@ -131,7 +131,7 @@ class LogReader:
                 self.position = stream.tell()
                 yield opcode, body
 
-    def _chunk(self, chunk: mcap.Chunk) -> list[Messages]:
+    def _chunk(self, chunk: mcap.Chunk) -> list[LoggedMessages]:
         malformed = InputMalformedError.at(self.path)
         try:
             content = _unpacked(chunk)
@@ -141,7 +141,7 @@ class LogReader:
             raise malformed("the checksum of a chunk disagrees", "run acquire recover")
         return self._messages(content)
 
-    def _messages(self, content: bytes) -> list[Messages]:
+    def _messages(self, content: bytes) -> list[LoggedMessages]:
         places: dict[int, list[int]] = {}
         sizes: dict[int, list[int]] = {}
         width = records.MESSAGE_ROW.itemsize
@@ -165,7 +165,7 @@ class LogReader:
             head = np.ndarray((end - width + 1,), records.MESSAGE_ROW, content, strides=(1,))[place]
             payloads = [content[a + width : a + 9 + s] for a, s in zip(starts, sizes[number], strict=True)]
             messages.append(
-                Messages(
+                LoggedMessages(
                     self._channels[number],
                     payloads,
                     head["log_ns"].astype(np.int64),

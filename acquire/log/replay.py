@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.log.reader import LogReader, Messages, link_of
+from acquire.log.reader import LoggedMessages, LogReader, link_of
 from acquire.log.records import DAMAGE_ENCODING
 from acquire.transports.sinks import Sink
 from drivers.mavlink.dialect import V1, V2
@@ -96,7 +96,7 @@ def raw_frames(path: Path, link: str) -> Iterator[tuple[int, bytes]]:
             yield int(times[row]), payloads[row]
 
 
-def _is_raw(part: Messages) -> bool:
+def _is_raw(part: LoggedMessages) -> bool:
     channel = part.channel
     return channel.schema is None and channel.encoding != DAMAGE_ENCODING and channel.topic.endswith("/raw")
 

@@ -20,7 +20,7 @@ class Trigger:
 
 
 @dataclass(frozen=True)
-class Exposures:
+class CountedPictures:
     """The pictures of one link, counted.
 
     A picture that was asked for by trigger message, or whose number the feedback has skipped, counts as
@@ -47,7 +47,7 @@ class Exposures:
         return self.before + self.missed
 
 
-def triggered(counted: Exposures, trigger: Trigger) -> Exposures:
+def triggered(counted: CountedPictures, trigger: Trigger) -> CountedPictures:
     """Take note of a trigger; one that is told again counts once."""
     last = counted.last_trigger
     if last == trigger.number:
@@ -64,8 +64,8 @@ def triggered(counted: Exposures, trigger: Trigger) -> Exposures:
 
 
 def reported(
-    counted: Exposures, number: int, time_ns: int, place: tuple[float, float] | None = None
-) -> Exposures:
+    counted: CountedPictures, number: int, time_ns: int, place: tuple[float, float] | None = None
+) -> CountedPictures:
     """Take note of a feedback: closes its trigger, and shows which numbers were skipped before it."""
     last = counted.last_feedback
     if last == number:
@@ -102,7 +102,7 @@ def reported(
     )
 
 
-def settled(counted: Exposures, now_ns: int) -> Exposures:
+def settled(counted: CountedPictures, now_ns: int) -> CountedPictures:
     """Count as missed what has waited for too long; without any feedback so far nothing is expected."""
     if not counted.feedbacks or not counted.pending or now_ns - counted.pending[0].time_ns <= GRACE_NS:
         return counted
@@ -121,7 +121,7 @@ def numbers(missed: tuple[Trigger, ...]) -> str:
     return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in parts)
 
 
-def _restarted(counted: Exposures) -> Exposures:
+def _restarted(counted: CountedPictures) -> CountedPictures:
     still_open = counted.pending if counted.feedbacks else ()
     before = (*counted.before, *counted.missed, *still_open)
-    return Exposures(counted.triggers, counted.feedbacks, before=before)
+    return CountedPictures(counted.triggers, counted.feedbacks, before=before)

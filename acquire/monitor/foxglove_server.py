@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from acquire.log.reader import Messages
+from acquire.log.reader import LoggedMessages
 from acquire.log.records import Channel, Schema
 from photocal.base.errors import ConfigurationError, ProgramMissingError
 from photocal.base.web import TOKEN_BYTES, Address
@@ -109,7 +109,7 @@ def has_token(head: bytes, token: str) -> bool:
 
 
 @contextmanager
-def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages]], None], str]]:
+def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[LoggedMessages]], None], str]]:
     """Serve channels until the end of the block, to those who have the token.
 
     The protocol and foxglove-sdk know no token: their server stands at an address that nobody can guess,
@@ -137,7 +137,7 @@ def serving_foxglove(address: Address) -> Iterator[tuple[Callable[[list[Messages
         ) from refusal
     served: dict[Channel, Any] = {}
 
-    def listen(chunk: list[Messages]) -> None:
+    def listen(chunk: list[LoggedMessages]) -> None:
         """Publish what has arrived."""
         for part in chunk:
             channel = served.get(part.channel)

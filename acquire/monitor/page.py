@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from acquire.monitor.state import State
+from acquire.monitor.state import RecordingState
 from acquire.monitor.view_model import layers, view_of
 from photocal.base.web import packaged
 
@@ -36,13 +36,13 @@ class Latest:
     def __init__(self, folder: Callable[[], Path | None] = lambda: None, debrief: Path | None = None) -> None:
         self.number = 0
         self._debrief = debrief
-        self.state = State()
+        self.state = RecordingState()
         self._folder = folder
         self._flight = ""
         self._heard: int | None = None
         self._heard_ns = 0
 
-    def publish(self, state: State) -> None:
+    def publish(self, state: RecordingState) -> None:
         """Take a new state."""
         if state.flight != self._flight:
             self._flight, self._heard, self._heard_ns = state.flight, None, self._kept_ns(state.flight)
@@ -141,7 +141,7 @@ async def _events(latest: Latest) -> AsyncIterator[str]:
             yield _event("debrief", debrief)
 
 
-def _news(state: State, drawn: dict[tuple[str, str], tuple[str, int]]) -> list[dict[str, Any]]:
+def _news(state: RecordingState, drawn: dict[tuple[str, str], tuple[str, int]]) -> list[dict[str, Any]]:
     news = []
     for layer in layers(state):
         key = (layer.kind, layer.name)

@@ -8,12 +8,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATION
-from acquire.log.reader import Messages
-from acquire.monitor.exposures import Exposures, Trigger, numbers, reported, settled, triggered
+from acquire.log.reader import LoggedMessages
+from acquire.monitor.exposures import CountedPictures, Trigger, numbers, reported, settled, triggered
 from acquire.monitor.state import (
     Battery,
-    Link,
-    State,
+    LinkState,
+    RecordingState,
     Track,
     extended,
     in_order,
@@ -37,7 +37,7 @@ _RELIEF = {"back", "heard_again"}
 V = TypeVar("V")
 
 
-def state_after(state: State, chunk: Sequence[Messages]) -> State:
+def state_after(state: RecordingState, chunk: Sequence[LoggedMessages]) -> RecordingState:
     """Return the state after the messages of a chunk."""
     times = [ns for part in chunk if len(part.log_ns) for ns in (part.log_ns.min(), part.log_ns.max())]
     if not times:
@@ -54,7 +54,11 @@ def state_after(state: State, chunk: Sequence[Messages]) -> State:
     return in_order(_settled(state), known)
 
 
-def _read(state: State, handler: Callable[[State, Messages], State], part: Messages) -> State:
+def _read(
+    state: RecordingState,
+    handler: Callable[[RecordingState, LoggedMessages], RecordingState],
+    part: LoggedMessages,
+) -> RecordingState:
     """Return the state after messages; those that are not what their schema says are told and passed over."""
     try:
         return handler(state, part)
@@ -66,11 +70,11 @@ def _read(state: State, handler: Callable[[State, Messages], State], part: Messa
         return raised(state, "warn", "", text, state.last_ns)
 
 
-def _octets(state: State, part: Messages) -> State:
+def _octets(state: RecordingState, part: LoggedMessages) -> RecordingState:
     name, _, what = part.channel.topic.removeprefix("/").partition("/")
     if what not in OCTETS:
         return state
-    link = link_after(state.links.get(name, Link()), what, part)
+    link = link_after(state.links.get(name, LinkState()), what, part)
     state = replace(state, links=_with(state.links, name, link))
     vehicle = state.vehicles.get(name)
     if part.channel.encoding == Wire.MAVLINK.encoding and what == "raw":
@@ -78,7 +82,7 @@ def _octets(state: State, part: Messages) -> State:
     return state if vehicle is None else replace(state, vehicles=_with(state.vehicles, name, vehicle))
 
 
-def _fix_status(state: State, part: Messages) -> State:
+def _fix_status(state: RecordingState, part: LoggedMessages) -> RecordingState:
     name = part.channel.topic.removeprefix("/gnss/").removesuffix("/status")
     receiver = state.receivers.get(name)
     for row, time_ns in _rows(part):
@@ -88,7 +92,7 @@ def _fix_status(state: State, part: Messages) -> State:
     return state if receiver is None else replace(state, receivers=_with(state.receivers, name, receiver))
 
 
-def _location(state: State, part: Messages) -> State:
+def _location(state: RecordingState, part: LoggedMessages) -> RecordingState:
     points = np.array([_latitude_longitude(payload) for payload in part.payloads])
     there = np.array([_on_earth(*point) for point in points.tolist()])
     name = part.channel.topic.strip("/")
@@ -96,14 +100,14 @@ def _location(state: State, part: Messages) -> State:
     return replace(state, tracks=_with(state.tracks, name, track))
 
 
-def _exposure(state: State, part: Messages) -> State:
+def _exposure(state: RecordingState, part: LoggedMessages) -> RecordingState:
     for row, time_ns in _rows(part):
         name, edge, count = row["link"], row["edge"], int(row["sequence"])
         if edge == "falling":
             continue
         place = _told_place(row) or _whereabouts(state, name, time_ns)
         counts = state.marks if edge == "rising" else state.exposures
-        counted = counts.get(name, Exposures())
+        counted = counts.get(name, CountedPictures())
         if edge == "trigger":
             state = _pictures(state, name, triggered(counted, Trigger(count, time_ns, place)))
             continue
@@ -118,21 +122,23 @@ def _exposure(state: State, part: Messages) -> State:
     return state
 
 
-def _pictures(state: State, name: str, counted: Exposures) -> State:
-    before = state.exposures.get(name, Exposures())
+def _pictures(state: RecordingState, name: str, counted: CountedPictures) -> RecordingState:
+    before = state.exposures.get(name, CountedPictures())
     state = replace(state, exposures=_with(state.exposures, name, counted))
     if len(counted.unreported) < len(before.unreported):
         return raised(state, "note", name, "feedback came late after all", state.last_ns)
     return _lost(state, name, before, counted, "no feedback for picture")
 
 
-def _marks(state: State, name: str, counted: Exposures) -> State:
-    before = state.marks.get(name, Exposures())
+def _marks(state: RecordingState, name: str, counted: CountedPictures) -> RecordingState:
+    before = state.marks.get(name, CountedPictures())
     state = replace(state, marks=_with(state.marks, name, counted))
     return _lost(state, name, before, counted, "did not tell time mark")
 
 
-def _lost(state: State, name: str, before: Exposures, after: Exposures, what: str) -> State:
+def _lost(
+    state: RecordingState, name: str, before: CountedPictures, after: CountedPictures, what: str
+) -> RecordingState:
     new = after.unreported[len(before.unreported) :]
     if not new:
         return state
@@ -140,11 +146,11 @@ def _lost(state: State, name: str, before: Exposures, after: Exposures, what: st
     return raised(state, "bad", name, text, state.last_ns)
 
 
-def _settled(state: State) -> State:
+def _settled(state: RecordingState) -> RecordingState:
     for name, counted in state.exposures.items():
         state = _pictures(state, name, settled(counted, state.last_ns))
     for name, receiver in state.receivers.items():
-        age_s = correction_age_s(receiver, state.links.get(receiver.link, Link()), state.last_ns)
+        age_s = correction_age_s(receiver, state.links.get(receiver.link, LinkState()), state.last_ns)
         now, alarms = fed(receiver, age_s)
         state = replace(state, receivers=_with(state.receivers, name, now))
         for level, text in alarms:
@@ -152,26 +158,26 @@ def _settled(state: State) -> State:
     return state
 
 
-def _clock(state: State, part: Messages) -> State:
+def _clock(state: RecordingState, part: LoggedMessages) -> RecordingState:
     for row, _ in _rows(part):
         offset = number(row, "host_minus_device_s")
         if offset is not None and row.get("device") is not None:
-            link = replace(state.links.get(row["link"], Link()), clock_offset_s=offset)
+            link = replace(state.links.get(row["link"], LinkState()), clock_offset_s=offset)
             state = replace(state, links=_with(state.links, row["link"], link))
     return state
 
 
-def _alarm(state: State, part: Messages) -> State:
+def _alarm(state: RecordingState, part: LoggedMessages) -> RecordingState:
     for row, time_ns in _rows(part):
         kind, name, text = row["kind"], row["link"], row["text"]
         if name and kind in _TROUBLE | _RELIEF:
-            link = replace(state.links.get(name, Link()), trouble=kind if kind in _TROUBLE else "")
+            link = replace(state.links.get(name, LinkState()), trouble=kind if kind in _TROUBLE else "")
             state = replace(state, links=_with(state.links, name, link))
         state = raised(state, _LEVELS.get(kind, "note"), name, text, time_ns)
     return state
 
 
-def _health(state: State, part: Messages) -> State:
+def _health(state: RecordingState, part: LoggedMessages) -> RecordingState:
     for row, time_ns in _rows(part):
         name = row["link"]
         severity = row.get("severity", 7)
@@ -186,7 +192,7 @@ def _health(state: State, part: Messages) -> State:
     return state
 
 
-def _station(state: State, part: Messages) -> State:
+def _station(state: RecordingState, part: LoggedMessages) -> RecordingState:
     (row, _) = _rows(part)[-1]
     xyz_m = np.array([row[axis] for axis in ("x_m", "y_m", "z_m")], np.float64)
     if not xyz_m.any():
@@ -198,7 +204,7 @@ def _station(state: State, part: Messages) -> State:
     return replace(state, stations=_with(state.stations, name, (latitude, longitude)))
 
 
-_HANDLERS: dict[str, Callable[[State, Messages], State]] = {
+_HANDLERS: dict[str, Callable[[RecordingState, LoggedMessages], RecordingState]] = {
     GNSS_STATUS.name: _fix_status,
     "foxglove.LocationFix": _location,
     EXPOSURE.name: _exposure,
@@ -209,7 +215,7 @@ _HANDLERS: dict[str, Callable[[State, Messages], State]] = {
 }
 
 
-def _rows(part: Messages) -> list[tuple[dict[str, Any], int]]:
+def _rows(part: LoggedMessages) -> list[tuple[dict[str, Any], int]]:
     # What JSON does not know (NaN) is nothing.
     rows = [json.loads(payload, parse_constant=lambda _: None) for payload in part.payloads]
     for row in rows:
@@ -232,7 +238,7 @@ def _on_earth(latitude: float, longitude: float) -> bool:
     return abs(latitude) <= 90 and abs(longitude) <= 360
 
 
-def _whereabouts(state: State, link: str, time_ns: int) -> tuple[float, float] | None:
+def _whereabouts(state: RecordingState, link: str, time_ns: int) -> tuple[float, float] | None:
     """Return where the device of a link was: by its filter, its receiver, or another filter."""
     wanted = (f"{link}/position", f"gnss/{link}/fix")
     named = [state.tracks[name] for name in wanted if name in state.tracks]

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from acquire.log.reader import Messages
-from acquire.monitor.exposures import Exposures
+from acquire.log.reader import LoggedMessages
+from acquire.monitor.exposures import CountedPictures
 from drivers.mavlink.decode import GROUND_STATION, NO_AUTOPILOT
 from photocal.base.arrays import Floats, Integers
 
@@ -70,7 +70,7 @@ _V2 = 0xFD
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class VehicleState:
     """The last that an autopilot told.
 
     mode: its mode of flight, as ground stations call it; empty before it was told.
@@ -85,7 +85,7 @@ class Vehicle:
     time_ns: int = 0
 
 
-def vehicle_after(vehicle: Vehicle | None, part: Messages) -> Vehicle | None:
+def vehicle_after(vehicle: VehicleState | None, part: LoggedMessages) -> VehicleState | None:
     """Return the vehicle after frames of its link: of each message the last one counts."""
     wanted = {_HEARTBEAT, _POSITION}
     for payload, time_ns in zip(reversed(part.payloads), part.log_ns[::-1].tolist(), strict=True):
@@ -96,7 +96,7 @@ def vehicle_after(vehicle: Vehicle | None, part: Messages) -> Vehicle | None:
         if kind == _HEARTBEAT and (message.type == GROUND_STATION or message.autopilot == NO_AUTOPILOT):
             continue
         wanted.discard(kind)
-        vehicle = vehicle or Vehicle()
+        vehicle = vehicle or VehicleState()
         if kind == _POSITION:
             vehicle = replace(vehicle, height_m=message.relative_alt * 1e-3)
         else:
@@ -126,7 +126,7 @@ _MOST_ALARMS = 200
 
 
 @dataclass(frozen=True)
-class Alarm:
+class ShownAlarm:
     """Something to be told.
 
     number: counts all alarms of the recording.
@@ -142,7 +142,7 @@ class Alarm:
 
 
 @dataclass(frozen=True)
-class Link:
+class LinkState:
     """What came over a link.
 
     first_ns, last_ns: receipt of the first and the last frame, UTC; 0 before there was one.
@@ -166,7 +166,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Receiver:
+class ReceiverState:
     """The last fix of a receiver.
 
     fix: as `acquire.channels.layouts.GNSS_STATUS` names it.
@@ -196,7 +196,7 @@ class Battery:
 
 
 @dataclass(frozen=True)
-class Look:
+class ComputerState:
     """What the computer says.
 
     file: name of the log that is read.
@@ -213,7 +213,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class State:
+class RecordingState:
     """A recording.
 
     first_ns, last_ns: receipt of the first and the last message, UTC; 0 before there was one.
@@ -227,30 +227,30 @@ class State:
     flight: str = ""
     first_ns: int = 0
     last_ns: int = 0
-    links: Mapping[str, Link] = field(default_factory=dict)
-    receivers: Mapping[str, Receiver] = field(default_factory=dict)
-    exposures: Mapping[str, Exposures] = field(default_factory=dict)
+    links: Mapping[str, LinkState] = field(default_factory=dict)
+    receivers: Mapping[str, ReceiverState] = field(default_factory=dict)
+    exposures: Mapping[str, CountedPictures] = field(default_factory=dict)
     pictures: Mapping[tuple[str, str], Track] = field(default_factory=dict)
     tracks: Mapping[str, Track] = field(default_factory=dict)
     stations: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    marks: Mapping[str, Exposures] = field(default_factory=dict)
+    marks: Mapping[str, CountedPictures] = field(default_factory=dict)
     batteries: Mapping[str, Battery] = field(default_factory=dict)
-    vehicles: Mapping[str, Vehicle] = field(default_factory=dict)
-    alarms: tuple[Alarm, ...] = ()
+    vehicles: Mapping[str, VehicleState] = field(default_factory=dict)
+    alarms: tuple[ShownAlarm, ...] = ()
     raised: int = 0
-    look: Look | None = None
+    look: ComputerState | None = None
     grown_ns: int = 0
     stalled: bool = False
     growth: tuple[tuple[int, int], ...] = ()
 
 
-def raised(state: State, level: str, link: str, text: str, time_ns: int) -> State:
+def raised(state: RecordingState, level: str, link: str, text: str, time_ns: int) -> RecordingState:
     """Raise an alarm."""
-    alarm = Alarm(state.raised + 1, level, link, text, time_ns)
+    alarm = ShownAlarm(state.raised + 1, level, link, text, time_ns)
     return replace(state, alarms=(*state.alarms, alarm)[-_MOST_ALARMS:], raised=alarm.number)
 
 
-def in_order(state: State, known: int) -> State:
+def in_order(state: RecordingState, known: int) -> RecordingState:
     """Put the alarms after number `known` in the order of their times: channels are taken one by one."""
     old = tuple(alarm for alarm in state.alarms if alarm.number <= known)
     new = sorted(state.alarms[len(old) :], key=lambda alarm: alarm.time_ns)

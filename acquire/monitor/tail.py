@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.log.reader import LogReader, Messages
+from acquire.log.reader import LoggedMessages, LogReader
 from acquire.log.records import MAGIC
 from acquire.monitor.reducer import state_after
-from acquire.monitor.state import Look, State
+from acquire.monitor.state import ComputerState, RecordingState
 from acquire.monitor.traffic import looked
 from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 
@@ -44,7 +44,7 @@ class Tail:
         """Whether the file has its end and no other follows yet."""
         return self._reader is not None and self._reader.complete and not self._waiting
 
-    def step(self) -> tuple[list[list[Messages]], bool]:
+    def step(self) -> tuple[list[list[LoggedMessages]], bool]:
         """Return chunks that have come, and whether there may be more at once."""
         chunks = self._read()
         if len(chunks) == _MOST_CHUNKS:
@@ -53,10 +53,10 @@ class Tail:
         done = not chunks or (self._reader is not None and self._reader.complete)
         return chunks, done and self._next()
 
-    def _read(self) -> list[list[Messages]]:
+    def _read(self) -> list[list[LoggedMessages]]:
         if self._reader is None:
             return []
-        chunks: list[list[Messages]] = []
+        chunks: list[list[LoggedMessages]] = []
         self.trouble = ""
         try:
             if self._reader.path.stat().st_size < len(MAGIC):
@@ -161,17 +161,17 @@ _LOOK_EVERY_S = 0.5
 
 def follow(
     tail: Tail,
-    publish: Callable[[State], None],
+    publish: Callable[[RecordingState], None],
     stop: threading.Event,
-    listen: Callable[[list[Messages]], None] = lambda _: None,
+    listen: Callable[[list[LoggedMessages]], None] = lambda _: None,
 ) -> None:
     """Keep a state up to date until told to stop."""
-    state = State()
+    state = RecordingState()
     look_at = 0.0
     while not stop.is_set():
         chunks, more = tail.step()
         if tail.flight != state.flight:
-            state = State(flight=tail.flight)
+            state = RecordingState(flight=tail.flight)
         for chunk in chunks:
             state = state_after(state, chunk)
             listen(chunk)
@@ -183,20 +183,20 @@ def follow(
             stop.wait(POLL_S)
 
 
-def read_all(tail: Tail) -> State:
+def read_all(tail: Tail) -> RecordingState:
     """Return the state after everything that is there now."""
-    state = State()
+    state = RecordingState()
     more = True
     while more:
         chunks, more = tail.step()
         if tail.flight != state.flight:
-            state = State(flight=tail.flight)
+            state = RecordingState(flight=tail.flight)
         for chunk in chunks:
             state = state_after(state, chunk)
     return looked(state, look(tail))
 
 
-def look(tail: Tail) -> Look:
+def look(tail: Tail) -> ComputerState:
     """Look at the computer."""
     path = tail.path
     size, free = 0, None
@@ -204,4 +204,4 @@ def look(tail: Tail) -> Look:
         size = path.stat().st_size if path.exists() else 0
         with contextlib.suppress(OSError):
             free = shutil.disk_usage(path.parent).free
-    return Look(time.time_ns(), path.name if path else "", size, tail.ended, free, tail.trouble)
+    return ComputerState(time.time_ns(), path.name if path else "", size, tail.ended, free, tail.trouble)

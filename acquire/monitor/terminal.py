@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.monitor.state import Alarm
-from acquire.monitor.view_model import CameraRow, Layer, LinkRow, ReceiverRow, View, Word
+from acquire.monitor.state import ShownAlarm
+from acquire.monitor.view_model import CameraRow, LinkRow, MapLayer, PageView, ReceiverRow, Word
 from photocal.base.arrays import Floats, Integers
 from photocal.base.console import printable
 from photocal.base.geodesy import enu_offsets
@@ -26,7 +26,7 @@ _TRACK, _PICTURE, _HERE = "blue", "bold", "bold blue"
 _LEAST_EXTENT_M = 20.0
 
 
-def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
+def braille_map(layers: Sequence[MapLayer], width: int, height: int) -> Text:
     """Draw layers, north up."""
     rows = height - 1
     drawn = [layer for layer in layers if len(layer.points)]
@@ -39,7 +39,7 @@ def braille_map(layers: Sequence[Layer], width: int, height: int) -> Text:
     dots_per_m = min((2 * width - 3) / extent[0], (4 * rows - 3) / extent[1])
     middle = (low + high) / 2
 
-    def dots(layer: Layer) -> Floats:
+    def dots(layer: MapLayer) -> Floats:
         """Places of a layer in dots of the terminal's map."""
         away = (metres(layer.points, drawn[0].points[0]) - middle) * dots_per_m
         return np.column_stack([width - 0.5 + away[:, 0], 2 * rows - 0.5 - away[:, 1]])
@@ -117,7 +117,7 @@ _LEAST_WITH_MAP, _MAP_SHARE, _LEAST_MAP = 76, 0.27, 20
 _LONGEST_NAME = 12
 
 
-def render(view: View, layers: Sequence[Layer], width: int, height: int) -> RenderableType:
+def render(view: PageView, layers: Sequence[MapLayer], width: int, height: int) -> RenderableType:
     """Return the view for a window."""
     map_width = max(_LEAST_MAP, round(_MAP_SHARE * width)) if width >= _LEAST_WITH_MAP else 0
     left = width - map_width - (2 if map_width else 0)
@@ -134,7 +134,7 @@ def render(view: View, layers: Sequence[Layer], width: int, height: int) -> Rend
     return Group(_head(view), both)
 
 
-def _sections(view: View, width: int) -> list[RenderableType]:
+def _sections(view: PageView, width: int) -> list[RenderableType]:
     """Return headings and lines, each one line high."""
     sections: list[RenderableType] = []
     names = [row.name for row in view.receivers] + [row.name for row in view.links]
@@ -151,7 +151,7 @@ def _sections(view: View, width: int) -> list[RenderableType]:
     return sections
 
 
-def _head(view: View) -> RenderableType:
+def _head(view: PageView) -> RenderableType:
     line = Table.grid(expand=True)
     line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
     line.add_column(justify="right", no_wrap=True)
@@ -185,7 +185,7 @@ def _link(row: LinkRow, wide: int) -> Text:
     return Text.assemble(_name(row.name, wide), _word(row.state), rates, gaps, damage)
 
 
-def _rest(view: View, wide: int) -> list[Text]:
+def _rest(view: PageView, wide: int) -> list[Text]:
     lines = [Text.assemble(_name("disk", wide), _word(view.disk.state), f"  log {size(view.bytes)}")]
     batteries = {row.link: row.state for row in view.batteries}
     clocks = {row.link: row.state for row in view.clocks}
@@ -202,7 +202,7 @@ def _rest(view: View, wide: int) -> list[Text]:
     return lines
 
 
-def _alarms(alarms: Sequence[Alarm], room: int) -> RenderableType:
+def _alarms(alarms: Sequence[ShownAlarm], room: int) -> RenderableType:
     if not alarms:
         return Text("none", style="dim")
     lines = []

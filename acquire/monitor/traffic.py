@@ -9,9 +9,9 @@ import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
 from acquire.channels.summary import GAP_S
-from acquire.log.reader import Messages
+from acquire.log.reader import LoggedMessages
 from acquire.log.records import DAMAGE_ENCODING
-from acquire.monitor.state import Link, Look, Receiver, State, raised
+from acquire.monitor.state import ComputerState, LinkState, ReceiverState, RecordingState, raised
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import ardupilotmega
@@ -22,7 +22,7 @@ OCTETS = ("raw", "damage", "sent")
 RATE_OVER_S = 5
 
 
-def link_after(link: Link, what: str, part: Messages) -> Link:
+def link_after(link: LinkState, what: str, part: LoggedMessages) -> LinkState:
     """Return a link after octets."""
     if what == "sent":
         return replace(link, corrected_ns=max([link.corrected_ns, *_correction_times(part)]))
@@ -32,7 +32,7 @@ def link_after(link: Link, what: str, part: Messages) -> Link:
     return _after_frames(link, part, size)
 
 
-def _after_frames(link: Link, part: Messages, size: int) -> Link:
+def _after_frames(link: LinkState, part: LoggedMessages, size: int) -> LinkState:
     times = np.sort(part.log_ns)
     steps = np.diff(times, prepend=link.last_ns or times[0])
     sizes = np.fromiter(map(len, part.payloads), np.int64, len(part.payloads))
@@ -55,7 +55,7 @@ def _after_frames(link: Link, part: Messages, size: int) -> Link:
     )
 
 
-def _correction_times(part: Messages) -> list[int]:
+def _correction_times(part: LoggedMessages) -> list[int]:
     times: list[int] = part.log_ns.tolist()
     if part.channel.encoding != Wire.MAVLINK.encoding:
         return times if part.channel.encoding == Wire.RTCM3.encoding else []
@@ -71,7 +71,7 @@ _GROWTH_OVER_NS = 60 * SECOND_NS
 _GROWTH_EVERY_NS = 5 * SECOND_NS
 
 
-def looked(state: State, look: Look) -> State:
+def looked(state: RecordingState, look: ComputerState) -> RecordingState:
     """Return the state after a look."""
     before = state.look
     grown = before is None or (look.file, look.size) != (before.file, before.size)
@@ -98,7 +98,7 @@ def looked(state: State, look: Look) -> State:
     return state
 
 
-def bytes_per_s(state: State) -> float | None:
+def bytes_per_s(state: RecordingState) -> float | None:
     """Return how fast the log grows; None when that is not known yet."""
     if state.look is None or not state.growth or state.look.ended:
         return None
@@ -108,7 +108,9 @@ def bytes_per_s(state: State) -> float | None:
     return grown * SECOND_NS / elapsed_ns if elapsed_ns >= _GROWTH_EVERY_NS and grown > 0 else None
 
 
-def _growth(state: State, look: Look, before: Look | None) -> tuple[tuple[int, int], ...]:
+def _growth(
+    state: RecordingState, look: ComputerState, before: ComputerState | None
+) -> tuple[tuple[int, int], ...]:
     if before is None or before.file != look.file or look.time_ns < before.time_ns:
         return ((look.time_ns, look.size),)
     points = state.growth
@@ -148,12 +150,12 @@ def number(row: Mapping[str, Any], name: str) -> float | None:
 
 
 def receiver_after(
-    before: Receiver | None, row: Mapping[str, Any], time_ns: int
-) -> tuple[Receiver, list[tuple[str, str]]]:
+    before: ReceiverState | None, row: Mapping[str, Any], time_ns: int
+) -> tuple[ReceiverState, list[tuple[str, str]]]:
     """Return a receiver after a message, and level and words of what is to be told."""
     fix = row["fix"]
     same = before is not None and before.fix == fix
-    now = Receiver(
+    now = ReceiverState(
         link=row["link"],
         fix=fix,
         satellites=round(number(row, "satellites") or 0) if row.get("satellites") is not None else -1,
@@ -176,14 +178,14 @@ def receiver_after(
     return now, []
 
 
-def correction_age_s(receiver: Receiver, link: Link, now_ns: int) -> float | None:
+def correction_age_s(receiver: ReceiverState, link: LinkState, now_ns: int) -> float | None:
     """Return the age of the corrections of a receiver; None when nobody knows of any."""
     if receiver.correction_age_s is not None:
         return receiver.correction_age_s
     return (now_ns - link.corrected_ns) / SECOND_NS if link.corrected_ns else None
 
 
-def fed(receiver: Receiver, age_s: float | None) -> tuple[Receiver, list[tuple[str, str]]]:
+def fed(receiver: ReceiverState, age_s: float | None) -> tuple[ReceiverState, list[tuple[str, str]]]:
     """Return a receiver whose corrections have an age, and level and words of what is to be told."""
     if age_s is None:
         return receiver, []

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.monitor.exposures import Exposures, numbers
-from acquire.monitor.state import Alarm, Battery, Link, Receiver, State, Vehicle
+from acquire.monitor.exposures import CountedPictures, numbers
+from acquire.monitor.state import Battery, LinkState, ReceiverState, RecordingState, ShownAlarm, VehicleState
 from acquire.monitor.traffic import (
     DEAD_CORRECTION_S,
     LEAST_WORTH,
@@ -22,7 +22,7 @@ from photocal.base.arrays import Floats
 
 
 @dataclass(frozen=True)
-class Layer:
+class MapLayer:
     """A line or points of one name.
 
     kind: ``track``, ``picture``, ``missed`` or ``station``.
@@ -38,17 +38,17 @@ class Layer:
     labels: tuple[str, ...] = ()
 
 
-def layers(state: State) -> list[Layer]:
+def layers(state: RecordingState) -> list[MapLayer]:
     """Return what is drawn of a state: one track for each vehicle and receiver, each picture once."""
     drawn = [
-        Layer("track", name, track.points, f"{state.flight} {key} {track.thinned}")
+        MapLayer("track", name, track.points, f"{state.flight} {key} {track.thinned}")
         for name, key in _shown_tracks(state).items()
         for track in [state.tracks[key]]
     ]
     # Both the vehicle and the receiver tell of the same picture: what the camera reported counts.
     kind = "feedback" if "feedback" in {kind for _, kind in state.pictures} else "rising"
     drawn += [
-        Layer("picture", name, track.points, f"{state.flight} {source}")
+        MapLayer("picture", name, track.points, f"{state.flight} {source}")
         for (name, source), track in sorted(state.pictures.items())
         if source == kind
     ]
@@ -57,15 +57,15 @@ def layers(state: State) -> list[Layer]:
         if missed:
             points = np.array([place for _, place in missed])
             labels = tuple(label for label, _ in missed)
-            drawn.append(Layer("missed", name, points, f"{state.flight} {labels}", labels))
+            drawn.append(MapLayer("missed", name, points, f"{state.flight} {labels}", labels))
     drawn += [
-        Layer("station", name, np.array([place]), f"{state.flight} {place}")
+        MapLayer("station", name, np.array([place]), f"{state.flight} {place}")
         for name, place in sorted(state.stations.items())
     ]
     return drawn
 
 
-def _shown_tracks(state: State) -> dict[str, str]:
+def _shown_tracks(state: RecordingState) -> dict[str, str]:
     """Return the topic of the track by its name: the filter of a vehicle rather than its receivers."""
     shown: dict[str, str] = {}
     for key in sorted(state.tracks):
@@ -185,7 +185,7 @@ class Disk:
 
 
 @dataclass(frozen=True)
-class View:
+class PageView:
     """Everything but the map, see `view_of`."""
 
     flight: str
@@ -201,7 +201,7 @@ class View:
     vehicles: tuple[VehicleRow, ...]
     batteries: tuple[BatteryRow, ...]
     disk: Disk
-    alarms: tuple[Alarm, ...]
+    alarms: tuple[ShownAlarm, ...]
 
     @property
     def overall(self) -> Word:
@@ -228,10 +228,10 @@ class View:
         return {"schema": SCHEMA, "overall": asdict(self.overall), **asdict(self)}
 
 
-def view_of(state: State) -> View:
+def view_of(state: RecordingState) -> PageView:
     """Return what a person is shown of a state."""
     now_ns = _now_ns(state)
-    return View(
+    return PageView(
         flight=state.flight,
         file=state.look.file if state.look else "",
         recording=_recording(state),
@@ -256,14 +256,14 @@ def view_of(state: State) -> View:
     )
 
 
-def _now_ns(state: State) -> int:
+def _now_ns(state: RecordingState) -> int:
     """Return the time of the flight: the clock of the log, going on while nothing is written."""
     if state.look is None or state.look.ended:
         return state.last_ns
     return state.last_ns + max(state.look.time_ns - state.grown_ns, 0)
 
 
-def _recording(state: State) -> Word:
+def _recording(state: RecordingState) -> Word:
     look = state.look
     if look is None or not look.file:
         return Word("waiting for a recording", "off")
@@ -276,7 +276,7 @@ def _recording(state: State) -> Word:
     return Word("recording", "good")
 
 
-def _link(name: str, link: Link, state: State, now_ns: int) -> LinkRow:
+def _link(name: str, link: LinkState, state: RecordingState, now_ns: int) -> LinkRow:
     # Whole seconds that the log holds; a log that has stopped holds seconds without frames.
     end = max(state.last_ns // SECOND_NS, now_ns // SECOND_NS - 1)
     counted = [
@@ -305,9 +305,9 @@ def _link(name: str, link: Link, state: State, now_ns: int) -> LinkRow:
     )
 
 
-def _receiver(name: str, receiver: Receiver, state: State, now_ns: int) -> ReceiverRow:
+def _receiver(name: str, receiver: ReceiverState, state: RecordingState, now_ns: int) -> ReceiverRow:
     stale_s = _seconds(now_ns - receiver.time_ns)
-    age_s = correction_age_s(receiver, state.links.get(receiver.link, Link()), now_ns)
+    age_s = correction_age_s(receiver, state.links.get(receiver.link, LinkState()), now_ns)
     return ReceiverRow(
         name=name,
         fix=_fix(receiver.fix, stale_s),
@@ -334,9 +334,9 @@ def _correction(age_s: float | None) -> Word:
     return Word(f"{age_s:.1f} s old" if age_s < 10 else f"{age_s:.0f} s old", level)
 
 
-def _camera(name: str, state: State) -> CameraRow:
-    counted = state.exposures.get(name, Exposures())
-    marks = state.marks.get(name, Exposures())
+def _camera(name: str, state: RecordingState) -> CameraRow:
+    counted = state.exposures.get(name, CountedPictures())
+    marks = state.marks.get(name, CountedPictures())
     missed, untold = numbers(counted.unreported), numbers(marks.unreported)
     words = []
     if counted.unreported:
@@ -369,7 +369,7 @@ def _shortened(missed: str) -> str:
     return missed if len(parts) <= _LISTED_MISSED else "…, " + ", ".join(parts[-_LISTED_MISSED:])
 
 
-def _mode(vehicle: Vehicle, now_ns: int) -> Word:
+def _mode(vehicle: VehicleState, now_ns: int) -> Word:
     if not vehicle.mode:
         return Word("not told", "off")
     return _unless_stale(Word(vehicle.mode, "good"), vehicle.time_ns, now_ns)
@@ -396,7 +396,7 @@ def _clock(name: str, offset_s: float) -> ClockRow:
     return ClockRow(name, word, offset_s)
 
 
-def _disk(state: State) -> Disk:
+def _disk(state: RecordingState) -> Disk:
     free = state.look.free_bytes if state.look else None
     speed = bytes_per_s(state)
     if free is None:

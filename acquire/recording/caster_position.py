@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquire.recording.configuration import Configuration
+from acquire.recording.configuration import RecordingConfiguration
 from drivers import nmea
 from drivers.frames import Batch, Wire
 from drivers.mavlink.decode import decode
@@ -100,7 +100,7 @@ class CasterPosition:
         return lambda clock_ns: nmea.gga(clock_ns, *place, quality, *seen)
 
 
-def caster_positions(configuration: Configuration, dialect: Dialect) -> dict[str, CasterPosition]:
+def caster_positions(configuration: RecordingConfiguration, dialect: Dialect) -> dict[str, CasterPosition]:
     """Return what the casters of a recording are told, by their links."""
     return {
         link.name: CasterPosition(dialect, link.position_every_s, link.position)

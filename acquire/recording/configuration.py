@@ -37,7 +37,7 @@ class Ublox(Table):
     rate_ms: Annotated[int, Field(ge=25, le=65535)]
 
 
-class Vehicle(Table):
+class VehicleConfiguration(Table):
     """What is asked of an autopilot: message rates, comparison of clocks, parameters of its mounting."""
 
     rates_hz: dict[str, Annotated[float, Field(gt=0, le=1000)]] = Field(default={})
@@ -51,7 +51,7 @@ def _known_protocol(name: str) -> str:
     return name
 
 
-class Link(Table):
+class LinkConfiguration(Table):
     """A link: its name, protocol, address and, on serial lines, its speed."""
 
     name: Name
@@ -65,7 +65,7 @@ class Link(Table):
     position_from: Name | None = None
     position: tuple[Latitude, Longitude, Height] | None = None
     position_every_s: Positive = 10.0
-    vehicle: Vehicle | None = None
+    vehicle: VehicleConfiguration | None = None
     ublox: Ublox | None = None
 
     @model_validator(mode="after")
@@ -119,22 +119,22 @@ class Site(Table):
         return (*control, *self.attachments)
 
 
-class Configuration(Table):
+class RecordingConfiguration(Table):
     """A recording: `[recording]`, `[[link]]` and `[site]`."""
 
     recording: Recording
-    link: Annotated[tuple[Link, ...], Field(min_length=1)]
+    link: Annotated[tuple[LinkConfiguration, ...], Field(min_length=1)]
     site: Site = Site()
 
 
-def read_configuration(path: Path) -> Configuration:
+def read_configuration(path: Path) -> RecordingConfiguration:
     """Read a configuration.
 
     raises InputNotFoundError: when the file cannot be read.
     raises ConfigurationError: when it is no TOML, has an unknown key or an impossible value, or names a link
         twice.
     """
-    configuration = read_toml(path, Configuration)
+    configuration = read_toml(path, RecordingConfiguration)
     names = [link.name for link in configuration.link]
     for name in names:
         if names.count(name) > 1:

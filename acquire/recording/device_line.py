@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from acquire.channels.mounting import NAMES
 from acquire.recording.alarms import Alarm
 from acquire.recording.caster_position import CasterPosition
-from acquire.recording.configuration import Link
+from acquire.recording.configuration import LinkConfiguration
 from acquire.recording.outlet import Outlet
 from acquire.recording.receiver_dialogue import ReceiverDialogue
 from acquire.recording.vehicle_dialogue import VehicleDialogue
@@ -51,7 +51,7 @@ class DeviceLine:
 
     def __init__(
         self,
-        link: Link,
+        link: LinkConfiguration,
         source: Source,
         dialect: Dialect,
         clock_ns: Callable[[], int],
@@ -156,7 +156,7 @@ class DeviceLine:
         self._sent.append(Sent(self._clock_ns(), encoding, frame))
 
 
-def _vehicle(link: Link, dialect: Dialect) -> VehicleDialogue:
+def _vehicle(link: LinkConfiguration, dialect: Dialect) -> VehicleDialogue:
     rates = link.vehicle.rates_hz if link.vehicle else {}
     for name in rates:
         try:

@@ -143,7 +143,7 @@ def _has_end(path: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class Limits:
+class RotationLimits:
     """When a file is ended and the next begun: size in bytes, age in seconds; 0 for never."""
 
     size: int = 0
@@ -165,7 +165,7 @@ class LogFiles:
         self,
         folders: Sequence[Path],
         begin: Callable[[LogWriter], None],
-        limits: Limits,
+        limits: RotationLimits,
         clock_ns: Callable[[], int],
         make: Callable[[Path], WholeWrites] = new_file,
         steady_s: Callable[[], float] = time.monotonic,

@@ -12,7 +12,7 @@ from acquire.channels.vehicle import VehicleDecoder
 from acquire.log.records import ARRIVED_HEAD, Channel
 from acquire.recording.alarms import Alarm
 from acquire.recording.caster_position import CasterPosition
-from acquire.recording.configuration import Configuration, Link
+from acquire.recording.configuration import LinkConfiguration, RecordingConfiguration
 from acquire.recording.device_line import MOST_FRAMES, DeviceLine
 from acquire.recording.reader import Arrival
 from acquire.transports.sources import Source
@@ -24,7 +24,7 @@ from photocal.base.console import printable
 
 
 def link_sessions(
-    configuration: Configuration,
+    configuration: RecordingConfiguration,
     writer: MessageWriter,
     sources: dict[str, Source],
     positions: dict[str, CasterPosition],
@@ -73,7 +73,7 @@ class ShieldedDecoder:
             return log_ns, []
 
 
-def decoder_of(link: Link, dialect: Dialect) -> ShieldedDecoder:
+def decoder_of(link: LinkConfiguration, dialect: Dialect) -> ShieldedDecoder:
     """Return what decodes the frames of a link."""
     if link.protocol == "mavlink":
         return ShieldedDecoder(VehicleDecoder(link.name, dialect))
@@ -87,7 +87,12 @@ class LinkSession:
     """
 
     def __init__(
-        self, link: Link, writer: MessageWriter, source: Source, dialect: Dialect, device: DeviceLine
+        self,
+        link: LinkConfiguration,
+        writer: MessageWriter,
+        source: Source,
+        dialect: Dialect,
+        device: DeviceLine,
     ) -> None:
         self.name = link.name
         self.device = device

@@ -13,7 +13,7 @@ import numpy as np
 
 from acquire.channels.decoded import SECOND_NS, Decoder
 from acquire.recording.caster_position import CasterPosition
-from acquire.recording.configuration import Configuration, Link
+from acquire.recording.configuration import LinkConfiguration, RecordingConfiguration
 from acquire.recording.link_session import decoder_of
 from acquire.recording.reader import MOST_AT_ONCE, left_behind, start_readers
 from acquire.recording.recorder import Host
@@ -48,7 +48,7 @@ class _Heard:
 
 
 def check(
-    configuration: Configuration,
+    configuration: RecordingConfiguration,
     base: Path,
     sources: dict[str, Source],
     positions: dict[str, CasterPosition],
@@ -119,7 +119,7 @@ def _hear(heard: _Heard, link: str, batch: Batch, time_ns: int, decoder: Decoder
         heard.fix_good = fix["fix"] not in _NOT_IN_SPACE and f"/gnss/{link}/fix" in by_topic
 
 
-def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
+def _judge(link: LinkConfiguration, heard: _Heard, seconds: float) -> list[Check]:
     name = link.name
     if heard.event and not heard.frames:
         return [Check(f"{name}: port", "bad", heard.event)]
@@ -152,7 +152,7 @@ def _judge(link: Link, heard: _Heard, seconds: float) -> list[Check]:
     return checks
 
 
-def _disk(configuration: Configuration, base: Path, host: Host) -> list[Check]:
+def _disk(configuration: RecordingConfiguration, base: Path, host: Host) -> list[Check]:
     checks = []
     for folder in (configuration.recording.output, *configuration.recording.spare):
         place = (base / folder).resolve()

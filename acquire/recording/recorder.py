@@ -23,8 +23,8 @@ from acquire.recording.alarms import (
     write_alarms,
 )
 from acquire.recording.caster_position import CasterPosition, caster_positions
-from acquire.recording.configuration import Configuration, Link
-from acquire.recording.files import Limits, LogFiles, Notice, WholeWrites, new_file, unclosed
+from acquire.recording.configuration import LinkConfiguration, RecordingConfiguration
+from acquire.recording.files import LogFiles, Notice, RotationLimits, WholeWrites, new_file, unclosed
 from acquire.recording.link_session import LinkSession, link_sessions
 from acquire.recording.outlet import Outlet
 from acquire.recording.reader import Inbox, left_behind, start_readers
@@ -79,7 +79,7 @@ class Recorded:
 
 
 def record(
-    configuration: Configuration,
+    configuration: RecordingConfiguration,
     base: Path,
     stop: threading.Event,
     tell: Callable[[str], None],
@@ -111,7 +111,7 @@ def record(
 
     folders = [base / folder for folder in (chosen.output, *chosen.spare)]
     before = [path for folder in folders for path in unclosed(folder)]
-    limits = Limits(round(chosen.rotate_mb * _MB), chosen.rotate_min * 60)
+    limits = RotationLimits(round(chosen.rotate_mb * _MB), chosen.rotate_min * 60)
     files = LogFiles(folders, begin, limits, host.clock_ns, host.make, host.steady_s)
     lines = Outlet("terminal", tell)
     lines.put(f"recording to {files.paths[0]}")
@@ -142,7 +142,9 @@ def record(
 
 
 def source_of_link(
-    link: Link, environment: Mapping[str, str] = os.environ, position: Callable[[], bytes] | None = None
+    link: LinkConfiguration,
+    environment: Mapping[str, str] = os.environ,
+    position: Callable[[], bytes] | None = None,
 ) -> Source:
     """Return the source of a link."""
     address = ntrip_address(link.url)
@@ -158,7 +160,7 @@ def source_of_link(
 
 
 def sources_of(
-    configuration: Configuration, positions: dict[str, CasterPosition], clock_ns: Callable[[], int]
+    configuration: RecordingConfiguration, positions: dict[str, CasterPosition], clock_ns: Callable[[], int]
 ) -> dict[str, Source]:
     """Return the sources of all links; casters are told their positions with the request.
 
@@ -173,7 +175,7 @@ class _Flight:
 
     def __init__(
         self,
-        configuration: Configuration,
+        configuration: RecordingConfiguration,
         files: LogFiles,
         sessions: dict[str, LinkSession],
         host: Host,
@@ -299,7 +301,7 @@ class _Flight:
         self._raised += len(passed)
 
 
-def _attachments(configuration: Configuration, base: Path) -> list[tuple[str, bytes]]:
+def _attachments(configuration: RecordingConfiguration, base: Path) -> list[tuple[str, bytes]]:
     attachments = []
     for path in configuration.site.files():
         try:

@@ -81,7 +81,7 @@ class Autopilot:
         return packed
 
 
-class Receiver:
+class SimulatedReceiver:
     """The receiver's side of a line: version, configuration, acknowledgements."""
 
     version: tuple[str, str, tuple[str, ...]] = (

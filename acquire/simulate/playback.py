@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.devices import Autopilot, Receiver
+from acquire.simulate.devices import Autopilot, SimulatedReceiver
 from acquire.simulate.world.configuration import read_configuration
 from acquire.simulate.world.exposures import CAMERA_FROM_IMU_M
-from acquire.simulate.world.streams import Wire, make_streams
+from acquire.simulate.world.streams import RecordedWire, make_streams
 from acquire.simulate.world.world import make_world
 from drivers.checksums import x25
 from drivers.mavlink.dialect import V2, ardupilotmega
@@ -34,7 +34,7 @@ class PlayedFlight:
     parameters: of the autopilot: where the antenna was measured to be from the inertial unit.
     """
 
-    lines: dict[str, Wire]
+    lines: dict[str, RecordedWire]
     base_protocol: str
     interval_s: dict[str, float]
     rates_hz: dict[str, float]
@@ -70,7 +70,7 @@ def read_flight(source: Path, start_utc: dt.datetime | None = None) -> PlayedFli
     return PlayedFlight(make_streams(make_world(given)), gnss.base_protocol, interval, rates, parameters)
 
 
-def _read_lines(folder: Path) -> dict[str, Wire]:
+def _read_lines(folder: Path) -> dict[str, RecordedWire]:
     lines = {}
     for name in ("vehicle", "rover", "base"):
         times = folder / "truth" / "wires" / f"{name}.csv"
@@ -85,7 +85,7 @@ def _read_lines(folder: Path) -> dict[str, Wire]:
     return lines
 
 
-def _read_line(stream: Path, times: Path) -> Wire:
+def _read_line(stream: Path, times: Path) -> RecordedWire:
     data = stream.read_bytes()
     stamp = _STAMP_BYTES if stream.suffix == ".tlog" else 0
     with times.open(encoding="utf-8", newline="") as rows:
@@ -96,7 +96,7 @@ def _read_line(stream: Path, times: Path) -> Wire:
             "does not fit the table of its frames", "simulate the flight again", where=stream
         )
     frames = tuple(data[end - size : end] for end, (_, size) in zip(ends.tolist(), table, strict=True))
-    return Wire(np.array([moment for moment, _ in table]), frames)
+    return RecordedWire(np.array([moment for moment, _ in table]), frames)
 
 
 class FlightClock:
@@ -130,7 +130,7 @@ class FlightClock:
 class _Tape:
     """Gives the frames of a line as they become due by the clock of the flight."""
 
-    def __init__(self, name: str, line: Wire, clock: FlightClock) -> None:
+    def __init__(self, name: str, line: RecordedWire, clock: FlightClock) -> None:
         self.name, self.line, self.clock = name, line, clock
         self._next = 0
 
@@ -142,10 +142,10 @@ class _Tape:
         return numbers
 
 
-class FlownReceiver(Receiver):
+class FlownReceiver(SimulatedReceiver):
     """A receiver that sends what it recorded in flight, and answers to settings as a receiver does."""
 
-    def __init__(self, name: str, line: Wire, clock: FlightClock) -> None:
+    def __init__(self, name: str, line: RecordedWire, clock: FlightClock) -> None:
         super().__init__()
         self._tape = _Tape(name, line, clock)
 
@@ -167,7 +167,12 @@ class FlownAutopilot(Autopilot):
     """
 
     def __init__(
-        self, name: str, line: Wire, clock: FlightClock, *, parameters: Mapping[str, float] | None = None
+        self,
+        name: str,
+        line: RecordedWire,
+        clock: FlightClock,
+        *,
+        parameters: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__(parameters)
         self._tape = _Tape(name, line, clock)
@@ -234,7 +239,7 @@ class FlownAutopilot(Autopilot):
         return packed
 
 
-def _periods(line: Wire, kinds: list[int]) -> dict[int, float]:
+def _periods(line: RecordedWire, kinds: list[int]) -> dict[int, float]:
     """Give how often each message comes."""
     table = np.array(kinds)
     periods = {}

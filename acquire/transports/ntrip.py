@@ -29,7 +29,7 @@ _CHUNK_SIZE = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;.*)?")
 
 
 @dataclass(frozen=True)
-class Address:
+class CasterAddress:
     """A stream of a caster."""
 
     host: str
@@ -39,7 +39,7 @@ class Address:
     version: int
 
 
-def ntrip_address(url: str) -> Address | None:
+def ntrip_address(url: str) -> CasterAddress | None:
     """Return the caster that a URL names; None when it is no NTRIP URL."""
     if not url.startswith(("ntrip:", "ntrips:")):
         return None
@@ -63,7 +63,9 @@ def ntrip_address(url: str) -> Address | None:
             "is no address of a caster", "give ntrip://HOST:PORT/MOUNTPOINT[?version=1]", where=url
         )
     encrypted = parts.scheme == "ntrips"
-    return Address(host, port or (443 if encrypted else 2101), mountpoint, encrypted, queries[parts.query])
+    return CasterAddress(
+        host, port or (443 if encrypted else 2101), mountpoint, encrypted, queries[parts.query]
+    )
 
 
 class NtripSource(TcpSource):
@@ -77,7 +79,7 @@ class NtripSource(TcpSource):
 
     def __init__(
         self,
-        address: Address,
+        address: CasterAddress,
         user: str = "",
         password: str = "",
         context: "ssl.SSLContext | None" = None,

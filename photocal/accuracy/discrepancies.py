@@ -9,7 +9,7 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import InputMalformedError
-from photocal.block.table import Table, read_columns
+from photocal.block.table import TextTable, read_columns
 
 SIGN = "product minus reference"
 COMPONENTS = ("E", "N", "h")
@@ -106,7 +106,7 @@ def read_discrepancies(path: Path) -> Discrepancies:
     return Discrepancies(points, 0.0 - corrections, positions, _vegetated(table))
 
 
-def _vegetated(table: Table) -> Flags | None:
+def _vegetated(table: TextTable) -> Flags | None:
     """The column `ground`: open or vegetated."""
     if not table.has(GROUND):
         return None
@@ -122,7 +122,7 @@ def _vegetated(table: Table) -> Flags | None:
     return np.asarray([kind == "vegetated" for kind in kinds])[which]
 
 
-def _columns(table: Table) -> tuple[dict[str, str], dict[str, float]]:
+def _columns(table: TextTable) -> tuple[dict[str, str], dict[str, float]]:
     """Titles of the columns by their short name, and how many metres their unit has."""
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}

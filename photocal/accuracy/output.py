@@ -9,7 +9,7 @@ from photocal.accuracy.discrepancies import COMPONENTS, SIGN
 from photocal.accuracy.standard import scale_text, size_text
 from photocal.accuracy.statistics import LengthStatistics
 from photocal.base.arrays import as_plain, picked
-from photocal.findings.document import Paragraph, Piece, Remarks, Section, Table, table, text
+from photocal.findings.document import Paragraph, Piece, Remarks, Section, TablePart, table, text
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 
@@ -127,14 +127,14 @@ def remarks(findings: tuple[Finding, ...]) -> Remarks | Paragraph:
     return Remarks(texts) if texts else Paragraph("Nothing to remark.")
 
 
-def _points(assessment: Assessment) -> Table:
+def _points(assessment: Assessment) -> TablePart:
     given = assessment.discrepancies
     pairs = zip(given.points, given.d_m.tolist(), strict=True)
     rows = [(point, *(_metres(value, "+.3f") for value in row)) for point, row in pairs]
     return table("Discrepancies", ["point", *(f"d{name}" for name in COMPONENTS)], rows)
 
 
-def _statistics(assessment: Assessment) -> Table:
+def _statistics(assessment: Assessment) -> TablePart:
     heads = ["", "n", "mean", "std (n-1)", "RMSE", "without trend", "min", "max", "median", "NMAD"]
     rows = []
     for c in assessment.components:
@@ -147,7 +147,7 @@ def _statistics(assessment: Assessment) -> Table:
     return table("Statistics", heads, rows)
 
 
-def _vectors(assessment: Assessment) -> Table:
+def _vectors(assessment: Assessment) -> TablePart:
     gsd = assessment.question.gsd_m
     heads = ["", "n", "RMSE", "mean length", "maximum", "90 % normal", "90 % counted"]
     heads += [] if gsd is None else [f"in 1 GSD ({gsd:.3f})", "in 2 GSD"]
@@ -161,7 +161,7 @@ def _vectors(assessment: Assessment) -> Table:
     return table("Lengths", heads, rows)
 
 
-def _tests(assessment: Assessment) -> Table:
+def _tests(assessment: Assessment) -> TablePart:
     heads = ["", "t", "limit", "bias", "Shapiro-Wilk p", "normal", "outliers"]
     rows = []
     for c in assessment.components:
@@ -183,7 +183,7 @@ def _standard(result: TableResult) -> list[Piece]:
     return parts
 
 
-def _decisions(result: TableResult, title: str, size: float) -> Table:
+def _decisions(result: TableResult, title: str, size: float) -> TablePart:
     heads = ["class", "PEC", "EP", "chi2", "limit", "precision", "within PEC", "RMSE", "accuracy"]
     rows = [
         (
@@ -206,7 +206,7 @@ def _decisions(result: TableResult, title: str, size: float) -> Table:
     return table(f"{title} at {size_text(result.table.basis, size)}", heads, rows, note)
 
 
-def _smallest(result: TableResult, title: str) -> Table:
+def _smallest(result: TableResult, title: str) -> TablePart:
     basis = result.table.basis
     what = "largest scale" if basis == "scale" else "smallest contour interval (m)"
     heads = ["class", "by precision", "by accuracy", "= RMSE", "and 90 %", "next listed"]

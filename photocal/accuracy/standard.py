@@ -117,7 +117,7 @@ class LimitTable(Table):
         )
 
 
-class Figure(Table):
+class StandardFigure(Table):
     """One figure of a standard with its source."""
 
     value: float
@@ -142,12 +142,12 @@ class ValueStandard(Table):
     title: str
     authority: str
     note: Prose = ""
-    minimum_points: Figure
-    maximum_points: Figure
-    survey_accuracy_included: Figure
-    mean_share_of_target: Figure
-    survey_share_of_target: Figure
-    blunder_over_target: Figure
+    minimum_points: StandardFigure
+    maximum_points: StandardFigure
+    survey_accuracy_included: StandardFigure
+    mean_share_of_target: StandardFigure
+    survey_share_of_target: StandardFigure
+    blunder_over_target: StandardFigure
 
 
 def parse_scale(text: str) -> float:

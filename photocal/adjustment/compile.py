@@ -10,7 +10,7 @@ import numpy as np
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.factored import factored
 from photocal.adjustment.near import Removals
-from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.snooping import snoop
 from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES, camera
@@ -31,7 +31,7 @@ def _network() -> Network:
     lens = camera("c", "brown-observed", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}, estimate=("c",))
     rays = Rays(image, point, plane, np.full(plane.shape, 0.01))
     names = tuple(str(j) for j in range(16))
-    exposures = Exposures(np.zeros(2, np.int64), values, sigma)
+    exposures = ExteriorOrientations(np.zeros(2, np.int64), values, sigma)
     return Network((lens,), exposures, Points(grid, held, weight), rays, ("a", "b"), names)
 
 

@@ -6,11 +6,11 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 
 _REASON: ContextVar[str] = ContextVar("reason", default="")
-_LEDGERS: ContextVar[tuple[list["Entry"], ...]] = ContextVar("ledgers", default=())
+_LEDGERS: ContextVar[tuple[list["NamedAdjustment"], ...]] = ContextVar("ledgers", default=())
 
 
 @dataclass(frozen=True)
-class Entry:
+class NamedAdjustment:
     """One adjustment: its reason, its size and the iterations that it took."""
 
     reason: str
@@ -30,9 +30,9 @@ def because(reason: str) -> Iterator[None]:
 
 
 @contextmanager
-def ledger() -> Iterator[list[Entry]]:
+def ledger() -> Iterator[list[NamedAdjustment]]:
     """Give a list that receives every adjustment made within, in their order."""
-    entries: list[Entry] = []
+    entries: list[NamedAdjustment] = []
     before = _LEDGERS.set((*_LEDGERS.get(), entries))
     try:
         yield entries
@@ -43,4 +43,4 @@ def ledger() -> Iterator[list[Entry]]:
 def enter(images: int, rays: int, iterations: int) -> None:
     """Enter an adjustment into all open ledgers."""
     for entries in _LEDGERS.get():
-        entries.append(Entry(_REASON.get(), images, rays, iterations))
+        entries.append(NamedAdjustment(_REASON.get(), images, rays, iterations))

@@ -13,7 +13,7 @@ from photocal.adjustment.mounting import (
     Mounting,
     Positions,
 )
-from photocal.adjustment.rig import NO_RIG, Rig
+from photocal.adjustment.rig import NO_RIG, RigHeads
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.geometry.camera import MOTION, OWN, PARAMETERS, SHAKE_DEGREES, Camera
 
@@ -32,7 +32,7 @@ Related = Callable[[Floats], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True)
-class Exposures(Columns):
+class ExteriorOrientations(Columns):
     """Exterior orientation of the images: start values, and observations where a sigma stands.
 
     camera (n,): index of the camera of each image.
@@ -155,7 +155,7 @@ class Network:
     """
 
     cameras: tuple[Camera, ...]
-    exposures: Exposures
+    exposures: ExteriorOrientations
     points: Points
     rays: Rays
     image_names: tuple[str, ...]
@@ -165,7 +165,7 @@ class Network:
     positions: Positions = NO_POSITIONS
     attitudes: Attitudes = NO_ATTITUDES
     mounting: Mounting = NO_MOUNTING
-    rig: Rig = NO_RIG
+    rig: RigHeads = NO_RIG
 
 
 def own_sigma(network: Network) -> Floats:

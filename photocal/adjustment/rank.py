@@ -15,7 +15,7 @@ from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
 
 
-class Limits(NamedTuple):
+class RankLimits(NamedTuple):
     """Below which shares of their own scale quantities count as undetermined.
 
     parallel: scaled determinant of a point's own block, about the square of the angle between its rays.
@@ -28,8 +28,8 @@ class Limits(NamedTuple):
 
 # What rounding alone holds: null eigenvalues of whole blocks come out below 1e-14. And what to suspect first
 # when an adjustment fails or means nothing.
-SINGULAR = Limits(1e-10, 1e-12)
-SUSPECT = Limits(1e-4, 1e-7)
+SINGULAR = RankLimits(1e-10, 1e-12)
+SUSPECT = RankLimits(1e-4, 1e-7)
 # Share of a null vector that similarity transformations must explain to be called the datum.
 MOSTLY = 0.5
 # A standard deviation of this share of the value itself: the linearisation no longer means anything.
@@ -46,7 +46,7 @@ def weakest_pivot(factor_diagonal: Floats, diagonal: Floats) -> float:
     return float(np.nanmin(share, initial=1.0))
 
 
-def explain_singular(problem: Problem, state: State, limits: Limits = SINGULAR) -> None:
+def explain_singular(problem: Problem, state: State, limits: RankLimits = SINGULAR) -> None:
     """Raise what the observations leave undetermined; return when they determine everything."""
     normal = normal_equations(problem, state)
     names = problem.network.point_names

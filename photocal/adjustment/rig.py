@@ -27,7 +27,7 @@ OF_HEAD = ("turn_x", "turn_y", "turn_z", "x", "y", "z", "time")
 
 
 @dataclass(frozen=True)
-class Rig:
+class RigHeads:
     """The heads of all rigs of a network, and their images of the same exposures.
 
     rotation (heads, 3, 3): nominal rotation from the axes of the rig's first head to those of each.
@@ -86,10 +86,10 @@ class Rig:
 
 _NONE, _NO_SIGMAS, _NO_VALUES = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 7))
 _NO_HEADS = np.zeros((0, 3, 3)), _NO_VALUES, _NO_VALUES, _NONE, _NONE
-NO_RIG = Rig(*_NO_HEADS, _NONE, _NONE, _NO_SIGMAS, _NO_SIGMAS, _NO_SIGMAS)
+NO_RIG = RigHeads(*_NO_HEADS, _NONE, _NONE, _NO_SIGMAS, _NO_SIGMAS, _NO_SIGMAS)
 
 
-def head_rotation(rig: Rig, values: Floats) -> Floats:
+def head_rotation(rig: RigHeads, values: Floats) -> Floats:
     """Rotations from the axes of the first head to those of each, shape (heads, 3, 3)."""
     return turned(rig.rotation, values[:, TURN])
 
@@ -109,7 +109,7 @@ def pairs_of(exposure: Integers, head: Integers, base: Integers) -> tuple[Intege
 
 
 def rig_equations(
-    rig: Rig,
+    rig: RigHeads,
     values: Floats,
     image_camera: Integers,
     poses: tuple[Floats, Floats],

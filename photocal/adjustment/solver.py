@@ -22,7 +22,7 @@ from photocal.adjustment.normal import (
 from photocal.adjustment.rank import (
     SINGULAR,
     SUSPECT,
-    Limits,
+    RankLimits,
     explain_singular,
     only_the_datum_is_weak,
     share_of_datum,
@@ -282,7 +282,7 @@ def _by_chords(
     return there
 
 
-def _ended(problem: Problem, state: State, steps: list[Iteration], limits: Limits) -> Minimum:
+def _ended(problem: Problem, state: State, steps: list[Iteration], limits: RankLimits) -> Minimum:
     """Where the iteration did not come to its end: the minimum for all purposes, or why it is none."""
     normal = normal_equations(problem, state)
     if not np.isfinite(normal.chi_squared):

@@ -8,7 +8,7 @@ import numpy as np
 from photocal.adjustment.factored import camera_covariance_column
 from photocal.adjustment.state import turn_basis
 from photocal.analysis.estimates import Estimates
-from photocal.analysis.systematic_errors.refit import Fit
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS
@@ -132,7 +132,7 @@ class ExteriorCorrelation:
 
 
 def exterior_correlations(
-    fit: Fit, camera: int, threshold: float, done: Callable[[], None] = lambda: None
+    fit: AdjustedNetwork, camera: int, threshold: float, done: Callable[[], None] = lambda: None
 ) -> tuple[ExteriorCorrelation, ...]:
     """List camera parameters that are strongly correlated with exterior orientations."""
     correlations = []
@@ -149,7 +149,7 @@ def exterior_correlations(
     return tuple(sorted(correlations, key=lambda pair: -abs(pair.value)))
 
 
-def correlation_with(fit: Fit, camera: int, parameter: int) -> Floats:
+def correlation_with(fit: AdjustedNetwork, camera: int, parameter: int) -> Floats:
     """Give the correlation of one camera parameter with every exterior orientation, from its column."""
     layout = fit.factored.problem.layout
     active, columns = layout.camera_columns[camera]

@@ -11,7 +11,7 @@ from photocal.adjustment.near import Removals
 from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.state import State
 from photocal.analysis.robust import NEAR, state_without
-from photocal.analysis.systematic_errors.refit import Checks, Fit, fit, lowest, without_images
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, Checks, fit, lowest, without_images
 from photocal.base import policy
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import IllPosedError, InputMalformedError, NotConvergedError
@@ -48,7 +48,9 @@ class LensFit:
     check_rmse_m: tuple[float, float, float] | None
 
 
-def lens_fits(fitted: Fit, camera: int, checks: Checks, done: Callable[[], None]) -> tuple[LensFit, ...]:
+def lens_fits(
+    fitted: AdjustedNetwork, camera: int, checks: Checks, done: Callable[[], None]
+) -> tuple[LensFit, ...]:
     """Fit every model to the rays of one camera; the one that it has comes first, then the better ones."""
     interior = fitted.network.cameras[camera].with_values(fitted.state.cameras[camera])
     if not set(interior.free) & set(interior.lens.terms) or interior.focus_m or interior.photo_variant:
@@ -97,7 +99,7 @@ def _akaike(lens: LensFit) -> float:
     return lens.chi_squared + 2 * len(lens.terms)
 
 
-def of_lenses(fitted: Fit, fits: tuple[tuple[LensFit, ...], ...]) -> list[Finding]:
+def of_lenses(fitted: AdjustedNetwork, fits: tuple[tuple[LensFit, ...], ...]) -> list[Finding]:
     """Name the lenses that fit better than those that cameras have."""
     listed = []
     camera_of_ray = fitted.network.exposures.camera[fitted.network.rays.image]
@@ -133,7 +135,7 @@ def _alternative(interior: Camera, model: Model) -> Camera:
     return replace(made, estimated=among(*terms, *kept), prior_sigma=prior, prior_correlation=None)
 
 
-def _nearby(_fitted: Fit, removals: Removals, out: Flags) -> State:
+def _nearby(_fitted: AdjustedNetwork, removals: Removals, out: Flags) -> State:
     """Leave images out near the minimum: a lens that is quite another one without them hangs on them."""
     nearby = removals.without(out, NEAR)
     if nearby is None:
@@ -142,12 +144,12 @@ def _nearby(_fitted: Fit, removals: Removals, out: Flags) -> State:
 
 
 def _judged(
-    fitted: Fit,
+    fitted: AdjustedNetwork,
     camera: int,
     interior: Camera,
     groups: list[Integers],
     checks: Checks,
-    without: Callable[[Fit, Removals, Flags], State] = state_without,
+    without: Callable[[AdjustedNetwork, Removals, Flags], State] = state_without,
 ) -> LensFit:
     alternative = fitted.network.cameras[camera]
     squares, count = 0.0, 0
@@ -167,7 +169,7 @@ def _judged(
     )
 
 
-def _predicted(fitted: Fit, rest: State, out: Flags) -> tuple[float, int]:
+def _predicted(fitted: AdjustedNetwork, rest: State, out: Flags) -> tuple[float, int]:
     """V'Pv and redundancy of images oriented on the points, and with the lens, of all the others."""
     network, rays = fitted.network, fitted.network.rays
     known = np.bincount(rays.point[~out[rays.image]], minlength=len(network.point_names)) >= 2

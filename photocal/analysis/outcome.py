@@ -21,7 +21,7 @@ from photocal.analysis.stability.methods import Method, fitted_pose, rotation_mi
 from photocal.analysis.systematic_errors.camera_findings import of_datum
 from photocal.analysis.systematic_errors.candidates import Within, within_flight
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.refit import Checks, Fit, LeftOut, fit, left_out
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, Checks, WithoutParameter, fit, left_out
 from photocal.analysis.systematic_errors.scatter import AssumedSigma, ResidualMap, VarianceComponent
 from photocal.analysis.systematic_errors.search import Search, camera_estimates, search
 from photocal.analysis.systematic_errors.shifts import MOST_JOINT, ImageShift
@@ -115,12 +115,12 @@ class CameraAnalysis:
     correlations: tuple[correlation.StrongCorrelation, ...]
     correlations_with_exterior: tuple[correlation.ExteriorCorrelation, ...]
     components: Proposal
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[WithoutParameter, ...]
     within_flight: tuple[Within, ...] = ()
 
 
 def analyse_camera(
-    fit: Fit,
+    fit: AdjustedNetwork,
     camera: int,
     checks: Checks,
     alpha: float,

@@ -10,7 +10,7 @@ from photocal.adjustment.near import Removals
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by
 from photocal.adjustment.state import State
-from photocal.analysis.systematic_errors.refit import Fit, left_without, lowest, without_images
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, left_without, lowest, without_images
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
@@ -42,7 +42,7 @@ class Jackknife:
     not_possible: tuple[str, ...]
 
 
-def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
+def jackknife(fit: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> Jackknife:
     """Take each image out of the minimum, or each group of neighbours in a large network.
 
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.
@@ -62,14 +62,14 @@ def jackknife(fit: Fit, done: Callable[[], None] = lambda: None) -> Jackknife:
     return Jackknife(tuple(left_out), values, standard_error(values), tuple(not_possible))
 
 
-def groups_of(fit: Fit) -> list[Flags]:
+def groups_of(fit: AdjustedNetwork) -> list[Flags]:
     """Images that are left out together: each alone, in a large network neighbours."""
     count = len(fit.network.image_names)
     parts = np.array_split(np.arange(count), count if count <= MOST_REMOVALS else REMOVED_TOGETHER)
     return [np.isin(np.arange(count), part) for part in parts]
 
 
-def state_without(fit: Fit, removals: Removals, out: Flags) -> State:
+def state_without(fit: AdjustedNetwork, removals: Removals, out: Flags) -> State:
     """Leave images out of a minimum: near it where the way is short, else adjusted anew.
 
     returns: as large as before; what was left out keeps its values.
@@ -107,7 +107,7 @@ def apart(formal: float, robust: float | None) -> bool:
     return max(formal / robust, robust / formal) > APART
 
 
-def sandwich(fit: Fit) -> Floats:
+def sandwich(fit: AdjustedNetwork) -> Floats:
     """Give standard deviations of camera parameters from the residuals, image by image, (cameras, 14).
 
     Q (sum g g') Q with g the part of an image in A'Pv (White 1980, Liang and Zeger 1986), residuals divided
@@ -144,7 +144,7 @@ def sandwich(fit: Fit) -> Floats:
 
 
 def bootstrap(
-    fit: Fit, draws: int, rng: np.random.Generator, done: Callable[[], None] = lambda: None
+    fit: AdjustedNetwork, draws: int, rng: np.random.Generator, done: Callable[[], None] = lambda: None
 ) -> Floats:
     """Adjust blocks whose images were drawn with replacement: spread of all camera parameters, (cameras, 14).
 

@@ -24,7 +24,7 @@ from photocal.block.motion import MOTION_COLUMNS, read_motion
 from photocal.block.mounting import make_mounting, read_attitudes, read_positions
 from photocal.block.rig import make_heads
 from photocal.block.setup import ObservationKeys, Setup
-from photocal.block.table import Table, known_rows, read_table, refuse
+from photocal.block.table import TextTable, known_rows, read_table, refuse
 from photocal.geometry.camera import Camera
 from photocal.geometry.interior import Transformation, interior_orientation
 
@@ -254,7 +254,7 @@ def read_points(path: Path) -> ObjectPoints:
     return ObjectPoints(names, values, sigma, role, _cross(table, sigma))
 
 
-def _cross(table: Table, sigma: Floats) -> Floats | None:
+def _cross(table: TextTable, sigma: Floats) -> Floats | None:
     """Covariances between the coordinates of a point, where all three have a sigma; None without any."""
     if not any(map(table.has, POINT_CROSS)):
         return None
@@ -313,7 +313,7 @@ def read_relations(path: Path, kind: str, points: tuple[str, ...], known: str = 
     return Relations(code, ends[0], ends[1], value * scale, sigma * scale, third)
 
 
-def _sigmas(table: Table, column: str) -> Floats:
+def _sigmas(table: TextTable, column: str) -> Floats:
     """Standard deviations; an empty cell leaves the value free."""
     sigma = table.numbers(column, empty=np.inf)
     refuse(table, sigma < 0, f"{column} is negative", "give a standard deviation")

@@ -9,7 +9,7 @@ from photocal.adjustment.network import Network
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.block.model import Block
-from photocal.block.table import Table
+from photocal.block.table import TextTable
 from photocal.geometry.camera import SHAKE
 
 VELOCITY, RATE = ("vX", "vY", "vZ"), ("wx", "wy", "wz")
@@ -34,7 +34,7 @@ _TURN_DEG = 30.0
 _PAUSE = 4.0
 
 
-def read_motion(table: Table) -> tuple[Floats, Floats, Floats, Floats]:
+def read_motion(table: TextTable) -> tuple[Floats, Floats, Floats, Floats]:
     """Velocity (m/s) and rate (rad/s), their sigmas, times (s) and temperatures (degC) of `images.csv`.
 
     NaN where nothing stands. A rate there is that of the camera about its own axes; inside it is the turn of

@@ -12,7 +12,7 @@ from photocal.base.codec import as_degrees
 from photocal.base.errors import ConfigurationError, OutputError
 from photocal.block.camera_setup import sigma_keys, sigmas
 from photocal.block.setup import BodyAxis, MountingKeys
-from photocal.block.table import Table, known_rows, named_columns, read_table, refuse
+from photocal.block.table import TextTable, known_rows, named_columns, read_table, refuse
 from photocal.geometry.rotation import TO_NED, object_to_body
 
 POSITION_COLUMNS = ("image", "X", "Y", "Z", "sX", "sY", "sZ")
@@ -202,7 +202,7 @@ def attitude_columns(attitudes: mounting.Attitudes) -> dict[str, ArrayLike]:
     return columns | {k: v for names, values in known for k, v in named_columns(names, values).items()}
 
 
-def _sigmas(table: Table, columns: tuple[str, ...]) -> Floats:
+def _sigmas(table: TextTable, columns: tuple[str, ...]) -> Floats:
     sigma = table.matrix(columns)
     refuse(table, (sigma <= 0).any(axis=1), "a sigma is not positive", "give a standard deviation")
     return sigma

@@ -6,7 +6,7 @@ import numpy as np
 
 from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import (
-    Exposures,
+    ExteriorOrientations,
     Network,
     Points,
     Rays,
@@ -24,7 +24,7 @@ from photocal.block.motion import motion_of
 from photocal.block.rig import rig_of
 from photocal.geometry.camera import Camera, among, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import slopes_of
-from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
+from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.resection import intersect, ray_residuals
 from photocal.geometry.rotation import matrix_from_angles
@@ -36,13 +36,13 @@ _ASTRAY, _UNLIKE = 0.25, 8.0
 
 def with_start_values(
     block: Block,
-    exposures: Exposures,
+    exposures: ExteriorOrientations,
     rays: Rays,
     points: Floats,
     known: Floats,
     relations: Relations,
     surveyed: Flags,
-) -> tuple[Exposures, Floats]:
+) -> tuple[ExteriorOrientations, Floats]:
     """Fill what is missing among the start values."""
     values = exposures.values
     if np.isnan(values).any():
@@ -78,7 +78,7 @@ def with_start_values(
 
 def _intersected(
     cameras: tuple[Camera, ...],
-    exposures: Exposures,
+    exposures: ExteriorOrientations,
     rays: Rays,
     points: Floats,
     known: Floats,
@@ -118,7 +118,7 @@ def _intersected(
     return np.where(missing[:, None], start, points)
 
 
-def behind_cameras(exposures: Exposures, rays: Rays, points: Floats) -> Flags:
+def behind_cameras(exposures: ExteriorOrientations, rays: Rays, points: Floats) -> Flags:
     """Points that lie behind a camera that sees them, (points,)."""
     axis = matrix_from_angles(exposures.values[:, :3])[rays.image, 2]
     away = points[rays.point] - exposures.values[rays.image, 3:]
@@ -139,7 +139,7 @@ class NetworkOfBlock:
     network: Network
     points: Integers
     rays: Integers
-    frame: Frame
+    frame: LocalFrame
     readouts: tuple[Readout, ...] = ()
 
 
@@ -158,7 +158,7 @@ def assemble(block: Block) -> NetworkOfBlock:
     position[used] = np.arange(len(used))
     order = np.argsort(position[block.observations.point], kind="stable")
     frame = block_frame(block)
-    exposures = Exposures(
+    exposures = ExteriorOrientations(
         block.images.camera,
         local_poses(frame, block.images.values),
         block.images.sigma,
@@ -232,7 +232,7 @@ def assemble(block: Block) -> NetworkOfBlock:
     return NetworkOfBlock(network, used, order, frame)
 
 
-def block_frame(block: Block) -> Frame:
+def block_frame(block: Block) -> LocalFrame:
     """Frame of a block, with the middle of its images and points as local origin.
 
     raises ConfigurationError: for an unknown system or heights of a kind that does not fit it.
@@ -240,7 +240,7 @@ def block_frame(block: Block) -> Frame:
     return frame_of(block.frame, block.height, block.images.values[:, 3:], block.points.values)
 
 
-def frame_of(system: str, height: str, *places: Floats) -> Frame:
+def frame_of(system: str, height: str, *places: Floats) -> LocalFrame:
     """Frame of a system with the middle of places as local origin, errors as of `block_frame`."""
     every = np.vstack(places)
     if np.isnan(every).all():
@@ -250,7 +250,7 @@ def frame_of(system: str, height: str, *places: Floats) -> Frame:
     return reference_frame(system, height, np.asarray(np.nanmean(every, axis=0)))
 
 
-def local_positions(positions: Positions, frame: Frame) -> Positions:
+def local_positions(positions: Positions, frame: LocalFrame) -> Positions:
     """Give positions, with their covariances and velocities, in the local frame."""
     if not len(positions.image):
         return positions

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat
 from scipy.spatial.transform import Rotation
 
-from photocal.adjustment.rig import CENTRE, LATER, NO_RIG, OF_HEAD, TURN, Rig, pairs_of
+from photocal.adjustment.rig import CENTRE, LATER, NO_RIG, OF_HEAD, TURN, RigHeads, pairs_of
 from photocal.base.arrays import Floats, Integers
 from photocal.base.checked_toml import Table
 from photocal.base.codec import as_degrees
@@ -133,7 +133,7 @@ def rig_of(
     rotation: Floats,
     centre: Floats,
     gust: Floats | None,
-) -> Rig:
+) -> RigHeads:
     """Make the rig of a network from the heads whose cameras it has.
 
     exposure (images,): name of each image's exposure, empty for none.

@@ -26,7 +26,7 @@ MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", 
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """A table whose cells are still text (CSV) or typed (Parquet).
 
     lines: whether rows can be named by their line.
@@ -144,7 +144,7 @@ class Table:
         return pc.replace_substring(pc.replace_substring(cells, ".", ""), ",", ".")
 
 
-def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
+def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> TextTable:
     """Read a table of CSV or Parquet.
 
     required, optional: names of the columns; no others are allowed.
@@ -160,7 +160,7 @@ def read_table(path: Path, required: tuple[str, ...], optional: tuple[str, ...] 
     return table
 
 
-def read_wider_table(path: Path, required: tuple[str, ...]) -> Table:
+def read_wider_table(path: Path, required: tuple[str, ...]) -> TextTable:
     """Read a table that may have any further columns; errors as of `read_table`."""
     table = read_columns(path)
     columns = list(table.columns.column_names)
@@ -177,7 +177,7 @@ def read_wider_table(path: Path, required: tuple[str, ...]) -> Table:
     return table
 
 
-def read_under(path: Path, heads: Mapping[str, Sequence[str]], required: Iterable[str]) -> Table:
+def read_under(path: Path, heads: Mapping[str, Sequence[str]], required: Iterable[str]) -> TextTable:
     """Read a table whose columns people name in other ways; those without a name of ours are left out.
 
     heads: words for each column, the first of them that stands there counts; units in brackets do not.
@@ -190,7 +190,7 @@ def read_under(path: Path, heads: Mapping[str, Sequence[str]], required: Iterabl
     return replace(table, columns=table.columns.select(list(place.values())).rename_columns(list(place)))
 
 
-def read_columns(path: Path) -> Table:
+def read_columns(path: Path) -> TextTable:
     """Read a table whatever its columns are called; errors as of `read_table`."""
     require_file(path)
     table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
@@ -213,16 +213,16 @@ def require_file(path: Path) -> int:
     return size
 
 
-def _read_parquet(path: Path) -> Table:
+def _read_parquet(path: Path) -> TextTable:
     try:
-        return Table(path, pyarrow.parquet.read_table(path), lines=False)
+        return TextTable(path, pyarrow.parquet.read_table(path), lines=False)
     except (pa.ArrowInvalid, OSError) as failure:
         raise InputMalformedError(
             f"is no readable Parquet file ({str(failure).splitlines()[0]})", "write it again", where=path
         ) from failure
 
 
-def _read_csv(path: Path) -> Table:
+def _read_csv(path: Path) -> TextTable:
     encoding, header = _head(path)
     separator = max(",;\t", key=header.count)
     names = [name.strip().strip('"') for name in header.split(separator)]
@@ -240,7 +240,7 @@ def _read_csv(path: Path) -> Table:
         )
     except (pa.ArrowInvalid, UnicodeError) as failure:
         raise _cut(path, str(failure)) from failure
-    table = Table(path, columns, lines=True, separator=separator)
+    table = TextTable(path, columns, lines=True, separator=separator)
     _refuse_cut_end(table)
     return table
 
@@ -275,7 +275,7 @@ def _cut(path: Path, message: str) -> InputMalformedError:
     )
 
 
-def _refuse_cut_end(table: Table) -> None:
+def _refuse_cut_end(table: TextTable) -> None:
     """Refuse a table that seems cut inside its last cell."""
     # Without a final line end the last number may have lost digits. That is taken for granted when it has
     # fewer decimals, or fewer digits, than every other number of its column, or ends where no number ends.
@@ -299,7 +299,7 @@ def _refuse_cut_end(table: Table) -> None:
         )
 
 
-def known_rows(table: Table, column: str, known: tuple[str, ...], where: str) -> Integers:
+def known_rows(table: TextTable, column: str, known: tuple[str, ...], where: str) -> Integers:
     """Index of each row's name among the known ones; complains of the first row with another."""
     index, names = table.names(column)
     position = {name: k for k, name in enumerate(known)}
@@ -310,7 +310,7 @@ def known_rows(table: Table, column: str, known: tuple[str, ...], where: str) ->
     return row
 
 
-def refuse(table: Table, bad: ArrayLike, what: str, remedy: str) -> None:
+def refuse(table: TextTable, bad: ArrayLike, what: str, remedy: str) -> None:
     """Complain of the first bad row."""
     rows = np.flatnonzero(bad)
     if len(rows):

@@ -49,7 +49,7 @@ def measure(
 def _written(project: Path | None, images: Path, options: MeasureOptions, output: Path) -> dict[str, Any]:
     """Measure and write; images that cannot be oriented cost nobody the minutes of measuring."""
     from photocal.base.files import output_folder
-    from photocal.measurement.block_files import SCHEMA, Measured
+    from photocal.measurement.block_files import SCHEMA, MeasuredBlock
     from photocal.measurement.measure import measure as measured_pictures
     from photocal.measurement.oriented_ties import UnorientedError
     from photocal.project import read_project
@@ -59,7 +59,7 @@ def _written(project: Path | None, images: Path, options: MeasureOptions, output
         measured = measured_pictures(images if project is None else read_project(project), options, progress)
     except UnorientedError as refusal:
         refused = refusal
-        measured = Measured(refusal.block, {"schema": SCHEMA, "refused": str(refusal)})
+        measured = MeasuredBlock(refusal.block, {"schema": SCHEMA, "refused": str(refusal)})
     with output_folder(output) as aside:
         measured.write(aside)
     if refused is not None:

@@ -238,7 +238,7 @@ def _repeat(
     """
     from photocal.report import verification
     from photocal.report.issue import certified_result
-    from photocal.results.origin import CARRIED, Source, changed_inputs
+    from photocal.results.origin import CARRIED, BlockSource, changed_inputs
     from photocal.run.repeated_findings import repeated_findings
 
     if block is None and not (folder / CARRIED).is_dir():
@@ -248,7 +248,7 @@ def _repeat(
     if block is not None and not block.is_dir():
         raise InputNotFoundError("no such folder", "name the folder with the inputs by --block", where=block)
     result = certified_result(certified, folder)
-    source = Source(block or folder / CARRIED, result.block.setup)
+    source = BlockSource(block or folder / CARRIED, result.block.setup)
     changed = list(changed_inputs(result.inputs, source.folder).values())
     if changed:
         return changed, [], [], None

@@ -13,7 +13,7 @@ from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file, write_json
 from photocal.base.operating_system import cache_folder
 from photocal.debrief import verdict
-from photocal.debrief.pictures import QUICK, Look, look, picture_findings
+from photocal.debrief.pictures import QUICK, PictureQuality, look, picture_findings
 from photocal.debrief.verdict import Debrief, Together
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import Camera
@@ -21,7 +21,7 @@ from photocal.measurement.image_file import list_images
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import ExposureRun, exposures_of_pictures
 from photocal.navigation.image_metadata import image_of
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.project import Project
 from photocal.run.output_place import check_output
 from photocal.run.stage import alone
@@ -95,8 +95,8 @@ def follow(
     check_output(project)
     with alone(project.output), _gently(workers) as (lookers, judge):
         plan, folder = MatchingPlan(cache_folder(), 1, QUICK), _Folder(project.picture_folder)
-        looks, lag_s, oriented, not_before = dict[Path, Look](), 0.0, 0, 0.0
-        pending = dict[Future[Look], tuple[Path, float]]()
+        looks, lag_s, oriented, not_before = dict[Path, PictureQuality](), 0.0, 0, 0.0
+        pending = dict[Future[PictureQuality], tuple[Path, float]]()
         judging: Future[tuple[Together, ExposureRun | None, float]] | None = None
         together, run = Together(), None
         made, changed = _so_far({}, run, together, 0), True
@@ -153,7 +153,7 @@ def _lately(path: Path) -> bool:
         return False
 
 
-def _ordered(looks: dict[Path, Look]) -> list[Look]:
+def _ordered(looks: dict[Path, PictureQuality]) -> list[PictureQuality]:
     return [looks[path] for path in sorted(looks, key=lambda path: path.name)]
 
 
@@ -162,7 +162,7 @@ class _StoppedError(Exception):
 
 
 def _together(
-    looks: Sequence[Look], last: Sequence[Camera], plan: MatchingPlan, stop: threading.Event
+    looks: Sequence[PictureQuality], last: Sequence[Camera], plan: MatchingPlan, stop: threading.Event
 ) -> tuple[Together, ExposureRun | None, float]:
     """What pictures say together, their exposures, and how long that took, s."""
 
@@ -180,11 +180,13 @@ def _together(
         run = exposures_of_pictures([image_of(path, facts) for path, facts in stated if facts is not None])
     except PhotocalError:
         run = None
-    together = verdict.judged_together(looks, run, Rig(), last, plan, until_stopped)
+    together = verdict.judged_together(looks, run, CameraOnBody(), last, plan, until_stopped)
     return together, run, time.monotonic() - begun
 
 
-def _so_far(looks: dict[Path, Look], run: ExposureRun | None, together: Together, waiting: int) -> Debrief:
+def _so_far(
+    looks: dict[Path, PictureQuality], run: ExposureRun | None, together: Together, waiting: int
+) -> Debrief:
     ordered = _ordered(looks)
     findings = verdict.in_order([*picture_findings(ordered), *together.findings])
     figures = {

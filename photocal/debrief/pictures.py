@@ -40,7 +40,7 @@ _SHARE, _RANGE = 0.2, 40.0
 
 
 @dataclass(frozen=True)
-class Look:
+class PictureQuality:
     """What a picture shows.
 
     facts: None of a file that cannot be read; `refusal` then says why.
@@ -60,8 +60,8 @@ class Look:
     range: float = np.nan
 
 
-def look(task: tuple[Path, MatchingPlan]) -> Look:
-    """Look at a picture; one that cannot be read is a `Look` that says why."""
+def look(task: tuple[Path, MatchingPlan]) -> PictureQuality:
+    """Look at a picture; one that cannot be read is a `PictureQuality` that says why."""
     path, plan = task
 
     def make() -> Arrays:
@@ -77,8 +77,8 @@ def look(task: tuple[Path, MatchingPlan]) -> Look:
         key = combined_key(FEATURES, _LOOK, digest(path), plan.features)
         figures = cached(plan.cache, key, _NAMES, make)["figures"]
     except PhotocalError as refusal:
-        return Look(path, None, refusal.what)
-    return Look(path, facts, "", key, *figures.tolist())
+        return PictureQuality(path, None, refusal.what)
+    return PictureQuality(path, facts, "", key, *figures.tolist())
 
 
 def _softness(grey: NDArray[np.uint8]) -> float:
@@ -109,7 +109,7 @@ def _difference(tile: NDArray[np.float32], down: int, right: int) -> float:
     return float(np.mean((here - there) ** 2))
 
 
-def picture_findings(looks: Sequence[Look]) -> list[Finding]:
+def picture_findings(looks: Sequence[PictureQuality]) -> list[Finding]:
     """Name pictures that cannot be read, are blurred, badly exposed, or of another camera or lens setting."""
     readable = [look for look in looks if look.facts is not None]
     groups = {
@@ -132,14 +132,14 @@ def picture_findings(looks: Sequence[Look]) -> list[Finding]:
     return findings
 
 
-def _about(code: str, group: Sequence[Look], of: int, stated: str = "", usual: str = "") -> Finding:
+def _about(code: str, group: Sequence[PictureQuality], of: int, stated: str = "", usual: str = "") -> Finding:
     names = tuple(look.path.name for look in group)
     reason = next((look.refusal for look in group if look.refusal), "")
     figures = {"n": float(len(names)), "all": float(of), "images": names, "reason": reason}
     return Finding(code, "doubtful", figures={**figures, "told": stated, "usual": usual})
 
 
-def _blurred(looks: Sequence[Look]) -> list[Look]:
+def _blurred(looks: Sequence[PictureQuality]) -> list[PictureQuality]:
     softness = np.log([look.softness for look in looks])
     known = np.isfinite(softness)
     if known.sum() < 5:
@@ -150,7 +150,7 @@ def _blurred(looks: Sequence[Look]) -> list[Look]:
     return [look for look, value in zip(looks, softness, strict=True) if value > limit]
 
 
-def _camera(look: Look) -> str:
+def _camera(look: PictureQuality) -> str:
     facts = look.facts
     if facts is None:
         return ""
@@ -158,7 +158,7 @@ def _camera(look: Look) -> str:
     return " ".join(filter(None, parts))
 
 
-def _lens(look: Look) -> str:
+def _lens(look: PictureQuality) -> str:
     return "" if look.facts is None else f"{look.facts.focal_mm:g} mm"
 
 

@@ -15,7 +15,7 @@ from photocal.base.progress import Progress
 from photocal.base.workers import Workers, run_tasks
 from photocal.block.motion import strips
 from photocal.debrief import pictures
-from photocal.debrief.pictures import Look, Quick, picture_findings
+from photocal.debrief.pictures import PictureQuality, Quick, picture_findings
 from photocal.findings.finding import Finding, Severity, untested
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of
 from photocal.geometry.camera import Camera
@@ -25,7 +25,7 @@ from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposures import Exposures, names_cell, orientations
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.planning.area import LocalPlane
 from photocal.planning.flown import FlownBlock, flown_block, gaps, level_ground
 from photocal.project import Project
@@ -58,7 +58,9 @@ class Coverage:
     area_m2: float
 
 
-def coverage(exposures: Exposures, usable: Flags, rig: Rig, camera: Camera, ground_m: float) -> Coverage:
+def coverage(
+    exposures: Exposures, usable: Flags, rig: CameraOnBody, camera: Camera, ground_m: float
+) -> Coverage:
     """Lay what exposures show onto level ground.
 
     usable (n,): exposures with a good picture.
@@ -144,7 +146,7 @@ class Debrief:
 
     verdict: Finding
     findings: tuple[Finding, ...]
-    looks: tuple[Look, ...]
+    looks: tuple[PictureQuality, ...]
     exposures: ExposureRun | None
     together: Together
 
@@ -158,7 +160,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
     with alone(project.output):
         paths = list_images(project.picture_folder)
         plan = MatchingPlan(cache_folder(), processes, pictures.QUICK)
-        findings, run, rig = list[Finding](), None, Rig()
+        findings, run, rig = list[Finding](), None, CameraOnBody()
         try:
             run, rig, refusal_of_ppk = exposures_of(project, progress)
             if refusal_of_ppk:
@@ -184,9 +186,9 @@ def in_order(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def judged_together(
-    looks: Sequence[Look],
+    looks: Sequence[PictureQuality],
     run: ExposureRun | None,
-    rig: Rig,
+    rig: CameraOnBody,
     last: Sequence[Camera],
     plan: MatchingPlan,
     progress: Progress,
@@ -226,7 +228,7 @@ def _exposure_findings(run: ExposureRun, count: int) -> list[Finding]:
 
 
 def _covered(
-    run: ExposureRun, rig: Rig, good: Sequence[Look], quick: Quick | None
+    run: ExposureRun, rig: CameraOnBody, good: Sequence[PictureQuality], quick: Quick | None
 ) -> tuple[Coverage | None, list[Finding]]:
     exposures, facts = run.exposures, next((look.facts for look in good if look.facts is not None), None)
     ground = _ground(run)

@@ -30,7 +30,7 @@ _STOP_S = 300.0
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparedQuantity:
     """One quantity.
 
     true, estimate, sigma: truth, estimate and its standard deviation.
@@ -55,7 +55,7 @@ class Row:
         return abs(self.deviation) <= self.limit
 
 
-def against_truth(truth: Path, work: Path) -> tuple[Row, ...]:
+def against_truth(truth: Path, work: Path) -> tuple[ComparedQuantity, ...]:
     """Compare a run with the truth of its flight."""
     true = json.loads((truth / "truth.json").read_text(encoding="utf-8"))
     result = read_result(work / "calibration")
@@ -66,26 +66,26 @@ def against_truth(truth: Path, work: Path) -> tuple[Row, ...]:
     return (*rows, *_check_points(check))
 
 
-def _camera(true: dict[str, Any], result: Result) -> Iterator[Row]:
+def _camera(true: dict[str, Any], result: Result) -> Iterator[ComparedQuantity]:
     camera = result.cameras[true["camera"]["id"]]
     for name in camera.free:
         rolls = name == "readout"
         value = float(true["rig"]["readout_s"] if rolls else true["camera"][camera.unit].get(name, 0.0))
         unit = "s" if rolls else camera.unit if name in ("c", "x0", "y0") else ""
-        yield Row(name, unit, value, camera.value(name), camera.sigma_of(name))
+        yield ComparedQuantity(name, unit, value, camera.value(name), camera.sigma_of(name))
 
 
-def _mounting(true: dict[str, Any], result: Result) -> Iterator[Row]:
+def _mounting(true: dict[str, Any], result: Result) -> Iterator[ComparedQuantity]:
     rig, mounting = true["rig"], result.mounting or {}
     truths = [*rig["camera_to_antenna_m"], *rig["boresight_deg"], rig["time_offset_s"]]
     units = ["m"] * 3 + ["deg"] * 3 + ["s"]
     for name, value, unit in zip((*_LEVER, *_BORESIGHT, "time_offset"), truths, units, strict=True):
         parameter = mounting[name]
         if parameter.estimated:
-            yield Row(name.replace("_", " "), unit, value, parameter.value, parameter.sigma)
+            yield ComparedQuantity(name.replace("_", " "), unit, value, parameter.value, parameter.sigma)
 
 
-def _positions(truth: Path, work: Path) -> Iterator[Row]:
+def _positions(truth: Path, work: Path) -> Iterator[ComparedQuantity]:
     """Antenna positions at the events by PPK: root mean square of their errors against 3 cm."""
     true = {row["image"]: row for row in _rows(truth / "exposures.csv")}
     rows = _rows(work / "block" / "positions.csv")
@@ -96,17 +96,17 @@ def _positions(truth: Path, work: Path) -> Iterator[Row]:
     ):
         squares = [(float(row[axis]) - float(true[row["image"]][key])) ** 2 for row in rows]
         rms = math.sqrt(sum(squares) / len(squares))
-        yield Row(f"antenna positions, rms {word}", "m", 0.0, rms, 0.03, 1.0)
+        yield ComparedQuantity(f"antenna positions, rms {word}", "m", 0.0, rms, 0.03, 1.0)
 
 
-def _check_points(check: dict[str, Any]) -> Iterator[Row]:
+def _check_points(check: dict[str, Any]) -> Iterator[ComparedQuantity]:
     """Check points by each method: the root of the mean of d' C^-1 d / 3 is 1 when the prediction holds."""
     for name, method in check["methods"].items():
         count = method["check"]["n"]
         ratio = method["check"]["errors_over_prediction"]
         if count and ratio is not None:
             # Points of one flight share errors: their mean square varies as that of one point at most.
-            yield Row(f"{name}, check errors/prediction", "", 1.0, ratio, 1.0 / math.sqrt(6.0))
+            yield ComparedQuantity(f"{name}, check errors/prediction", "", 1.0, ratio, 1.0 / math.sqrt(6.0))
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
@@ -114,7 +114,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def table(rows: tuple[Row, ...]) -> str:
+def table(rows: tuple[ComparedQuantity, ...]) -> str:
     """Write the comparison for people."""
     lines = [f"{'':<36}{'truth':>13}{'found':>13}{'sigma':>11}{'deviation':>11}"]
     for row in rows:

@@ -20,7 +20,7 @@ from photocal.exchange.dbat_camera import (
     NAMES,
     OURS,
     DbatCamera,
-    Row,
+    DbatRow,
     from_dbat,
     read_rows,
     to_column_row,
@@ -127,7 +127,7 @@ class _Tables:
                 self.read.append(file)
             yield file, element
 
-    def rows(self, section: str, allowed: tuple[str, ...]) -> Iterator[Row]:
+    def rows(self, section: str, allowed: tuple[str, ...]) -> Iterator[DbatRow]:
         for path, element in self.files(section):
             yield from read_rows(path, element.get("format", ""), allowed)
 
@@ -138,7 +138,7 @@ class _Tables:
             if all((name in names) is keep for names, keep in rules):
                 yield parts.PointEntry(name, role, [row.value(axis) for axis in "xyz"], row.sigma())
 
-    def marks(self) -> Iterator[tuple[Row, float | None]]:
+    def marks(self) -> Iterator[tuple[DbatRow, float | None]]:
         for path, element in self.files("image_pts"):
             common = element.get("sxy")
             sigma = None if common is None else number(common, self.path, "sxy")
@@ -153,7 +153,7 @@ def _rule(element: Element, path: Path) -> tuple[set[str], bool]:
     return {name.strip() for name in element.get("id", "").split(",")}, action == "keep"
 
 
-def _mark(row: Row, names: dict[str, str], common: float | None) -> parts.Mark:
+def _mark(row: DbatRow, names: dict[str, str], common: float | None) -> parts.Mark:
     image = row.name("im")
     if image not in names:
         raise row.line.malformed(f"observes image {image}, which is not in the list of images")

@@ -39,7 +39,7 @@ OURS = ("c", "x0", "y0", "B1", "B2", "K1", "K2", "K3", "K4", "P1", "P2")
 
 
 @dataclass(frozen=True)
-class Row:
+class DbatRow:
     """One row of a table; `cells`: text by field, blanks removed."""
 
     line: Line
@@ -68,7 +68,7 @@ class Row:
         return values
 
 
-def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[Row]:
+def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[DbatRow]:
     """Read the rows of a table whose columns a format names."""
     fields = [field.strip() for field in layout.split(",")]
     for field in fields:
@@ -88,7 +88,7 @@ def read_rows(path: Path, layout: str, allowed: tuple[str, ...]) -> Iterator[Row
         row: dict[str, str] = {}
         for field, cell in zip(fields, cells, strict=True):
             row.update(dict.fromkeys(_SPREAD.get(field, (field,)), cell))
-        yield Row(line, row)
+        yield DbatRow(line, row)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ SMALL, LARGE = 1e-3, 1e7
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredText:
     """A value and its standard deviation as text, with the power of ten that belongs to both.
 
     value, sigma: both with the same number of decimals.
@@ -57,7 +57,7 @@ def as_given(value: float, mark: str) -> str:
     return fixed(value, max(decimals_of(abs(value), digits), 0), mark) if value else "0"
 
 
-def measured(value: float, sigma: float, mark: str) -> Measured:
+def measured(value: float, sigma: float, mark: str) -> MeasuredText:
     """Print a value with its standard deviation, both to two digits of the latter."""
     size = max(abs(value), sigma)
     exponent = 0
@@ -65,9 +65,9 @@ def measured(value: float, sigma: float, mark: str) -> Measured:
         exponent = math.floor(math.log10(size))
     scale = 10.0**exponent
     if sigma == 0.0:
-        return Measured(as_given(value / scale, mark), "", exponent)
+        return MeasuredText(as_given(value / scale, mark), "", exponent)
     decimals = decimals_of(sigma / scale)
-    return Measured(fixed(value / scale, decimals, mark), fixed(sigma / scale, decimals, mark), exponent)
+    return MeasuredText(fixed(value / scale, decimals, mark), fixed(sigma / scale, decimals, mark), exponent)
 
 
 def with_sigma(value: float, sigma: float, sign: str = "") -> str:

@@ -77,7 +77,7 @@ def columns(say: Catalogue, section: str, *heads: str) -> tuple[Column, ...]:
 
 
 @dataclass(frozen=True)
-class Table:
+class TablePart:
     """A table with its caption above and its note beneath.
 
     dense: whether it has so many columns that small type is needed.
@@ -93,18 +93,18 @@ class Table:
     widths: tuple[float, ...] = ()
 
 
-def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> Table:
+def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> TablePart:
     """Make a table of figures; its first column has names, one whose head ends in "<" has text."""
     lefts = (k == 0 or head.endswith("<") for k, head in enumerate(heads))
     columns = tuple(
         Column(head.rstrip("<"), align="left" if left else "right")
         for head, left in zip(heads, lefts, strict=True)
     )
-    return Table(caption, columns, tuple(map(tuple, rows)), note)
+    return TablePart(caption, columns, tuple(map(tuple, rows)), note)
 
 
 @dataclass(frozen=True)
-class Figure:
+class PicturePart:
     """A picture.
 
     name: short name, unique within the document.
@@ -124,7 +124,7 @@ class Signature:
     lines: tuple[str, ...]
 
 
-Piece = Paragraph | Statement | Remarks | KeyValues | Table | Figure | Signature
+Piece = Paragraph | Statement | Remarks | KeyValues | TablePart | PicturePart | Signature
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def text(sections: Sequence[Section]) -> str:
 
 def _lines(piece: Piece) -> str:
     match piece:
-        case Table():
+        case TablePart():
             return "\n".join(filter(None, (piece.caption, aligned(piece.columns, piece.rows), piece.note)))
         case KeyValues(rows):
             return aligned((Column("", align="left"),) * 2, rows)
@@ -186,7 +186,7 @@ def _lines(piece: Piece) -> str:
             return f"{piece.title}: {piece.text}"
         case Signature(lines):
             return "\n".join(lines)
-        case Figure():
+        case PicturePart():
             return ""
     return piece.text
 
@@ -210,7 +210,7 @@ def markdown(title: str, sections: Sequence[Section]) -> str:
     for section in sections:
         blocks += [f"## {section.title}"] if section.title else []
         for piece in section.pieces:
-            if isinstance(piece, Table):
+            if isinstance(piece, TablePart):
                 table = [_heads(piece.columns), ["---"] * len(piece.columns), *piece.rows]
                 lines = "\n".join(f"| {' | '.join(row)} |" for row in table)
                 blocks += [part for part in (piece.caption, lines, piece.note) if part]
@@ -226,7 +226,7 @@ def html(document: Document) -> str:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup
 
-    figures = [piece for piece in _pieces(document) if isinstance(piece, Figure)]
+    figures = [piece for piece in _pieces(document) if isinstance(piece, PicturePart)]
     numbers = numbered(document)
     pages = Environment(loader=FunctionLoader(_text), autoescape=True, undefined=StrictUndefined)
     text = pages.get_template(HTML_TEMPLATE).render(
@@ -241,7 +241,7 @@ def html(document: Document) -> str:
 def numbered(document: Document) -> dict[int, int]:
     """Number the tables and the figures, each kind from 1 on, as they stand: equal ones are two."""
     numbers: dict[int, int] = {}
-    for kind in (Table, Figure):
+    for kind in (TablePart, PicturePart):
         pieces = [piece for piece in _pieces(document) if isinstance(piece, kind)]
         numbers.update({id(piece): number for number, piece in enumerate(pieces, start=1)})
     return numbers
@@ -251,7 +251,7 @@ def _pieces(document: Document) -> list[object]:
     return [piece for section in document.sections for piece in section.pieces]
 
 
-def _inline(figure: Figure) -> str:
+def _inline(figure: PicturePart) -> str:
     """Make the ids of a picture its own, as several stand in one page, and name it for a screen reader."""
     from markupsafe import escape
 
@@ -295,7 +295,7 @@ def as_json(document: Document) -> dict[str, Any]:
         more: dict[str, Any] = {"kind": type(part).__name__}
         if id(part) in numbers:
             more["number"] = numbers[id(part)]
-        if isinstance(part, Table):
+        if isinstance(part, TablePart):
             texts = zip(*[(c.head, c.unit) for c in part.columns], strict=True)
             # The longest text shares the width; a digest is set in very small type.
             more["shares"] = [

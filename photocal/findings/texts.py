@@ -15,7 +15,7 @@ from photocal.base.arrays import as_plain
 from photocal.base.codec import from_plain
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.findings.digits import Measured, Number, as_given, fixed, measured, significant, symbol
+from photocal.findings.digits import MeasuredText, Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
@@ -50,7 +50,7 @@ class Catalogue:
         """See `digits.as_given`."""
         return as_given(value, self.mark)
 
-    def measured(self, value: float, sigma: float) -> Measured:
+    def measured(self, value: float, sigma: float) -> MeasuredText:
         """See `digits.measured`."""
         return measured(value, sigma, self.mark)
 

@@ -15,7 +15,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
 
 
-class Frame(Protocol):
+class LocalFrame(Protocol):
     """Coordinates as given, and the local right-handed Cartesian frame in metres."""
 
     def to_local(self, given: Floats) -> Floats:
@@ -38,15 +38,15 @@ class ShiftedFrame:
     origin: Floats
 
     def to_local(self, given: Floats) -> Floats:
-        """See `Frame`."""
+        """See `LocalFrame`."""
         return np.asarray(given - self.origin)
 
     def to_given(self, local: Floats) -> Floats:
-        """See `Frame`."""
+        """See `LocalFrame`."""
         return np.asarray(local + self.origin)
 
     def derivative(self, given: Floats) -> Floats:
-        """See `Frame`."""
+        """See `LocalFrame`."""
         return np.broadcast_to(np.eye(3), (len(given), 3, 3))
 
 
@@ -99,7 +99,7 @@ class ReferenceFrame:
         return geocentric(latitude, longitude, height, self._ellipsoid)
 
     def to_local(self, given: Floats) -> Floats:
-        """See `Frame`."""
+        """See `LocalFrame`."""
         origin, rotation = self.axes
         local = np.full(given.shape, np.nan)
         known = np.isfinite(given).all(axis=1)
@@ -108,13 +108,13 @@ class ReferenceFrame:
         return local
 
     def to_given(self, local: Floats) -> Floats:
-        """See `Frame`."""
+        """See `LocalFrame`."""
         origin, rotation = self.axes
         latitude, longitude, height = geodetic(local @ rotation + origin, self._ellipsoid)
         return np.column_stack(self._to_geodetic.transform(longitude, latitude, height, direction="INVERSE"))
 
     def derivative(self, given: Floats) -> Floats:
-        """See `Frame`."""
+        """See `LocalFrame`."""
         geographic = parsed(self.crs).is_geographic
         steps = np.array([1e-5, 1e-5, 1.0]) if geographic else np.ones(3)
         columns = [

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from photocal.base.arrays import Floats, Integers
 from photocal.geometry.camera import SHAKE_DEGREES, Camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
-from photocal.geometry.frames import Frame, nearest_rotation
+from photocal.geometry.frames import LocalFrame, nearest_rotation
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 
 # From a line's place to the pose and back: each time a hundredth of the change is left, or less.
@@ -108,7 +108,7 @@ class OrientedImages:
         camera = np.where(lost, -1, np.r_[self.camera, -1][rows])
         return OrientedImages(tuple(names), self.cameras, camera, padded[rows], movement=moved)
 
-    def in_local(self, frame: Frame) -> Self:
+    def in_local(self, frame: LocalFrame) -> Self:
         """Give the images in local coordinates, without covariance."""
         movement = None if self.movement is None else self.movement.copy()
         if movement is not None:
@@ -213,7 +213,7 @@ def oriented_images(
     return OrientedImages(numbered, tuple(cameras), np.asarray(camera, dtype=np.int64), values)
 
 
-def local_poses(frame: Frame, given: Floats) -> Floats:
+def local_poses(frame: LocalFrame, given: Floats) -> Floats:
     """Exterior orientations (n, 6) in local coordinates.
 
     Given angles refer to the given axes at each image.
@@ -221,13 +221,13 @@ def local_poses(frame: Frame, given: Floats) -> Floats:
     return np.hstack([_turned(frame, given[:, :3], given[:, 3:], back=False), frame.to_local(given[:, 3:])])
 
 
-def given_poses(frame: Frame, local: Floats) -> Floats:
+def given_poses(frame: LocalFrame, local: Floats) -> Floats:
     """Exterior orientations (n, 6) in the given coordinates: the way back from `local_poses`."""
     place = given_places(frame, local[:, 3:])
     return np.hstack([_turned(frame, local[:, :3], place, back=True), place])
 
 
-def given_places(frame: Frame, local: Floats) -> Floats:
+def given_places(frame: LocalFrame, local: Floats) -> Floats:
     """Points in the given coordinates, shape (n, 3); NaN where unknown."""
     known = np.isfinite(local).all(axis=1)
     given = np.full(local.shape, np.nan)
@@ -236,7 +236,7 @@ def given_places(frame: Frame, local: Floats) -> Floats:
     return given
 
 
-def _turned(frame: Frame, angles: Floats, places: Floats, *, back: bool) -> Floats:
+def _turned(frame: LocalFrame, angles: Floats, places: Floats, *, back: bool) -> Floats:
     known = np.isfinite(angles).all(axis=1) & np.isfinite(places).all(axis=1)
     result = angles.copy()
     turn = nearest_rotation(frame.derivative(places[known])) if known.any() else np.eye(3)

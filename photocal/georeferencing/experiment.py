@@ -69,7 +69,7 @@ class Experiment:
 
 
 @dataclass(frozen=True)
-class Run:
+class ExperimentRun:
     """One run.
 
     without_trend: RMSE after the mean of biased components is removed, m.
@@ -102,20 +102,20 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Pair:
+class RunPair:
     """Two runs that differ by their interior orientation only.
 
     check, all (3,): RMSE of the differences in X, Y, Z at the check points, and at all ground points, m.
     """
 
-    first: Run
-    second: Run
+    first: ExperimentRun
+    second: ExperimentRun
     check: Floats
     all: Floats
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class WithoutControlPoint:
     """A control point that was left out, so that the others judge it.
 
     d, sigma, w (3,): computed minus surveyed, its predicted sigma, m; d over sigma.
@@ -130,14 +130,14 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ExperimentOutcome:
     """All runs of an experiment."""
 
-    runs: tuple[Run, ...]
-    left_out: tuple[LeftOut, ...]
+    runs: tuple[ExperimentRun, ...]
+    left_out: tuple[WithoutControlPoint, ...]
 
     @property
-    def pairs(self) -> tuple[Pair, ...]:
+    def pairs(self) -> tuple[RunPair, ...]:
         """Runs of one method, pattern and use pair by pair, without those that failed."""
         return tuple(
             _pair(a, b)
@@ -146,17 +146,17 @@ class Outcome:
         )
 
 
-def _pair(first: Run, second: Run) -> Pair:
+def _pair(first: ExperimentRun, second: ExperimentRun) -> RunPair:
     """Compare the points that both runs have."""
     at = {name: k for k, name in enumerate(second.points)}
     both = [(k, at[name]) for k, name in enumerate(first.points) if name in at]
     d = np.array([first.xyz[k] - second.xyz[other] for k, other in both]).reshape(-1, 3)
     checks = set(first.check.names if first.check else ())
     at_checks = np.array([first.points[k] in checks for k, _ in both], dtype=np.bool_)
-    return Pair(first, second, rms(d[at_checks]), rms(d))
+    return RunPair(first, second, rms(d[at_checks]), rms(d))
 
 
-def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> Outcome:
+def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: None) -> ExperimentOutcome:
     """Run an experiment."""
     block = with_attitude_angles(checkable(in_local_frame(experiment.block)))
     surveyed = np.flatnonzero(np.isfinite(block.points.sigma).any(axis=1))
@@ -181,7 +181,7 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
                 runs.append(_run(setup, method, interior, use, pattern, experiment.confidence, reference))
                 done()
     left = _leave_one_out(block, experiment.methods, done) if experiment.leave_one_out else ()
-    return Outcome(tuple(runs), left)
+    return ExperimentOutcome(tuple(runs), left)
 
 
 def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
@@ -220,16 +220,16 @@ def _run(
     pattern: Pattern,
     confidence: float,
     reference: Floats | None,
-) -> Run:
+) -> ExperimentRun:
     head = (interior, use, pattern[0], method, len(pattern[1]))
     try:
         result = of_method(block, method)
     except PhotocalError as refusal:
-        return Run(*head, None, (), (), float("nan"), str(refusal))
+        return ExperimentRun(*head, None, (), (), float("nan"), str(refusal))
     check = differences(block, result, "check")
     figures = [moments(column) for column in check.d.T] if len(check.d) else []
     enough = len(check.d) > 1
-    return Run(
+    return ExperimentRun(
         *head,
         check,
         tuple(bias_test(m, confidence) for m in figures) if enough else (),
@@ -245,7 +245,7 @@ def _run(
 
 def _leave_one_out(
     block: Block, methods: tuple[Method, ...], done: Callable[[], None]
-) -> tuple[LeftOut, ...]:
+) -> tuple[WithoutControlPoint, ...]:
     control = np.flatnonzero(block.points.of_role("control"))
     nothing = np.full(3, np.nan)
     left = []
@@ -260,11 +260,11 @@ def _leave_one_out(
                 failure = str(refusal)
             done()
             if check is None or name not in check.names:
-                left.append(LeftOut(method, name, nothing, nothing, nothing, failure))
+                left.append(WithoutControlPoint(method, name, nothing, nothing, nothing, failure))
                 continue
             k = check.names.index(name)
             sigma = np.sqrt(np.diag(check.covariance[k]))
-            left.append(LeftOut(method, name, check.d[k], sigma, check.w[k], ""))
+            left.append(WithoutControlPoint(method, name, check.d[k], sigma, check.w[k], ""))
     return tuple(left)
 
 
@@ -381,7 +381,7 @@ def _patterns(control: _Control, block: Block, path: Path) -> tuple[Pattern, ...
 
 def control_numbers(
     block: Block, counts: Iterable[int] = COUNTS, seed: int = 0, done: Callable[[], None] = lambda: None
-) -> tuple[Outcome, dict[str, Any]]:
+) -> tuple[ExperimentOutcome, dict[str, Any]]:
     """Repeat the adjustment with several numbers of control points.
 
     raises ConfigurationError: with fewer than two surveyed points.
@@ -411,7 +411,7 @@ def control_numbers(
     }
 
 
-def _by_number(outcome: Outcome) -> list[dict[str, Any]]:
+def _by_number(outcome: ExperimentOutcome) -> list[dict[str, Any]]:
     rows = []
     for count in sorted({run.control for run in outcome.runs}):
         runs = [run for run in outcome.runs if run.control == count]

@@ -12,7 +12,7 @@ from photocal.base.arrays import as_plain, picked
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.findings.document import Section, table, text
 from photocal.georeferencing.differences import Differences, rms
-from photocal.georeferencing.experiment import LeftOut, Outcome, Pair, Run
+from photocal.georeferencing.experiment import ExperimentOutcome, ExperimentRun, RunPair, WithoutControlPoint
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,7 +23,7 @@ SCHEMA = "photocal.experiment/2"
 _AXES = ("x", "y", "z")
 
 
-def rmse_plot(outcome: Outcome) -> "Figure | None":
+def rmse_plot(outcome: ExperimentOutcome) -> "Figure | None":
     """Draw the RMSE at the check points of every run, with the predicted sigma as a line across each bar."""
     from matplotlib.figure import Figure
 
@@ -46,7 +46,7 @@ def rmse_plot(outcome: Outcome) -> "Figure | None":
     return figure
 
 
-def control_plot(outcome: Outcome) -> "Figure | None":
+def control_plot(outcome: ExperimentOutcome) -> "Figure | None":
     """Draw the RMSE at the check points against the number of control points, predicted sigma broken."""
     from matplotlib.figure import Figure
 
@@ -81,7 +81,7 @@ def control_plot(outcome: Outcome) -> "Figure | None":
     return figure
 
 
-def to_json(outcome: Outcome) -> dict[str, Any]:
+def to_json(outcome: ExperimentOutcome) -> dict[str, Any]:
     """Give an experiment's results as a JSON value."""
     content: dict[str, Any] = {
         "schema": SCHEMA,
@@ -97,7 +97,7 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
     return {key: as_plain(part) for key, part in content.items()}
 
 
-def to_text(outcome: Outcome) -> str:
+def to_text(outcome: ExperimentOutcome) -> str:
     """Write an experiment's results for people."""
     heads = ("run", "control", "check", "X", "Y", "Z", "sX", "sY", "sZ", "t<")
     heads_of_poses = ("run", "residuals x", "y", "X", "Y", "Z", "omega", "phi", "kappa")
@@ -133,11 +133,11 @@ def _cells(values: Iterable[float], form: str) -> list[str]:
     return [f"{value:{form}}" for value in values]
 
 
-def _left_cells(case: LeftOut) -> list[str]:
+def _left_cells(case: WithoutControlPoint) -> list[str]:
     return [*_cells(case.d, "+.4f"), *_cells(case.w, ".2f"), ""]
 
 
-def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
+def write_experiment(outcome: ExperimentOutcome, folder: Path) -> tuple[str, ...]:
     """Write the results of an experiment; raises OutputError when the folder cannot be written."""
     texts = {"runs.csv": _csv([_flat(run) for run in outcome.runs])}
     if outcome.pairs:
@@ -153,7 +153,7 @@ def write_experiment(outcome: Outcome, folder: Path) -> tuple[str, ...]:
     return ("experiment.json", *texts, *figures)
 
 
-def _run(run: Run) -> dict[str, Any]:
+def _run(run: ExperimentRun) -> dict[str, Any]:
     return {
         **_flat(run),
         "points": []
@@ -165,7 +165,7 @@ def _run(run: Run) -> dict[str, Any]:
     }
 
 
-def _flat(run: Run) -> dict[str, Any]:
+def _flat(run: ExperimentRun) -> dict[str, Any]:
     check, none = run.check, [None] * 3
     rmse, sigma = (np.full((2, 3), np.nan)) if check is None else (check.rmse, check.predicted)
     poses = np.full(6, np.nan) if run.exposures is None else run.exposures.rmse
@@ -186,13 +186,13 @@ def _by_axis(name: str, values: Iterable[float], axes: tuple[str, ...] = _AXES) 
     return {name.format(axis): value for axis, value in zip(axes, values, strict=False)}
 
 
-def _pair(pair: Pair) -> dict[str, Any]:
+def _pair(pair: RunPair) -> dict[str, Any]:
     row = picked(pair.first, "use", "pattern", "method", first="interior")
     row["second"] = pair.second.interior
     return row | _by_axis("check_rmse_{}_m", pair.check) | _by_axis("all_rmse_{}_m", pair.all)
 
 
-def _left(case: LeftOut) -> dict[str, Any]:
+def _left(case: WithoutControlPoint) -> dict[str, Any]:
     figures = _by_axis("d{}_m", case.d) | _by_axis("s{}_m", case.sigma) | _by_axis("w{}", case.w)
     return {**picked(case, "method", "point"), **figures, "failure": case.failure}
 

@@ -8,7 +8,7 @@ from photocal.adjustment.mounting import NO_MOUNTING, STRIPS, Attitudes, Mountin
 from photocal.adjustment.network import covariance_matrices
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import block_frame, local_positions
-from photocal.geometry.frames import Frame
+from photocal.geometry.frames import LocalFrame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles, turn_per_angle
 
@@ -39,7 +39,7 @@ def in_local_frame(block: Block) -> Block:
     )
 
 
-def _points(points: ObjectPoints, frame: Frame) -> ObjectPoints:
+def _points(points: ObjectPoints, frame: LocalFrame) -> ObjectPoints:
     """Points with their covariance, where all three coordinates have a sigma."""
     whole = np.isfinite(points.sigma).all(axis=1) & np.isfinite(points.values).all(axis=1)
     given = np.zeros_like(points.values) if points.cross is None else points.cross

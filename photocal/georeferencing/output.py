@@ -17,7 +17,7 @@ from photocal.base import policy
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.base.geopackage import ReferenceSystem
-from photocal.findings.document import Paragraph, Piece, Remarks, Section, Table, markdown, table, text
+from photocal.findings.document import Paragraph, Piece, Remarks, Section, TablePart, markdown, table, text
 from photocal.findings.finding import verdict
 from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
 from photocal.georeferencing.comparison import BlockCheck, Judged
@@ -31,7 +31,7 @@ _AXES = ("X", "Y", "Z")
 _POSE = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 
 
-def _standards(check: BlockCheck) -> list[Table]:
+def _standards(check: BlockCheck) -> list[TablePart]:
     """Give one row for each statement, one column for each method that has check points."""
     judged = [(entry.result.method, entry.assessment) for entry in check.judged]
     known = [(method, assessment) for method, assessment in judged if assessment is not None]

@@ -15,7 +15,7 @@ PIXEL_ORIGIN = "centre of the upper-left stored pixel is (0, 0); EXIF orientatio
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredBlock:
     """A block that was measured, and how.
 
     Attributes

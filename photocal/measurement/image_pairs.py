@@ -8,7 +8,7 @@ import numpy as np
 
 from photocal.base.arrays import Floats, Integers
 from photocal.block.model import Images, ObjectPoints
-from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
+from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.measurement.image_facts import ImageFacts
@@ -80,7 +80,9 @@ def exposed_footprints(
     places = np.vstack([starts.values[:, 3:], control.values])
     middle = np.nanmean(places, axis=0)
     local = project.crs == "local"
-    frame: Frame = ShiftedFrame(middle) if local else reference_frame(project.crs, project.height, middle)
+    frame: LocalFrame = (
+        ShiftedFrame(middle) if local else reference_frame(project.crs, project.height, middle)
+    )
     poses = local_poses(frame, starts.values)
     view = -matrix_from_angles(poses[:, :3])[:, 2]
     ground = float(np.mean(frame.to_local(control.values)[:, 2]))

@@ -6,7 +6,7 @@ from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError
 from photocal.base.progress import Progress, quiet
 from photocal.base.workers import Cluster
-from photocal.measurement.block_files import Measured
+from photocal.measurement.block_files import MeasuredBlock
 from photocal.measurement.boards import parse_board
 from photocal.measurement.image_file import list_images
 from photocal.measurement.maker_camera import GivenLens
@@ -20,7 +20,7 @@ from photocal.project import Project
 
 def measure(
     pictures: Project | Path | str, options: MeasureOptions | None = None, progress: Progress = quiet
-) -> Measured:
+) -> MeasuredBlock:
     """Measure pictures, and make the block that `photocal.adjust` takes.
 
     Parameters

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from photocal.base.arrays import Flags, Floats
 from photocal.block.folder import read_images
 from photocal.geometry.camera import PARAMETERS
-from photocal.geometry.frames import Frame, ShiftedFrame, reference_frame
+from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.project import Project
 from photocal.results.folder import RESULT, image_covariances, read_result
@@ -29,7 +29,7 @@ class Orientation:
     height: str
     source: str
 
-    def to_local(self, points: Floats) -> Frame:
+    def to_local(self, points: Floats) -> LocalFrame:
         """Give the Cartesian frame about the middle of images and points, shape (n, 3)."""
         middle = np.nanmean(np.vstack([self.images.station, points]), axis=0)
         if self.frame == "local":

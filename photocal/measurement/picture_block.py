@@ -19,7 +19,7 @@ from photocal.block.table import known_rows, read_table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import as_record
 from photocal.geometry.camera import Camera, among
-from photocal.measurement.block_files import Measured
+from photocal.measurement.block_files import MeasuredBlock
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
@@ -44,7 +44,7 @@ from photocal.measurement.measurement_record import (
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
 from photocal.measurement.patch_matching import Source
-from photocal.measurement.plain_targets import Targets, targets_of_project
+from photocal.measurement.plain_targets import FoundTargets, targets_of_project
 from photocal.measurement.position_files import Given, local_places, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
@@ -131,7 +131,7 @@ def measure_images(
     progress: Progress,
     lens: GivenLens = NO_LENS,
     control: GivenControl | None = None,
-) -> Measured:
+) -> MeasuredBlock:
     """Measure tie points in images, join them with marked control points, and make their block.
 
     raises PhotocalError: when the file or too few images can be read, or the images are not oriented.
@@ -168,7 +168,7 @@ def measure_project(
     plan: MatchingPlan,
     progress: Progress,
     marks_files: Sequence[Path] = (),
-) -> Measured:
+) -> MeasuredBlock:
     """Measure the images of a project.
 
     exposures: exterior orientations of some or all images in the project's system, NaN where unknown: good to
@@ -216,7 +216,7 @@ def measure_project(
 
 
 @one_crew()
-def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> Measured:
+def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> MeasuredBlock:
     """Track features, orient the images by them, and measure tie points; targets and marks with them."""
     tracked = track_images(known.paths, plan, progress, known.footprints, known.stated)
     project, given = known.project, None
@@ -265,7 +265,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         "suspected_marks": suspects,
         **as_record([*targets.findings, *bare, *findings, *marks]),
     }
-    return Measured(measured, record)
+    return MeasuredBlock(measured, record)
 
 
 def _start(
@@ -316,9 +316,9 @@ def _targets(
     points: ObjectPoints,
     plan: MatchingPlan,
     progress: Progress,
-) -> Targets:
+) -> FoundTargets:
     if known.project is None:
-        return Targets((), (), {}, ())
+        return FoundTargets((), (), {}, ())
     return targets_of_project(known.project, sources, known.exposures, points, plan.processes, progress)
 
 

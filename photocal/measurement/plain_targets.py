@@ -184,7 +184,7 @@ def _unsure(camera: Camera) -> Camera:
 
 
 @dataclass(frozen=True)
-class Targets:
+class FoundTargets:
     """Targets that were found in the images of a project.
 
     strangers: codes without a name.
@@ -204,7 +204,7 @@ def targets_of_project(
     control: ObjectPoints,
     workers: Workers,
     progress: Progress,
-) -> Targets:
+) -> FoundTargets:
     """Find the targets of a project."""
     given = project.control
     marks: list[Mark] = []
@@ -234,7 +234,7 @@ def targets_of_project(
         findings += [Finding("target-too-small", "doubtful", refusal) for refusal in plain.too_small]
         if plain.sought and not plain.marks:
             findings.append(Finding("no-target-found", "doubtful", kinds, {"n": float(plain.sought)}))
-    return Targets(tuple(marks), tuple(strangers), record, tuple(findings))
+    return FoundTargets(tuple(marks), tuple(strangers), record, tuple(findings))
 
 
 def _require_points(project: Project, control: ObjectPoints) -> None:

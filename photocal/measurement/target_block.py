@@ -17,7 +17,7 @@ from photocal.block.network import assemble
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.resection import resection
 from photocal.geometry.rotation import angles_from_matrix
-from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA, Measured
+from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA, MeasuredBlock
 from photocal.measurement.boards import Board, find_board
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, read_grey
@@ -50,7 +50,7 @@ class TargetView:
         return replace(self, point=self.point[kept], pixels=self.pixels[kept], sigma=self.sigma[kept])
 
 
-def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Progress) -> Measured:
+def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Progress) -> MeasuredBlock:
     """Measure a board in pictures and make the block that calibrates the camera; the board's points are held.
 
     raises InputNotFoundError: when too few pictures show the board.
@@ -83,7 +83,7 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Prog
     )
     block, record = _measured(_block(views, used, points, name), views, left_out)
     given = {"squares": [board.columns, board.rows], "square_m": board.square_m, "kind": board.kind}
-    return Measured(block, {"schema": SCHEMA, "kind": "board", "board": given, **record})
+    return MeasuredBlock(block, {"schema": SCHEMA, "kind": "board", "board": given, **record})
 
 
 def measure_field(
@@ -93,7 +93,7 @@ def measure_field(
     name: str,
     lens: GivenLens,
     progress: Progress,
-) -> Measured:
+) -> MeasuredBlock:
     """Measure the corners of coded targets without coordinates and make the block that calibrates the camera.
 
     distances: CSV with the columns from, to, value, sigma (m) between corners; without, the unit is free.
@@ -142,7 +142,7 @@ def measure_field(
     # Sigmas from the residuals are not tested with them.
     block = replace(block, global_test=(0.95, "none"))
     given = {"dictionary": dictionary_name, "targets": targets, "distances": len(block.relations.values)}
-    return Measured(block, {"schema": SCHEMA, "kind": "field of coded targets", **given, **record})
+    return MeasuredBlock(block, {"schema": SCHEMA, "kind": "field of coded targets", **given, **record})
 
 
 def _block(views: Sequence[TargetView], numbers: Integers, points: ObjectPoints, name: str) -> Block:

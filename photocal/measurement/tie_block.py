@@ -10,7 +10,7 @@ from photocal.base.policy import LEAST_CHECKED
 from photocal.block.model import ROLES, Block
 from photocal.block.network import block_frame, observed_pixels, observed_plane
 from photocal.geometry.distortion import slopes_of
-from photocal.geometry.frames import Frame
+from photocal.geometry.frames import LocalFrame
 from photocal.geometry.oriented_images import OrientedImages, given_places, given_poses, local_poses
 from photocal.geometry.resection import intersect, ray_residuals
 from photocal.geometry.rotation import matrix_from_angles
@@ -119,7 +119,7 @@ def spread(views: OrientedImages, tracks: Tracks, points: Floats) -> Floats:
     return angle
 
 
-def views_of(block: Block, frame: Frame) -> OrientedImages:
+def views_of(block: Block, frame: LocalFrame) -> OrientedImages:
     """Give a block's images at their present values in a local frame; NaN where they are not oriented.
 
     They move during their readout as is known before an adjustment.

@@ -18,7 +18,7 @@ _DEFAULT_WANDER = np.radians(3.0)
 
 
 @dataclass(frozen=True)
-class Attitudes:
+class AttitudeSeries:
     """Rotations at instants.
 
     rotation (n, 3, 3): from east, north, up to body axes (forward, right, down); NaN where unknown.
@@ -48,25 +48,27 @@ class Attitudes:
             [np.arctan2(r[:, 1, 2], r[:, 2, 2]), pitch, np.arctan2(r[:, 0, 1], r[:, 0, 0])], axis=1
         )
 
-    def turned(self, matrix: Floats) -> "Attitudes":
+    def turned(self, matrix: Floats) -> "AttitudeSeries":
         """Return the rotations of other axes that are fixed to the body: matrix times rotation."""
-        return Attitudes(matrix @ self.rotation, self.rate @ matrix.T, matrix @ self.covariance @ matrix.T)
+        return AttitudeSeries(
+            matrix @ self.rotation, self.rate @ matrix.T, matrix @ self.covariance @ matrix.T
+        )
 
 
-def no_attitudes(count: int) -> Attitudes:
+def no_attitudes(count: int) -> AttitudeSeries:
     """Return unknown rotations."""
     unknown = np.full((count, 3, 3), np.nan)
-    return Attitudes(unknown, np.zeros((count, 3)), unknown.copy())
+    return AttitudeSeries(unknown, np.zeros((count, 3)), unknown.copy())
 
 
-def from_angles(angles: Floats, sigma: Floats | None) -> Attitudes:
+def from_angles(angles: Floats, sigma: Floats | None) -> AttitudeSeries:
     """Return the rotations of roll, pitch, yaw with their standard deviations."""
     rotation, turn = object_to_body(angles)
     rate = np.zeros((len(angles), 3))
     if sigma is None:
-        return Attitudes(rotation, rate, np.full((len(angles), 3, 3), np.nan))
+        return AttitudeSeries(rotation, rate, np.full((len(angles), 3, 3), np.nan))
     spread = np.broadcast_to(np.asarray(sigma, np.float64), angles.shape)
-    return Attitudes(rotation, rate, turn @ (spread[:, :, None] ** 2 * np.swapaxes(turn, 1, 2)))
+    return AttitudeSeries(rotation, rate, turn @ (spread[:, :, None] ** 2 * np.swapaxes(turn, 1, 2)))
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def rotations_of_quaternions(wxyz: Floats) -> Floats:
     return np.asarray(from_ned.as_matrix() @ TO_NED)
 
 
-def at_instants(track: AttitudeTrack, time: GpsTime, sigma: Floats | None) -> Attitudes:
+def at_instants(track: AttitudeTrack, time: GpsTime, sigma: Floats | None) -> AttitudeSeries:
     """Return the rotations at instants by spherical interpolation (Shoemake 1985, section 3.3)."""
     n = len(time)
     if len(track) < 2:
@@ -114,7 +116,9 @@ def at_instants(track: AttitudeTrack, time: GpsTime, sigma: Floats | None) -> At
     q = _wander(track, time[near])
     variance = q**2 * (4 * u * (1 - u) * gap)[:, None]
     if sigma is not None:
-        part = Attitudes(attitudes.rotation[near], attitudes.rate[near], np.zeros((int(near.sum()), 3, 3)))
+        part = AttitudeSeries(
+            attitudes.rotation[near], attitudes.rate[near], np.zeros((int(near.sum()), 3, 3))
+        )
         stated = from_angles(part.angles, sigma).covariance
         attitudes.covariance[near] = stated + variance[:, :, None] * np.eye(3)
     return attitudes

@@ -32,7 +32,7 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class Mark:
+class GroundMark:
     """A mark whose position is known: earth-centred position and covariance (zero: held)."""
 
     name: str
@@ -97,7 +97,7 @@ class NetworkSolution:
         return global_test(self.sigma0_squared * self.degrees_of_freedom, self.degrees_of_freedom)
 
 
-def adjust_baselines(baselines: list[Baseline], control: list[Mark]) -> NetworkSolution:
+def adjust_baselines(baselines: list[Baseline], control: list[GroundMark]) -> NetworkSolution:
     """Adjust a network of baselines and leave out those that an outlier test rejects, one at a time."""
     if not control:
         raise IllPosedError("no known mark: the network can lie anywhere", "give one known position")
@@ -112,7 +112,7 @@ def adjust_baselines(baselines: list[Baseline], control: list[Mark]) -> NetworkS
 
 
 def _adjust(
-    baselines: list[Baseline], control: list[Mark]
+    baselines: list[Baseline], control: list[GroundMark]
 ) -> tuple[NetworkSolution, tuple[int, Blunder] | None]:
     held = {mark.name: mark for mark in control}
     names = list(dict.fromkeys([*held, *(n for b in baselines for n in (b.start, b.end))]))
@@ -199,7 +199,7 @@ def _local(moved: Floats, places: Floats, detectable: Floats) -> Floats:
     return np.asarray(effects.reshape(-1, 3, len(places), 3))
 
 
-def _start(baselines: list[Baseline], held: dict[str, Mark], names: list[str]) -> dict[str, Floats]:
+def _start(baselines: list[Baseline], held: dict[str, GroundMark], names: list[str]) -> dict[str, Floats]:
     """Return start positions, carried on from mark to mark."""
     known = {name: mark.xyz_m for name, mark in held.items()}
     while True:

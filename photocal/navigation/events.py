@@ -19,7 +19,7 @@ from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
 from photocal.navigation.device_clocks import AutopilotClock
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime
-from photocal.navigation.trajectory import Placed
+from photocal.navigation.trajectory import InterpolatedPositions
 
 RISING, FALLING = "rising", "falling"
 _COUNTER = 1 << 16
@@ -229,7 +229,7 @@ class CameraEventList:
 
     events: Events
     offset_enu_m: Floats
-    placed: Placed
+    placed: InterpolatedPositions
 
 
 def read_mrk(path: Path) -> CameraEventList:
@@ -265,5 +265,5 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
     time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])
     events = Events(name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
     status = [_STATUS.get(int(q), "single") for q in t[:, 12]]
-    placed = Placed.stated(t[:, 6:9], t[:, [10, 9, 11]], status)
+    placed = InterpolatedPositions.stated(t[:, 6:9], t[:, [10, 9, 11]], status)
     return CameraEventList(events, np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3, placed)

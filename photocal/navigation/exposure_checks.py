@@ -13,7 +13,7 @@ from photocal.navigation.exposures import Exposures
 from photocal.navigation.image_metadata import ImageMetadata, stated_places
 from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
-from photocal.navigation.rig import Rig, check_mounting
+from photocal.navigation.rig import CameraOnBody, check_mounting
 from photocal.navigation.time import leap_seconds
 from photocal.navigation.trajectory import Trajectory, plainly
 from photocal.navigation.vehicle import VehicleTrack
@@ -32,7 +32,7 @@ class Evidence:
     others: other events of the logs.
     """
 
-    rig: Rig
+    rig: CameraOnBody
     events: Events
     others: list[Events]
     antenna: Exposures

@@ -13,7 +13,7 @@ from photocal.base.geodesy import enu_axes, enu_offsets
 from photocal.navigation.exposure_run import ExposureRun
 from photocal.navigation.exposure_sources import ELLIPSOIDAL
 from photocal.navigation.exposures import Exposures, Orientations, names_cell, orientations
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.trajectory import COLUMNS, LARGEST_GAP_S, covariance_cells
 
 COLOURS = {"fixed": "tab:green", "float": "tab:orange", "single": "tab:red"}
@@ -127,7 +127,7 @@ def with_images(exposures: Exposures) -> Integers:
 
 
 def write_block_images(
-    path: Path, exposures: Exposures, camera: str, rig: Rig | None, crs: str | None
+    path: Path, exposures: Exposures, camera: str, rig: CameraOnBody | None, crs: str | None
 ) -> dict[str, Any]:
     """Write the block's `images.csv`, the full covariances beside it; return the coordinates' frame.
 
@@ -138,7 +138,7 @@ def write_block_images(
     crs: coordinate reference system of X, Y, Z; without: topocentric (east, north, up) about the middle.
     returns: ``frame`` and, where it is local, the origin.
     """
-    rows, xyz, (angles, covariance), frame = _oriented(exposures, rig or Rig(), crs)
+    rows, xyz, (angles, covariance), frame = _oriented(exposures, rig or CameraOnBody(), crs)
     unit = np.array([1.0, 1.0, 1.0, *[180 / np.pi] * 3])
     covariance = covariance * unit[:, None] * unit
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
@@ -158,7 +158,7 @@ def write_block_images(
 
 
 def _oriented(
-    exposures: Exposures, rig: Rig, crs: str | None
+    exposures: Exposures, rig: CameraOnBody, crs: str | None
 ) -> tuple[Integers, Floats, tuple[Floats, Floats], dict[str, Any]]:
     """Rows with images, their coordinates, angles with covariances, and the frame of all these."""
     rows, p = with_images(exposures), exposures.placed
@@ -214,7 +214,7 @@ def projected(lat: Floats, lon: Floats, height: Floats, crs: str) -> tuple[Float
     return np.stack([east, north, up], axis=1), np.moveaxis(turn, -1, 0)
 
 
-def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> str:
+def write_geo_txt(path: Path, exposures: Exposures, rig: CameraOnBody) -> str:
     """Write OpenDroneMap's `geo.txt` on EPSG:4326: place, and where they are known angles and accuracies.
 
     There a name ends at its first blank: with such names the file is left out, and the reason is returned.
@@ -240,7 +240,9 @@ def write_geo_txt(path: Path, exposures: Exposures, rig: Rig) -> str:
     return ""
 
 
-def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str, changed_utc: str) -> None:
+def write_geopackage_of(
+    path: Path, exposures: Exposures, rig: CameraOnBody, camera: str, changed_utc: str
+) -> None:
     """Write the exposures with image and position for a GIS: WGS 84, angles in the topocentric frame."""
     from photocal.exchange.geographic import topocentric, write_geopackage
     from photocal.exchange.reconstruction import Origin, Reconstruction
@@ -268,7 +270,9 @@ def write_geopackage_of(path: Path, exposures: Exposures, rig: Rig, camera: str,
     write_geopackage(path, given, topocentric(origin), changed_utc)
 
 
-def write_run(folder: Path, run: ExposureRun, rig: Rig, camera: str, crs: str | None) -> dict[str, Any]:
+def write_run(
+    folder: Path, run: ExposureRun, rig: CameraOnBody, camera: str, crs: str | None
+) -> dict[str, Any]:
     """Write tables, GeoPackage and plot; return the figures with the frame of `images.csv`.
 
     raises ConfigurationError: when the kind of the heights does not allow that system.

@@ -33,7 +33,7 @@ from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.ppk_report import solved
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
-from photocal.navigation.rig import Rig, rig_of_mounting
+from photocal.navigation.rig import CameraOnBody, rig_of_mounting
 from photocal.navigation.time import HostTime
 from photocal.navigation.trajectory import Trajectory, plainly
 from photocal.navigation.vehicle import VehicleTrack, autopilot_time, read_vehicle
@@ -41,7 +41,7 @@ from photocal.project import Project
 
 
 @dataclass(frozen=True)
-class Choices:
+class ExposureChoices:
     """What a person asked for.
 
     images: folder of images, or a table of their names and times.
@@ -61,7 +61,7 @@ class Choices:
     edge: str = "rising"
     delay_s: float = 0.0
     delay_sigma_s: float = 0.0
-    rig: Rig = field(default_factory=Rig)
+    rig: CameraOnBody = field(default_factory=CameraOnBody)
     largest_offset_s: float = 60.0
     oriented: Path | None = None
     ties: TieMatching | None = None
@@ -84,7 +84,7 @@ class ExposureRun:
     figures: dict[str, Any]
 
 
-def run_exposures(choices: Choices, engine: Rtklib, folder: Path) -> ExposureRun:
+def run_exposures(choices: ExposureChoices, engine: Rtklib, folder: Path) -> ExposureRun:
     """Find events, positions, attitudes and images of a flight.
 
     raises ConfigurationError: when the log has neither events nor images, or nothing that tells positions.
@@ -99,7 +99,7 @@ def run_exposures(choices: Choices, engine: Rtklib, folder: Path) -> ExposureRun
 
 
 def place_exposures(
-    choices: Choices, trajectory: Trajectory | None, ppk: dict[str, Any] | None
+    choices: ExposureChoices, trajectory: Trajectory | None, ppk: dict[str, Any] | None
 ) -> ExposureRun:
     """Do the same with a trajectory that is there already, with the figures of its PPK.
 
@@ -154,11 +154,11 @@ def exposures_of_pictures(images: list[ImageMetadata]) -> ExposureRun:
 
     raises ConfigurationError: when none states a position, or one no time.
     """
-    return _without_events(Choices(Sources()), None, None, images)
+    return _without_events(ExposureChoices(Sources()), None, None, images)
 
 
 def _without_events(
-    choices: Choices,
+    choices: ExposureChoices,
     rover: ReceiverRecording | None,
     track: VehicleTrack | None,
     images: list[ImageMetadata],
@@ -193,7 +193,7 @@ def _without_events(
 
 
 def _judged(
-    choices: Choices, evidence: Evidence, exposures: Exposures, cameras: list[CameraMatch]
+    choices: ExposureChoices, evidence: Evidence, exposures: Exposures, cameras: list[CameraMatch]
 ) -> ExposureRun:
     vehicle, images, ppk = evidence.vehicle, evidence.images, evidence.ppk
     gnss = _receiver_clock(evidence.rover)
@@ -224,7 +224,7 @@ def _above_take_off(images: Sequence[ImageMetadata | None]) -> Floats:
     return np.array([np.nan if fact is None else fact.relative_altitude_m for fact in facts])
 
 
-def choices_of_project(project: Project) -> Choices:
+def choices_of_project(project: Project) -> ExposureChoices:
     """Return what `[flight]`, `[images]` and `[rig]` ask for.
 
     raises ConfigurationError: without `[flight]`, or when camera axes are impossible.
@@ -247,10 +247,10 @@ def choices_of_project(project: Project) -> Choices:
     )
     images = project.contents.images
     keys = project.contents.rig
-    rig = Rig()
+    rig = CameraOnBody()
     if keys is not None:
         rig = rig_of_mounting(keys.mounting(), np.radians(np.asarray(keys.attitude_sigma_deg, np.float64)))
-    return Choices(
+    return ExposureChoices(
         sources,
         None if images is None else images.folder or images.times,
         edge=flight.edge,

@@ -7,7 +7,7 @@ import numpy as np
 
 from photocal.base.arrays import Flags
 from photocal.base.errors import ConfigurationError
-from photocal.navigation.attitude import LINE_OF_SIGHT, Attitudes, at_instants, from_angles, no_attitudes
+from photocal.navigation.attitude import LINE_OF_SIGHT, AttitudeSeries, at_instants, from_angles, no_attitudes
 from photocal.navigation.events import (
     CameraEventList,
     Events,
@@ -18,9 +18,9 @@ from photocal.navigation.events import (
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, stated_places
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.receiver_recording import ReceiverRecording
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime, UtcTime
-from photocal.navigation.trajectory import Placed, Trajectory, interpolate, plainly
+from photocal.navigation.trajectory import InterpolatedPositions, Trajectory, interpolate, plainly
 from photocal.navigation.vehicle import VehicleTrack
 
 ELLIPSOIDAL, SEA_LEVEL = "ellipsoidal", "above mean sea level, as the autopilot computes it"
@@ -63,7 +63,7 @@ def placed_by(
     trajectory: Trajectory | None,
     listed: CameraEventList | None,
     vehicle: VehicleTrack | None,
-) -> tuple[Placed, str]:
+) -> tuple[InterpolatedPositions, str]:
     """Return positions at events and their kind of height: PPK, else an event list, else the autopilot."""
     if trajectory is not None:
         placed = interpolate(trajectory, events.time, events.accuracy_s)
@@ -81,7 +81,7 @@ def placed_by(
     return plainly(vehicle.path, events.time), SEA_LEVEL
 
 
-def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: Rig) -> Attitudes:
+def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: CameraOnBody) -> AttitudeSeries:
     """Return the autopilot's attitudes at instants, with what its own clock adds to their uncertainty."""
     if vehicle is None or vehicle.attitude is None:
         return no_attitudes(len(time))
@@ -91,8 +91,8 @@ def attitudes_of_vehicle(vehicle: VehicleTrack | None, time: GpsTime, rig: Rig) 
 
 
 def attitudes_of_images(
-    images: Sequence[ImageMetadata | None], rig: Rig
-) -> tuple[Attitudes, Attitudes, Flags]:
+    images: Sequence[ImageMetadata | None], rig: CameraOnBody
+) -> tuple[AttitudeSeries, AttitudeSeries, Flags]:
     """Return the attitudes that the images themselves state (XMP of gimbal and vehicle)."""
     facts = [None if image is None else image.facts for image in images]
     unknown = (np.nan, np.nan, np.nan)
@@ -104,7 +104,7 @@ def attitudes_of_images(
     return camera, from_angles(vehicle, rig.angle_sigma), camera.known
 
 
-def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
+def events_of_images(images: list[ImageMetadata]) -> tuple[Events, InterpolatedPositions]:
     """Return the events and positions that the images state by themselves."""
     time_s = np.array([clock_time_s(image) for image in images])
     order = np.argsort(time_s, kind="stable")
@@ -120,4 +120,4 @@ def events_of_images(images: list[ImageMetadata]) -> tuple[Events, Placed]:
     time = UtcTime(np.array([round(t * 1e9) for t in time_s[order].tolist()], np.int64)).to_gps()
     remark = "times are the camera's own clock, taken for UTC: zone and offset are not known"
     events = Events("the images themselves", time, np.arange(n), np.zeros(n), [remark])
-    return events, Placed.stated(place, sigma, ["single"] * n)
+    return events, InterpolatedPositions.stated(place, sigma, ["single"] * n)

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
-from photocal.navigation.attitude import Attitudes
+from photocal.navigation.attitude import AttitudeSeries
 from photocal.navigation.events import Events
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s
 from photocal.navigation.matching import Matching, UnrelatedImagesError, match, no_matching
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import LARGEST_GAP_S, Placed
+from photocal.navigation.trajectory import LARGEST_GAP_S, InterpolatedPositions
 
 
 def names_cell(names: Sequence[str]) -> str:
@@ -43,12 +43,12 @@ class Exposures:
 
     time: GpsTime
     number: Integers
-    placed: Placed
-    attitude: Attitudes
+    placed: InterpolatedPositions
+    attitude: AttitudeSeries
     cross: Floats
     images: Sequence[tuple[str, ...]]
     height_kind: str
-    carrier: Attitudes | None = None
+    carrier: AttitudeSeries | None = None
     above_take_off_m: Floats | None = None
 
     def __len__(self) -> int:
@@ -87,8 +87,8 @@ class Exposures:
 
 def at_events(
     events: Events,
-    placed: Placed,
-    attitude: Attitudes,
+    placed: InterpolatedPositions,
+    attitude: AttitudeSeries,
     time_sigma_s: Floats,
     images: Sequence[tuple[str, ...]],
     height_kind: str,
@@ -105,7 +105,7 @@ def at_events(
     return Exposures(events.time, events.number, placed, timed, cross, images, height_kind)
 
 
-def at_camera(exposures: Exposures, rig: Rig) -> Exposures:
+def at_camera(exposures: Exposures, rig: CameraOnBody) -> Exposures:
     """Return the exposures at the camera instead of the antenna."""
     if rig.lever_m is None:
         return exposures
@@ -161,7 +161,7 @@ class Orientations:
         return angles, covariance
 
 
-def orientations(exposures: Exposures, rig: Rig) -> Orientations:
+def orientations(exposures: Exposures, rig: CameraOnBody) -> Orientations:
     """Return the exterior orientations: the body's attitude through camera axes and boresight.
 
     The boresight b turns the nominal camera axes A by exp([b]x); its own error and that of the attitude add,

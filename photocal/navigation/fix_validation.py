@@ -28,7 +28,7 @@ _FIXED_FLOOR_M = np.array([0.004, 0.004, 0.008])
 
 
 @dataclass(frozen=True)
-class Judgement:
+class ValidatedFixes:
     """The combined solution with its final status, and why epochs lost their fix.
 
     solution: same positions; quality and covariance as judged.
@@ -52,7 +52,7 @@ def judge(
     backward: EngineSolution,
     code: EngineSolution,
     ratio: float,
-) -> Judgement:
+) -> ValidatedFixes:
     """Validate the fixes of a combined solution and rescale the sigmas of the rest."""
     origin = combined.place[0]
     here = combined.offsets(origin)
@@ -86,7 +86,7 @@ def judge(
     factor = _float_factor(forward, fore, backward, back, separation)
     covariance = _covariance(combined, quality, factor, separation)
     judged = replace(combined, quality=quality, covariance_m2=covariance)
-    return Judgement(judged, demoted, factor, separation, directions, sigma)
+    return ValidatedFixes(judged, demoted, factor, separation, directions, sigma)
 
 
 def _carried_on(fixed: Flags, disagree: Flags, steps_m: Floats) -> Flags:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from acquire.log.reader import LogReader, Messages
+from acquire.log.reader import LoggedMessages, LogReader
 from acquire.log.records import Channel
 from drivers.frames import Wire
 from drivers.protocols import receiver_wires
@@ -23,7 +23,7 @@ class FlightLog:
 
     def __init__(self, paths: Iterable[Path] = ()) -> None:
         self.paths = tuple(paths)
-        self._messages: list[Messages] | None = None
+        self._messages: list[LoggedMessages] | None = None
 
     def __bool__(self) -> bool:
         return bool(self.paths)
@@ -31,7 +31,7 @@ class FlightLog:
     def __str__(self) -> str:
         return ", ".join(map(str, self.paths))
 
-    def raw(self, *wires: Wire, link: str | None = None) -> Iterator[tuple[Wire, Messages]]:
+    def raw(self, *wires: Wire, link: str | None = None) -> Iterator[tuple[Wire, LoggedMessages]]:
         """Give the frames of some protocols, of one link or of all, and the protocol of each."""
         by_encoding = {wire.encoding: wire for wire in wires}
         for messages in self._read():
@@ -40,11 +40,11 @@ class FlightLog:
             if wire is not None and (link is None or channel.topic == f"/{link}/raw"):
                 yield wire, messages
 
-    def topic(self, name: str) -> Iterator[Messages]:
+    def topic(self, name: str) -> Iterator[LoggedMessages]:
         """Give the decoded messages of a topic."""
         return (m for m in self._read() if m.channel.topic == name and m.channel.schema is not None)
 
-    def _read(self) -> list[Messages]:
+    def _read(self) -> list[LoggedMessages]:
         if self._messages is None:
             self._messages = [
                 messages

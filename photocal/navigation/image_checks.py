@@ -20,7 +20,7 @@ from photocal.measurement.picture_block import measure_images
 from photocal.navigation.exposures import Exposures, orientations
 from photocal.navigation.image_metadata import ImageMetadata
 from photocal.navigation.position_comparison import judge_positions
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.results.folder import RESULT, read_result
 
 CODE = "image-rotations"
@@ -138,7 +138,9 @@ def rotation_check(exposures: Exposures, pairs: list[PairRotation], source: str)
     return Finding(CODE, "passed", figures=figures, clauses=clauses)
 
 
-def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: Rig) -> list[PairRotation]:
+def compare_with_oriented(
+    exposures: Exposures, oriented: OrientedImages, rig: CameraOnBody
+) -> list[PairRotation]:
     """Compare relative rotations of every image and its follower; the frame of the block does not matter."""
     # An adjustment of many images knows rotations better than two images over flat ground do, whose tilt and
     # shift can hardly be told apart.
@@ -157,7 +159,7 @@ def compare_with_oriented(exposures: Exposures, oriented: OrientedImages, rig: R
     return pairs
 
 
-def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: Rig) -> Finding:
+def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: CameraOnBody) -> Finding:
     """Return the constant turn between recorded attitudes and the camera as a check."""
     # The block is turned into east, north, up by its positions (a similarity); the median of what is left is
     # taken about each camera axis, images that are stored turned taken upright.
@@ -212,7 +214,9 @@ class TieMatching:
     progress: Progress
 
 
-def check_oriented(oriented: OrientedImages, exposures: Exposures, rig: Rig, source: str) -> list[Finding]:
+def check_oriented(
+    oriented: OrientedImages, exposures: Exposures, rig: CameraOnBody, source: str
+) -> list[Finding]:
     """Hold exposures against images that an adjustment oriented."""
     findings = [judge_positions("adjusted-images", exposures, oriented.station, rig, "similarity")]
     pairs = compare_with_oriented(exposures, oriented, rig)
@@ -223,7 +227,7 @@ def check_oriented(oriented: OrientedImages, exposures: Exposures, rig: Rig, sou
 
 
 def check_images(
-    exposures: Exposures, images: list[ImageMetadata], rig: Rig, how: TieMatching
+    exposures: Exposures, images: list[ImageMetadata], rig: CameraOnBody, how: TieMatching
 ) -> list[Finding]:
     """Hold exposures against their images, oriented together by tie points.
 

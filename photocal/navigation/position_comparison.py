@@ -15,7 +15,7 @@ from photocal.findings.finding import Finding, untested
 from photocal.geometry.rotation import skew
 from photocal.geometry.similarity import similarity
 from photocal.navigation.exposures import Exposures
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 
 _LEAST = 8
 _GROSS = 5.0
@@ -249,7 +249,7 @@ def _detectable(model: _Model, sigma: Floats, place: int) -> float:
     return float(4.13 * model.noise_m / np.sqrt(model.share) / length)
 
 
-def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: Rig, free: str) -> Finding:
+def judge_positions(source: str, ours: Exposures, theirs: Floats, rig: CameraOnBody, free: str) -> Finding:
     """Hold exposures against positions of another source."""
     code, beside = "positions", {"source": source, "free": free}
     p = ours.placed

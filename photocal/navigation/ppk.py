@@ -19,7 +19,7 @@ from photocal.navigation.engine_output import (
     static_position,
     trajectory_of,
 )
-from photocal.navigation.fix_validation import Judgement, judge
+from photocal.navigation.fix_validation import ValidatedFixes, judge
 from photocal.navigation.precise_results import (
     ObservationFile,
     antenna_named,
@@ -105,7 +105,7 @@ class PpkResult:
     mode: Mode
     engine: str
     combined: EngineSolution
-    judgement: Judgement | None
+    judgement: ValidatedFixes | None
     trajectory: Trajectory
     base_off_code_m: Floats
     base_gaps_s: list[tuple[GpsTime, float]]

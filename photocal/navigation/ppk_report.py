@@ -14,7 +14,7 @@ from photocal.findings.texts import catalogue, finding_json
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.engine_output import FIXED
-from photocal.navigation.fix_validation import Judgement
+from photocal.navigation.fix_validation import ValidatedFixes
 from photocal.navigation.ppk import PpkResult, options_for, process
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.trajectory import write_trajectory
@@ -120,7 +120,7 @@ def _span(file: Any) -> dict[str, Any]:
     }
 
 
-def _validation(result: PpkResult, judgement: Judgement) -> dict[str, Any]:
+def _validation(result: PpkResult, judgement: ValidatedFixes) -> dict[str, Any]:
     fixed = judgement.solution.quality == 1
     apart = judgement.separation_m
     known = np.isfinite(apart).all(axis=1)
@@ -139,7 +139,7 @@ def _validation(result: PpkResult, judgement: Judgement) -> dict[str, Any]:
     }
 
 
-def _directions_apart(judgement: Judgement) -> list[dict[str, Any]]:
+def _directions_apart(judgement: ValidatedFixes) -> list[dict[str, Any]]:
     """List where a position counts as fixed though the directions are apart, and which was taken."""
     # The engine takes the direction with the better status; where both are fixed and differ, neither counts.
     apart = np.linalg.norm(judgement.separation_m, axis=1)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from acquire.channels.mounting import CAMERA_PLACE_SIGMA_M, MOUNT_SIGMA_DEG, Mounting
+from acquire.channels.mounting import CAMERA_PLACE_SIGMA_M, MOUNT_SIGMA_DEG, AutopilotMounting
 from photocal.adjustment.mounting import NADIR
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
@@ -18,7 +18,7 @@ from photocal.findings.finding import Finding
 
 
 @dataclass(frozen=True)
-class Rig:
+class CameraOnBody:
     """How the camera sits on the body (forward, right, down) whose attitude is recorded.
 
     lever_m (3,): from the camera's projection centre to the antenna, body axes, m; None: unknown, positions
@@ -49,7 +49,7 @@ class Rig:
             )
 
 
-def check_mounting(rig: Rig, mounting: Mounting) -> list[Finding]:
+def check_mounting(rig: CameraOnBody, mounting: AutopilotMounting) -> list[Finding]:
     """Hold lever arm and camera axes of a project against what the vehicle's parameters tell of its mounting.
 
     The parameters count from the body's origin, the lever arm from the camera: the difference is where the
@@ -96,9 +96,9 @@ def camera_axes(directions: tuple[str, ...]) -> Floats:
     return matrix
 
 
-def rig_of_mounting(keys: MountingKeys, angle_sigma: Floats) -> Rig:
+def rig_of_mounting(keys: MountingKeys, angle_sigma: Floats) -> CameraOnBody:
     """Return the rig of a block's or project's mounting."""
-    return Rig(
+    return CameraOnBody(
         np.asarray(keys.lever_arm_m, np.float64),
         _sigma(keys.lever_arm_sigma_m, 1.0),
         angle_sigma,

@@ -17,14 +17,14 @@ from photocal.base.operating_system import cache_folder
 from photocal.measurement.match_images import MatchingPlan
 from photocal.navigation.engine import Mode, Rtklib
 from photocal.navigation.exposure_files import write_run
-from photocal.navigation.exposure_run import Choices, ExposureRun, choices_of_project, run_exposures
+from photocal.navigation.exposure_run import ExposureChoices, ExposureRun, choices_of_project, run_exposures
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.image_checks import TieMatching
 from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
 from photocal.navigation.ppk import PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.ppk_report import ppk_figures, write_ppk
-from photocal.navigation.rig import Rig, camera_axes
+from photocal.navigation.rig import CameraOnBody, camera_axes
 from photocal.project import read_project
 
 Paths = str | Path | Sequence[str | Path]
@@ -74,7 +74,7 @@ class ExposuresOfFlight:
     """
 
     run: ExposureRun
-    rig: Rig
+    rig: CameraOnBody
     camera: str
     crs: str | None
 
@@ -194,7 +194,7 @@ def exposures(
         choices, camera = choices_of_project(named), named.camera.id
         crs = None if named.crs == "local" else named.crs
     else:
-        choices = Choices(
+        choices = ExposureChoices(
             sources_of(logs, receivers or ReceiverOptions()),
             None if asked.images is None else Path(asked.images),
             None if asked.mrk is None else Path(asked.mrk),
@@ -225,10 +225,10 @@ def sources_of(flight: Paths, receivers: ReceiverOptions) -> Sources:
     ).with_base(receivers.base_sigma, receivers.weather)
 
 
-def rig_of(asked: ExposureOptions) -> Rig:
+def rig_of(asked: ExposureOptions) -> CameraOnBody:
     """Give lever arm, boresight and camera axes in numbers; ConfigurationError for texts that are none."""
     lever, attitude = asked.camera_to_antenna, asked.attitude_sigma
-    return Rig(
+    return CameraOnBody(
         None if lever is None else _triple(lever, "--camera-to-antenna"),
         _triple(asked.camera_to_antenna_sigma, "--camera-to-antenna-sigma"),
         None if attitude is None else _radians(attitude, "--attitude-sigma"),

@@ -11,7 +11,7 @@ from photocal.base.arrays import Floats, picked
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.base.geodesy import enu_axes, geocentric
-from photocal.navigation.baseline_network import Baseline, Mark, NetworkSolution, adjust_baselines
+from photocal.navigation.baseline_network import Baseline, GroundMark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajectory_of
 from photocal.navigation.flight_log import FlightLog
@@ -131,10 +131,10 @@ def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
     return adjust_baselines(baselines, control), sessions
 
 
-def _mark(mark: KnownMark) -> Mark:
+def _mark(mark: KnownMark) -> GroundMark:
     xyz = geocentric(mark.lat_deg, mark.lon_deg, mark.height_m)
     axes = enu_axes(mark.lat_deg, mark.lon_deg)
-    return Mark(mark.name, xyz, axes.T @ np.diag(np.square(mark.sigma_m)) @ axes)
+    return GroundMark(mark.name, xyz, axes.T @ np.diag(np.square(mark.sigma_m)) @ axes)
 
 
 def _observations(
@@ -197,7 +197,7 @@ def _through_air(result: PpkResult) -> tuple[Trajectory, float]:
     return replace(corrected, covariance_m2=covariance), air_m
 
 
-def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]:
+def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, dict[str, Any]]:
     folder = _own_folder(survey, f"ppp-{point.name}")
     observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, folder / "rover")
     named = [survey.folder / p for p in (*point.nav, *point.products)]
@@ -214,7 +214,7 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[Mark, dict[str, Any]]
         "rover_antenna_m": point.rover_antenna_m,
         **_duration(float(observed.time.ns[-1] - observed.time.ns[0]) / 60e9, survey),
     }
-    return Mark(point.name, place, covariance), session
+    return GroundMark(point.name, place, covariance), session
 
 
 def _own_folder(survey: Survey, name: str) -> Path:

@@ -102,7 +102,7 @@ def enu_axes_at(xyz_m: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Placed(Geodetic):
+class InterpolatedPositions(Geodetic):
     """Positions at given instants.
 
     placed: whether there are epochs close enough on both sides; the other columns are NaN where not.
@@ -132,7 +132,7 @@ class Placed(Geodetic):
 
 
 @dataclass(frozen=True)
-class LeftOut(Columns):
+class InterpolationTrials(Columns):
     """Fixes that were left out and interpolated from their neighbours.
 
     error_m (n, 3): measured less interpolated, east, north, up.
@@ -144,7 +144,7 @@ class LeftOut(Columns):
     gap_s: Floats
 
 
-def left_out(trajectory: Trajectory) -> LeftOut:
+def left_out(trajectory: Trajectory) -> InterpolationTrials:
     """Leave out every fix between two fixes in turn.
 
     Only fixes are used: the step between a fix and a float position is no motion.
@@ -158,10 +158,10 @@ def left_out(trajectory: Trajectory) -> LeftOut:
     local, _ = _local(trajectory)
     u = (time[i] - time[i - 1]) / (time[i + 1] - time[i - 1])
     position, _ = _hermite(local, trajectory.velocity_m_s, i - 1, i + 1, gap, u)
-    return LeftOut(trajectory.time[i], local[i] - position, np.asarray(gap, np.float64))
+    return InterpolationTrials(trajectory.time[i], local[i] - position, np.asarray(gap, np.float64))
 
 
-def roughness(trials: LeftOut, time: GpsTime) -> Floats:
+def roughness(trials: InterpolationTrials, time: GpsTime) -> Floats:
     """Return how far the path strays from its interpolation around instants."""
     if len(trials.gap_s) < _LEAST_TRIALS:
         return np.full((len(time), 3), _DEFAULT_ROUGHNESS)
@@ -181,7 +181,7 @@ def local_mean_square(trial: GpsTime, square: Floats, time: GpsTime) -> Floats:
 
 def interpolate(
     trajectory: Trajectory, time: GpsTime, time_sigma_s: Floats, rough: Floats | None = None
-) -> Placed:
+) -> InterpolatedPositions:
     """Return positions at instants by cubic interpolation with the Doppler velocities."""
     q = roughness(left_out(trajectory), time) if rough is None else rough
     stamps = trajectory.time.ns
@@ -207,7 +207,7 @@ def interpolate(
     rank = np.array([{"fixed": 0, "float": 1}.get(s, 2) for s in trajectory.status.tolist()])
     worse = np.maximum(rank[before], rank[after])
     blank = np.where(placed, 1.0, np.nan)
-    return Placed(
+    return InterpolatedPositions(
         placed,
         np.where(inside, gap, np.inf),
         lat * blank,
@@ -219,7 +219,7 @@ def interpolate(
     )
 
 
-def plainly(trajectory: Trajectory, time: GpsTime) -> Placed:
+def plainly(trajectory: Trajectory, time: GpsTime) -> InterpolatedPositions:
     """Return positions at instants whose uncertainty is not asked for."""
     return interpolate(trajectory, time, np.zeros(len(time)), np.zeros((len(time), 3)))
 

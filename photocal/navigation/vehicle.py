@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from acquire.channels.mounting import Mounting, mounting_of
+from acquire.channels.mounting import AutopilotMounting, mounting_of
 from acquire.log.reader import read_json
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
@@ -47,7 +47,7 @@ class VehicleTrack:
     clock_sigma_s: float = 0.0
     clocks: VehicleClocks = field(default_factory=VehicleClocks)
     geoid_m: float | None = None
-    mounting: Mounting = field(default_factory=lambda: Mounting(()))
+    mounting: AutopilotMounting = field(default_factory=lambda: AutopilotMounting(()))
 
 
 def read_vehicle(log: FlightLog, link: str | None = None, gnss: ComparedClocks | None = None) -> VehicleTrack:
@@ -207,7 +207,7 @@ def decoded_attitude(log: FlightLog, link: str) -> AttitudeTrack | None:
     return AttitudeTrack(UtcTime(utc).to_gps(), rotations_of_quaternions(wxyz[sound][first]), source)
 
 
-def told_mounting(log: FlightLog, link: str) -> Mounting:
+def told_mounting(log: FlightLog, link: str) -> AutopilotMounting:
     """Return what the autopilot's parameters in `/<link>/parameter` tell of its mounting."""
     parameters: dict[str, float] = {}
     for messages in log.topic(f"/{link}/parameter"):

@@ -10,7 +10,7 @@ from photocal.base.errors import ConfigurationError
 from photocal.planning.area import Area, LocalPlane, grid, inside, polygon_area
 from photocal.planning.frame import (
     ExpectedPrecision,
-    Frame,
+    PlanningCamera,
     Side,
     air_base,
     corner_precision,
@@ -130,7 +130,7 @@ class FlightRequest:
         How far beyond the area is covered as well: distortion and control are weakest at the edge.
     """
 
-    frame: Frame
+    frame: PlanningCamera
     height_m: float
     forward_overlap: float
     side_overlap: float
@@ -158,7 +158,7 @@ class LevelGeometry:
 
 
 @dataclass(frozen=True)
-class Flight:
+class PlannedFlight:
     """A planned flight.
 
     corners_m (n, 2): the polygon in that plane, m.
@@ -221,7 +221,7 @@ def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
     )
 
 
-def plan_flight(area: Area, request: FlightRequest) -> Flight:
+def plan_flight(area: Area, request: FlightRequest) -> PlannedFlight:
     """Plan a flight over a polygon.
 
     raises ConfigurationError: for heights, overlaps or distances that cannot be flown.
@@ -238,7 +238,7 @@ def plan_flight(area: Area, request: FlightRequest) -> Flight:
             cross = level_geometry(request, request.second_height_m)
             levels.append(cross)
         strips += _strips(corners, azimuth + math.pi / 2.0, cross, request)
-    return Flight(area, plane, corners, request, azimuth, tuple(levels), strips)
+    return PlannedFlight(area, plane, corners, request, azimuth, tuple(levels), strips)
 
 
 def _strips(

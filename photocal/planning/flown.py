@@ -25,7 +25,7 @@ _BORDER = np.array([[0, 0], [1, 0], [2, 0], [2, 1], [2, 2], [1, 2], [0, 2], [0, 
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class GroundCells:
     """The ground as square cells in rows from the south, each from the west.
 
     places (rows * columns, 3): middles of the cells, local coordinates, m.
@@ -56,7 +56,7 @@ class FlownBlock:
     forward: Floats
     side: dict[tuple[int, int], float]
     smear_px: Floats
-    ground: Ground
+    ground: GroundCells
     rays: Integers
     inside: Flags
 
@@ -64,7 +64,7 @@ class FlownBlock:
 def flown_block(
     images: OrientedImages,
     strip: Integers,
-    ground: Ground,
+    ground: GroundCells,
     speed_m_s: Floats | None = None,
     exposure_s: Floats | None = None,
 ) -> FlownBlock:
@@ -92,7 +92,7 @@ def flown_block(
     return FlownBlock(images.names, strip, height, gsd, tilt, forward, side, smear, ground, rays, inside)
 
 
-def ground_through(images: OrientedImages, points: Floats) -> Ground:
+def ground_through(images: OrientedImages, points: Floats) -> GroundCells:
     """Take the ground through measured points, shape (n, 3): linear between them, the nearest beyond.
 
     raises IllPosedError: for fewer than three points.
@@ -110,7 +110,7 @@ def ground_through(images: OrientedImages, points: Floats) -> Ground:
     return ground
 
 
-def cells_seen(images: OrientedImages, ground: Ground) -> list[Integers]:
+def cells_seen(images: OrientedImages, ground: GroundCells) -> list[Integers]:
     """List the cells of the ground that each image shows."""
     size = images.sizes()
     low, high = ground.places[:, 2].min(), ground.places[:, 2].max()
@@ -202,7 +202,7 @@ def _circle(station: Floats, border: Floats, low: float, high: float) -> tuple[F
     return station[:2] + middle, float(np.linalg.norm(reach - middle, axis=1).max())
 
 
-def level_ground(images: OrientedImages, height_m: float) -> Ground:
+def level_ground(images: OrientedImages, height_m: float) -> GroundCells:
     """Take the ground as level: before any point of it is known."""
     circles = [
         _circle(at, border, height_m, height_m)
@@ -215,17 +215,17 @@ def level_ground(images: OrientedImages, height_m: float) -> Ground:
     x, y = (np.arange(a + cell / 2.0, b + cell, cell) for a, b in zip(low, high, strict=True))
     east, north = np.meshgrid(x, y)
     places = np.column_stack([east.ravel(), north.ravel(), np.full(east.size, float(height_m))])
-    return Ground(places, cell, len(x))
+    return GroundCells(places, cell, len(x))
 
 
-def _cell_of(places: Floats, ground: Ground) -> Integers:
+def _cell_of(places: Floats, ground: GroundCells) -> Integers:
     """Cells below places, the nearest one for places beyond all of them."""
     column, row = np.rint((places - ground.places[0, :2]) / ground.cell_m).astype(np.int64).T
     last = len(ground.places) // ground.columns - 1
     return np.asarray(np.clip(row, 0, last) * ground.columns + np.clip(column, 0, ground.columns - 1))
 
 
-def _window(middle: Floats, reach: float, ground: Ground) -> Integers:
+def _window(middle: Floats, reach: float, ground: GroundCells) -> Integers:
     """Cells of the square about a place, so that a circle in a large ground is not sought in all of it."""
     rows = len(ground.places) // ground.columns
     offset = middle - ground.places[0, :2]
@@ -235,11 +235,11 @@ def _window(middle: Floats, reach: float, ground: Ground) -> Integers:
     return np.asarray((up[:, None] * ground.columns + across).ravel())
 
 
-def _ground_below(station: Floats, ground: Ground) -> Floats:
+def _ground_below(station: Floats, ground: GroundCells) -> Floats:
     return np.asarray(ground.places[_cell_of(station[:, :2], ground), 2])
 
 
-def _cells_of_pixels(images: OrientedImages, ground: Ground) -> Integers:
+def _cells_of_pixels(images: OrientedImages, ground: GroundCells) -> Integers:
     """Cells that pixels of a raster over each image show, shape (n, pixels)."""
     across = np.array([(k + 0.5) / CELLS_ACROSS for k in range(CELLS_ACROSS)])
     raster = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
@@ -289,7 +289,7 @@ def _side_overlaps(
     return overlaps
 
 
-def _below_the_flight(station: Floats, ground: Ground) -> Flags:
+def _below_the_flight(station: Floats, ground: GroundCells) -> Flags:
     """Cells within the hull of the stations; of a single strip, those within a cell of it."""
     from scipy.spatial import Delaunay, QhullError
 

@@ -10,7 +10,7 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.base.files import output_folder, output_picture, write_json, write_rows
 from photocal.base.geopackage import Feature, Layer, ReferenceSystem, add_layer, geopackage
-from photocal.findings.document import Paragraph, Section, Table, columns, text
+from photocal.findings.document import Paragraph, Section, TablePart, columns, text
 from photocal.findings.texts import Catalogue, catalogue
 from photocal.planning.flown import FlownBlock, gaps
 
@@ -66,7 +66,7 @@ def flown_section(
     # Without exposure times and speeds nothing is known of blur: no image is then said to be free of it.
     notes = ["note", *(["blurred"] if "smear_px" in spread else []), "meaning"]
     note = " ".join(say(f"flown.{key}", **counts) for key in notes)
-    return Section(title, (Table(say("flown.table"), heads, tuple(rows), note),))
+    return Section(title, (TablePart(say("flown.table"), heads, tuple(rows), note),))
 
 
 def against_plan(figures: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, Any]:

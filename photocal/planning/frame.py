@@ -19,7 +19,7 @@ SMEAR_LIMIT_PX = 0.5
 
 
 @dataclass(frozen=True)
-class Frame:
+class PlanningCamera:
     """Camera frame for planning.
 
     pixel_m: pixel pitch, m, the same in both directions.
@@ -53,12 +53,12 @@ def flying_height(focal_m: float, denominator: float) -> float:
     return focal_m * denominator
 
 
-def ground_sample_distance(height_m: float, frame: Frame) -> float:
+def ground_sample_distance(height_m: float, frame: PlanningCamera) -> float:
     """Give the size of a pixel on level ground."""
     return height_m * frame.pixel_m / frame.focal_m
 
 
-def footprint(gsd_m: float, frame: Frame) -> tuple[float, float]:
+def footprint(gsd_m: float, frame: PlanningCamera) -> tuple[float, float]:
     """Give the ground that a vertical photo shows."""
     return frame.columns * gsd_m, frame.rows * gsd_m
 
@@ -72,7 +72,7 @@ def air_base(overlap: float, ground_side_m: float) -> float:
     return (1.0 - overlap) * ground_side_m
 
 
-def image_point(column: float, row: float, frame: Frame) -> tuple[float, float]:
+def image_point(column: float, row: float, frame: PlanningCamera) -> tuple[float, float]:
     """Give photo coordinates of a pixel (canon-elph study, equations 34-35)."""
     return (
         (column - (frame.columns - 1) / 2.0) * frame.pixel_m,
@@ -142,7 +142,7 @@ def expected_altimetric_accuracy(height_m: float, base_m: float, focal_m: float,
 
 
 def corner_precision(
-    frame: Frame, height_m: float, base_m: float, image_sigma_px: float, share: float = 0.95
+    frame: PlanningCamera, height_m: float, base_m: float, image_sigma_px: float, share: float = 0.95
 ) -> ExpectedPrecision:
     """Expect the precision far out in the image, where it is worst."""
     point = image_point(share * frame.columns, share * frame.rows, frame)

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, rows_text
-from photocal.planning.flight import Flight, Layout
+from photocal.planning.flight import Layout, PlannedFlight
 
 AUTOPILOTS = {"ardupilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4": mavlink.MAV_AUTOPILOT_PX4}
 VEHICLES = {"fixed-wing": mavlink.MAV_TYPE_FIXED_WING, "quadrotor": mavlink.MAV_TYPE_QUADROTOR}
@@ -48,7 +48,7 @@ class Item:
     parameters: tuple[float | None, float | None, float | None, float | None, float, float, float]
 
 
-def mission_items(flight: Flight, home: Home, ground_height_m: float) -> tuple[Item, ...]:
+def mission_items(flight: PlannedFlight, home: Home, ground_height_m: float) -> tuple[Item, ...]:
     """Turn a flight into mission items."""
     raise_m = ground_height_m - home.height_m
     lowest = min(strip.height_m for strip in flight.strips) + raise_m
@@ -118,7 +118,7 @@ def waypoint_file(items: tuple[Item, ...], home: Home) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _places(flight: Flight, points_m: Floats) -> list[tuple[float, float]]:
+def _places(flight: PlannedFlight, points_m: Floats) -> list[tuple[float, float]]:
     places = np.round(np.column_stack(flight.plane.to_degrees(points_m)), 8)
     return [(latitude, longitude) for latitude, longitude in places.tolist()]
 
@@ -153,7 +153,7 @@ def _known(table: dict[str, int], name: str, what: str) -> int:
 
 def write_plan(
     folder: Path,
-    flight: Flight,
+    flight: PlannedFlight,
     layout: Layout,
     takeoff: tuple[Home, float] | None,
     autopilot: str,
@@ -184,7 +184,7 @@ def write_plan(
     return tuple(contents)
 
 
-def _exposures(flight: Flight) -> str:
+def _exposures(flight: PlannedFlight) -> str:
     rows = [
         (number, exposure, f"{latitude:.8f}", f"{longitude:.8f}", f"{strip.height_m:.2f}")
         for number, strip in enumerate(flight.strips, start=1)
@@ -193,7 +193,7 @@ def _exposures(flight: Flight) -> str:
     return rows_text(("strip", "exposure", "lat_deg", "lon_deg", "height_above_ground_m"), rows)
 
 
-def _map(flight: Flight, layout: Layout) -> dict[str, Any]:
+def _map(flight: PlannedFlight, layout: Layout) -> dict[str, Any]:
     """GeoJSON (RFC 7946) of area, strips and suggested points."""
 
     def positions(points_m: Floats) -> list[list[float]]:

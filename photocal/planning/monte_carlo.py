@@ -8,7 +8,7 @@ from photocal.adjustment.adjust import adjust
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
 from photocal.planning.plan import Plan
-from photocal.planning.simulated_adjustment import Survey, planned_network
+from photocal.planning.simulated_adjustment import PlannedSurvey, planned_network
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def simulate_flights(plan: Plan, flights: int = 20, *, seed: int = 0) -> FlightE
     >>> errors.found_m / errors.promised_m  # doctest: +SKIP
     array([1.02, 0.97, 1.08])
     """
-    network, check = planned_network(plan.flight, plan.layout, plan.survey or Survey())
+    network, check = planned_network(plan.flight, plan.layout, plan.survey or PlannedSurvey())
     if not len(check):
         raise IllPosedError("no check point is seen by two photos", "plan more overlap or more check points")
     variance = np.diagonal(adjust(network).point_covariance[check], axis1=1, axis2=2)

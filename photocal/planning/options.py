@@ -48,14 +48,16 @@ class FlightOptions(Options):
             given.
         """
         from photocal.planning.flight import FlightRequest
-        from photocal.planning.frame import Frame, flying_height, scale_denominator
+        from photocal.planning.frame import PlanningCamera, flying_height, scale_denominator
 
         size = _SIZE.match(self.image_px.strip())
         if size is None:
             raise ConfigurationError(
                 f"{self.image_px!r} is not an image size", "write columns x rows: 5472x3648"
             )
-        frame = Frame(self.focal_mm * 1e-3, self.pixel_um * 1e-6, int(size["columns"]), int(size["rows"]))
+        frame = PlanningCamera(
+            self.focal_mm * 1e-3, self.pixel_um * 1e-6, int(size["columns"]), int(size["rows"])
+        )
         if (self.height is None) == (self.gsd_cm is None):
             raise ConfigurationError("give either --height or --gsd-cm")
         height = self.height

@@ -11,10 +11,10 @@ from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.planning import simulated_adjustment
 from photocal.planning.area import Area, read_area
-from photocal.planning.flight import Flight, FlightRequest, Layout, plan_flight, suggest_layout
+from photocal.planning.flight import FlightRequest, Layout, PlannedFlight, plan_flight, suggest_layout
 from photocal.planning.mission import Home, write_plan
 from photocal.planning.options import LimitOptions, MissionOptions, PrecisionOptions
-from photocal.planning.simulated_adjustment import SimulatedPrecision, Survey
+from photocal.planning.simulated_adjustment import PlannedSurvey, SimulatedPrecision
 from photocal.planning.summary import Target, remarks, targets_of, to_json, to_text
 from photocal.planning.wind import WIND_TEXT, at_speed, farthest_m, in_wind
 
@@ -45,14 +45,14 @@ class Plan:
         Standard deviations that this adjustment gives; None where it was not asked for.
     """
 
-    flight: Flight
+    flight: PlannedFlight
     layout: Layout
     targets: tuple[Target, ...]
     findings: tuple[Finding, ...]
     wind: dict[str, float] | None
     takeoff: tuple[Home, float] | None
     farthest_m: float | None
-    survey: Survey | None
+    survey: PlannedSurvey | None
     precision: SimulatedPrecision | None
 
     def figures(self) -> dict[str, Any]:
@@ -177,10 +177,10 @@ def plan(
     )
 
 
-def survey_of(asked: PrecisionOptions) -> Survey:
+def survey_of(asked: PrecisionOptions) -> PlannedSurvey:
     """Give the precision of the observations in numbers; ConfigurationError for texts that are none."""
     positions = None if asked.gnss_sigma_m is None else _pair(asked.gnss_sigma_m)
-    return Survey(
+    return PlannedSurvey(
         asked.image_sigma_px, _pair(asked.control_sigma_m), positions, asked.calibrate, asked.relief_m
     )
 

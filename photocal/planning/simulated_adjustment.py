@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.planning.area import grid
-from photocal.planning.flight import Flight, Layout
-from photocal.planning.frame import Frame
+from photocal.planning.flight import Layout, PlannedFlight
+from photocal.planning.frame import PlanningCamera
 
 # Tie points per side of a footprint: 25 in each photo.
 _TIES_PER_SIDE = 5
@@ -25,7 +25,7 @@ SELF_CALIBRATION = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 
 
 @dataclass(frozen=True)
-class Survey:
+class PlannedSurvey:
     """Precision of what will be observed.
 
     image_px: standard deviation of an image coordinate, px.
@@ -64,7 +64,7 @@ class SimulatedPrecision:
     reason: str = ""
 
 
-def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecision:
+def simulate(flight: PlannedFlight, layout: Layout, survey: PlannedSurvey) -> SimulatedPrecision:
     """Adjust a planned flight."""
     network, check = planned_network(flight, layout, survey)
     method = "indirect" if survey.gnss_m is None else "integrated"
@@ -87,7 +87,7 @@ def simulate(flight: Flight, layout: Layout, survey: Survey) -> SimulatedPrecisi
     )
 
 
-def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Network, Integers]:
+def planned_network(flight: PlannedFlight, layout: Layout, survey: PlannedSurvey) -> tuple[Network, Integers]:
     """Make the network that the flight will give, free of errors."""
     poses = _poses(flight)
     frame = flight.request.frame
@@ -120,7 +120,7 @@ def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Net
     precision = np.full((len(order), 2), survey.image_px * frame.pixel_m * 1e3)
     network = Network(
         (interior,),
-        Exposures(np.zeros(images, dtype=np.int64), poses[strong], pose_sigma),
+        ExteriorOrientations(np.zeros(images, dtype=np.int64), poses[strong], pose_sigma),
         Points(xyz[used], held, weight),
         Rays(number[image][order], place[order], seen[order], precision),
         tuple(f"photo {k + 1}" for k in np.flatnonzero(strong)),
@@ -130,7 +130,7 @@ def planned_network(flight: Flight, layout: Layout, survey: Survey) -> tuple[Net
     return network, np.flatnonzero(~control & (used < last))
 
 
-def _poses(flight: Flight) -> Floats:
+def _poses(flight: PlannedFlight) -> Floats:
     """Angles and places of the planned exposures, looking straight down, shape (n, 6)."""
     rows = []
     for strip in flight.strips:
@@ -141,7 +141,7 @@ def _poses(flight: Flight) -> Floats:
     return np.array(rows)
 
 
-def _ties(flight: Flight) -> Floats:
+def _ties(flight: PlannedFlight) -> Floats:
     """A net of tie points over all ground that the photos may show; those in one photo drop out later."""
     sides = [min(level.footprint_m) for level in flight.levels]
     reach = max(max(level.footprint_m) for level in flight.levels) / 2.0
@@ -150,7 +150,7 @@ def _ties(flight: Flight) -> Floats:
     return grid(exposures.min(axis=0) - reach, exposures.max(axis=0) + reach, step)
 
 
-def _camera(frame: Frame, *, calibrated: bool) -> Camera:
+def _camera(frame: PlanningCamera, *, calibrated: bool) -> Camera:
     return camera(
         "planned",
         "brown-ideal",
@@ -162,7 +162,7 @@ def _camera(frame: Frame, *, calibrated: bool) -> Camera:
     )
 
 
-def _rays(poses: Floats, xyz: Floats, frame: Frame) -> tuple[Integers, Integers, Floats]:
+def _rays(poses: Floats, xyz: Floats, frame: PlanningCamera) -> tuple[Integers, Integers, Floats]:
     """Which photo sees which point, and where in mm from its middle."""
     half = np.array([frame.columns, frame.rows]) / 2.0 * frame.pixel_m * 1e3
     images, points, seen = [], [], []
@@ -176,7 +176,7 @@ def _rays(poses: Floats, xyz: Floats, frame: Frame) -> tuple[Integers, Integers,
     return np.concatenate(images), np.concatenate(points), np.vstack(seen)
 
 
-def to_json(result: SimulatedPrecision, survey: Survey) -> dict[str, object]:
+def to_json(result: SimulatedPrecision, survey: PlannedSurvey) -> dict[str, object]:
     """Give a simulated adjustment as a JSON value."""
     axes = ("x", "y", "z")
     given = {"image_sigma_px": "image_px", "control_sigma_m": "control_m", "gnss_sigma_m": "gnss_m"}

@@ -9,7 +9,7 @@ from photocal.base.arrays import picked
 from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json, finding_text
-from photocal.planning.flight import Flight, LevelGeometry
+from photocal.planning.flight import LevelGeometry, PlannedFlight
 from photocal.planning.frame import SMEAR_LIMIT_PX, smear_px
 
 SCHEMA = "photocal.plan/1"
@@ -59,7 +59,9 @@ def targets_of(standard: Standard, scale_denominator: float, class_name: str) ->
     return tuple(targets)
 
 
-def to_json(flight: Flight, targets: tuple[Target, ...], findings: tuple[Finding, ...]) -> dict[str, Any]:
+def to_json(
+    flight: PlannedFlight, targets: tuple[Target, ...], findings: tuple[Finding, ...]
+) -> dict[str, Any]:
     """Give a planned flight as a JSON value."""
     return {
         "schema": SCHEMA,
@@ -74,7 +76,7 @@ def to_json(flight: Flight, targets: tuple[Target, ...], findings: tuple[Finding
 
 
 def remarks(
-    flight: Flight,
+    flight: PlannedFlight,
     targets: tuple[Target, ...],
     exposure_time_s: float | None,
     shortest_interval_s: float | None,
@@ -110,7 +112,7 @@ def remarks(
     return tuple(listed)
 
 
-def to_text(flight: Flight, targets: tuple[Target, ...], findings: tuple[Finding, ...]) -> str:
+def to_text(flight: PlannedFlight, targets: tuple[Target, ...], findings: tuple[Finding, ...]) -> str:
     """Write a planned flight for people."""
     area = (
         f"area {flight.area_m2 / 1e4:.2f} ha, {len(flight.strips)} strips, azimuth "

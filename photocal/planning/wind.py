@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from photocal.base.errors import ConfigurationError
-from photocal.planning.flight import Flight
+from photocal.planning.flight import PlannedFlight
 from photocal.planning.mission import Home
 
 
-def in_wind(flight: Flight, wind_m_s: float, from_rad: float, vehicle: str) -> dict[str, float]:
+def in_wind(flight: PlannedFlight, wind_m_s: float, from_rad: float, vehicle: str) -> dict[str, float]:
     """Fly the strips in a wind, by the triangle of velocities.
 
     from_rad: where the wind comes from, clockwise from north.
@@ -49,7 +49,7 @@ def in_wind(flight: Flight, wind_m_s: float, from_rad: float, vehicle: str) -> d
     }
 
 
-def at_speed(flight: Flight, speed_m_s: float) -> Flight:
+def at_speed(flight: PlannedFlight, speed_m_s: float) -> PlannedFlight:
     """Give a flight with another speed over ground, and the intervals of its photos at that."""
     share = flight.request.speed_m_s / speed_m_s
     intervals = (level.exposure_interval_s * share for level in flight.levels)
@@ -59,7 +59,7 @@ def at_speed(flight: Flight, speed_m_s: float) -> Flight:
     return replace(flight, request=replace(flight.request, speed_m_s=speed_m_s), levels=tuple(levels))
 
 
-def farthest_m(flight: Flight, home: Home, ground_height_m: float) -> float:
+def farthest_m(flight: PlannedFlight, home: Home, ground_height_m: float) -> float:
     """Give the slant distance from the take-off place to the farthest exposure, m."""
     place = flight.plane.to_plane(np.array([home.latitude_deg]), np.array([home.longitude_deg]))[0]
     raised = ground_height_m - home.height_m

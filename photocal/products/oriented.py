@@ -12,7 +12,7 @@ from photocal.block.network import block_frame
 from photocal.exchange.formats import read_any_block
 from photocal.geometry.camera import Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
-from photocal.geometry.frames import Frame
+from photocal.geometry.frames import LocalFrame
 from photocal.geometry.lens import optics
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import look_up
@@ -100,7 +100,7 @@ def _turning_radius(camera: Camera) -> float:
     return float(np.sqrt(real.min(initial=np.inf)))
 
 
-def oriented(folder: Path, run: Path | None) -> tuple[Block, Frame, OrientedImages]:
+def oriented(folder: Path, run: Path | None) -> tuple[Block, LocalFrame, OrientedImages]:
     """Read a block and, where it was adjusted, the results in place of its start values.
 
     returns frame: between the block's coordinates and the local ones of the images.

@@ -13,7 +13,7 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_picture
 from photocal.block.model import Block
-from photocal.geometry.frames import Frame
+from photocal.geometry.frames import LocalFrame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
 from photocal.products.oriented import best_places, lens_tables
@@ -130,7 +130,7 @@ def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terr
 
 
 def plan_grid(
-    shots: OrientedImages, frame: Frame, terrain: TerrainSource, raster: RasterFile, cell: float | None,
+    shots: OrientedImages, frame: LocalFrame, terrain: TerrainSource, raster: RasterFile, cell: float | None,
     bounds: Bounds | None,
 ) -> tuple[Grid, float]:  # fmt: skip
     """Choose the cells of an orthophoto.
@@ -210,7 +210,12 @@ def write_orthophoto(
 
 
 def displacement_field(
-    right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: Frame, grid: Grid, arrows: int = 25
+    right: OrientedImages,
+    wrong: OrientedImages,
+    terrain: Terrain,
+    frame: LocalFrame,
+    grid: Grid,
+    arrows: int = 25,
 ) -> "Displacement":
     """Displacement over a lattice of at most `arrows` points a side within a grid."""
     step = max(grid.columns, grid.rows) * grid.cell / arrows
@@ -221,7 +226,7 @@ def displacement_field(
 
 
 def terrain_points(
-    shots: OrientedImages, number: int, pixel: Floats, terrain: Terrain, frame: Frame
+    shots: OrientedImages, number: int, pixel: Floats, terrain: Terrain, frame: LocalFrame
 ) -> Floats:
     """Intersect the rays of image points with the terrain."""
     image = np.full(len(pixel), number)
@@ -269,7 +274,7 @@ class Displacement:
 
 
 def displacement(
-    right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: Frame, x: Floats, y: Floats
+    right: OrientedImages, wrong: OrientedImages, terrain: Terrain, frame: LocalFrame, x: Floats, y: Floats
 ) -> Displacement:
     """Follow ground points through the right image geometry and back through the wrong one."""
     if right.names != wrong.names:

@@ -14,7 +14,7 @@ from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
-from photocal.geometry.frames import Frame
+from photocal.geometry.frames import LocalFrame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import resample
 from photocal.products.oriented import best_places, image_border, lens_tables
@@ -59,7 +59,7 @@ def candidates(shots: OrientedImages, borders: Floats, ground: Floats) -> Intege
     return np.flatnonzero(touches).astype(np.int64)
 
 
-def footprints(shots: OrientedImages, frame: Frame, height: float) -> Bounds:
+def footprints(shots: OrientedImages, frame: LocalFrame, height: float) -> Bounds:
     """Rectangle around what the images show at one height, in the terrain's coordinates."""
     given = frame.to_given(shots.station)
     nadir = frame.to_local(np.column_stack([given[:, :2], np.full(len(given), height)]))
@@ -128,7 +128,7 @@ class Recipe:
     """
 
     shots: OrientedImages
-    frame: Frame
+    frame: LocalFrame
     terrain: TerrainSource
     grid: Grid
     method: int

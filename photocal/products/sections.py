@@ -101,7 +101,7 @@ class RingPoints:
 
 
 @dataclass(frozen=True)
-class Section:
+class TankRing:
     """One ring.
 
     covariance (2, 2): of radius and height, m2.
@@ -123,7 +123,7 @@ class Tank:
     between: from the lowest to the highest section; None for a single one.
     """
 
-    sections: tuple[Section, ...]
+    sections: tuple[TankRing, ...]
     cylinder: Cylinder | None
     tilt: float
     tilt_sigma: float
@@ -211,7 +211,7 @@ def measure_tank(points: RingPoints, wall_thickness: float = 0.0) -> Tank:
     )
 
 
-def _section(points: RingPoints, name: str) -> Section:
+def _section(points: RingPoints, name: str) -> TankRing:
     rows = np.array([section == name for section in points.section])
     values, covariance = points.values[rows], points.covariance[rows]
     try:
@@ -224,7 +224,7 @@ def _section(points: RingPoints, name: str) -> Section:
     of_height = covariance[:, 2, 2].sum() / count**2
     members = tuple(point for point, row in zip(points.point, rows, strict=True) if row)
     of_both = np.array([[circle.covariance[2, 2], together], [together, of_height]])
-    return Section(name, members, circle, float(values[:, 2].mean()), of_both)
+    return TankRing(name, members, circle, float(values[:, 2].mean()), of_both)
 
 
 def _cylinder(points: RingPoints) -> Cylinder | None:
@@ -282,7 +282,7 @@ def tank_json(tank: Tank, axes: tuple[str, str, str], wall_thickness: float) -> 
     }
 
 
-def _section_json(ring: Section, axes: tuple[str, str, str]) -> dict[str, Any]:
+def _section_json(ring: TankRing, axes: tuple[str, str, str]) -> dict[str, Any]:
     circle = ring.circle
     sigma = np.sqrt(np.diag(circle.covariance))
     test = global_test(circle.adjusted.chi_squared, circle.adjusted.degrees_of_freedom)

@@ -17,7 +17,7 @@ NEGLIGIBLE = 1e-7
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class AdjustedSurface:
     """What the adjustment found.
 
     state: parameters of the surface, in its own order.
@@ -47,7 +47,7 @@ def fit(
     condition: Condition,
     moved: Callable[[Floats, Floats], Floats],
     what: str,
-) -> Adjusted:
+) -> AdjustedSurface:
     """Fit a surface so that every point, corrected within its covariance, lies on it.
 
     Helmert (1872); in the form of Pope (1972) with the misclosure reduced to the measured points.
@@ -77,7 +77,9 @@ def fit(
         if settled.all() and (moved_points <= 10 * NEGLIGIBLE * np.sqrt(variance)).all():
             influence = -np.einsum("uv,nv,ni->uni", cofactor, by_parameter / variance[:, None], by_point)
             chi_squared = float(correlate**2 @ variance)
-            return Adjusted(state, cofactor, residuals, influence, chi_squared, count - unknowns, iteration)
+            return AdjustedSurface(
+                state, cofactor, residuals, influence, chi_squared, count - unknowns, iteration
+            )
     raise NotConvergedError(
         f"the fit of the {what} did not end within {ITERATIONS} iterations",
         "are the points on such a surface, and their sigmas in metres?",
@@ -109,7 +111,7 @@ class Circle:
     covariance: Floats
     radial: Floats
     direction: Floats
-    adjusted: Adjusted
+    adjusted: AdjustedSurface
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ class Cylinder:
     axis_covariance: Floats
     radius_sigma: float
     radial: Floats
-    adjusted: Adjusted
+    adjusted: AdjustedSurface
 
 
 def fit_circle(points: Floats, covariance: Floats) -> Circle:

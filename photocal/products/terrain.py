@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.block.table import read_table
-from photocal.geometry.frames import Frame
+from photocal.geometry.frames import LocalFrame
 
 # a, b, c, d, e, f: X = a column + b row + c, Y = d column + e row + f, from the corner of the first cell.
 Transform = tuple[float, float, float, float, float, float]
@@ -50,7 +50,7 @@ class Grid:
         return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
 
 
-def ground_points(x: Floats, y: Floats, terrain: "Terrain", frame: Frame) -> Floats:
+def ground_points(x: Floats, y: Floats, terrain: "Terrain", frame: LocalFrame) -> Floats:
     """Ground points of a window in local coordinates."""
     xs, ys = np.broadcast_to(x, (len(y), len(x))), np.broadcast_to(y[:, None], (len(y), len(x)))
     z = terrain.at(xs, ys)

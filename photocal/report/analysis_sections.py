@@ -11,14 +11,14 @@ from photocal.analysis.outcome import Analysis, CameraAnalysis, Effect, Opinions
 from photocal.analysis.published import PublishedSet
 from photocal.base.arrays import Floats
 from photocal.findings.digits import Number, symbol
-from photocal.findings.document import Column, Paragraph, Piece, Section, Statement, Table, columns
+from photocal.findings.document import Column, Paragraph, Piece, Section, Statement, TablePart, columns
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words
 from photocal.geometry.camera import Camera
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 
-def hidden_errors(run: Run, say: Catalogue) -> Section:
+def hidden_errors(run: AnalysedRun, say: Catalogue) -> Section:
     """List the hidden systematic errors, worst first, or say that nobody looked for them."""
     title = say("analysis.hidden")
     if run.analysis is None:
@@ -31,14 +31,14 @@ def hidden_errors(run: Run, say: Catalogue) -> Section:
             (say("analysis.small" if finding.small else "analysis.large"), finding_text(finding, say))
             for finding in findings
         )
-        pieces.append(Table(say("analysis.hidden_table"), heads, rows, widths=(0.14, 0.86)))
+        pieces.append(TablePart(say("analysis.hidden_table"), heads, rows, widths=(0.14, 0.86)))
     else:
         pieces.append(Paragraph(say("analysis.none_found")))
     pieces.append(Paragraph(_sigma(run, run.analysis, say)))
     return Section(title, tuple(pieces))
 
 
-def _sigma(run: Run, analysis: Analysis, say: Catalogue) -> str:
+def _sigma(run: AnalysedRun, analysis: Analysis, say: Catalogue) -> str:
     camera = next(iter(run.result.cameras.values()))
     scale, unit = (1e3, "µm") if camera.unit == "mm" else (1.0, "px")
     sigma = analysis.observation_sigma
@@ -49,7 +49,7 @@ def _sigma(run: Run, analysis: Analysis, say: Catalogue) -> str:
     return say("analysis.sigma", unit=unit, **figures)
 
 
-def parameters(title: str, camera_id: str, run: Run, analysis: Analysis, say: Catalogue) -> Section:
+def parameters(title: str, camera_id: str, run: AnalysedRun, analysis: Analysis, say: Catalogue) -> Section:
     """Judge the parameters of one camera: tests, correlations, components, left out, jackknife."""
     record, camera = analysis.cameras[camera_id], run.result.cameras[camera_id]
     if record is None:
@@ -71,7 +71,7 @@ def parameters(title: str, camera_id: str, run: Run, analysis: Analysis, say: Ca
     return Section(title, tuple(pieces))
 
 
-def _tests(tests: Iterable[FTest], effects: Mapping[tuple[str, ...], Effect], say: Catalogue) -> Table:
+def _tests(tests: Iterable[FTest], effects: Mapping[tuple[str, ...], Effect], say: Catalogue) -> TablePart:
     heads = ["tested<", "kind<", "statistic", "critical", "significant="]
     heads += ["effect [px]", "remaining [px]"] if effects else []
     rows = []
@@ -90,12 +90,12 @@ def _tests(tests: Iterable[FTest], effects: Mapping[tuple[str, ...], Effect], sa
             blank = say("word.none") if effect else ""
             row += [say.fixed(v, 2) if math.isfinite(v) else blank for v in px]
         rows.append(tuple(row))
-    return Table("", columns(say, "analysis", *heads), tuple(rows))
+    return TablePart("", columns(say, "analysis", *heads), tuple(rows))
 
 
 def _correlations(
     pairs: Iterable[StrongCorrelation | ExteriorCorrelation], threshold: float, say: Catalogue
-) -> list[Table]:
+) -> list[TablePart]:
     rows = []
     for p in pairs:
         if isinstance(p, StrongCorrelation):
@@ -108,7 +108,7 @@ def _correlations(
         return []
     heads = columns(say, "analysis", "pair<", "value", "cause<")
     caption = say("analysis.causes", threshold=say.as_given(threshold))
-    return [Table(caption, heads, tuple(rows), widths=(0.12, 0.1, 0.78))]
+    return [TablePart(caption, heads, tuple(rows), widths=(0.12, 0.1, 0.78))]
 
 
 def _components(record: CameraAnalysis, say: Catalogue) -> list[Piece]:
@@ -121,10 +121,10 @@ def _components(record: CameraAnalysis, say: Catalogue) -> list[Piece]:
         )
     )
     remarks = " ".join(finding_text(remark, say) for remark in record.components.remarks)
-    return [Table(say("analysis.components"), heads, rows), Paragraph(remarks)]
+    return [TablePart(say("analysis.components"), heads, rows), Paragraph(remarks)]
 
 
-def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> Table:
+def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> TablePart:
     first, *others = columns(
         say, "analysis", "without<", f"change_of_c [{camera.unit}]", "variance_factor", "rmse [mm]"
     )
@@ -139,14 +139,14 @@ def _left_out(record: CameraAnalysis, camera: Camera, say: Catalogue) -> Table:
         )
         for left in record.left_out
     )
-    return Table(say("analysis.left_out"), (first, Column("c", camera.unit), *others), rows)
+    return TablePart(say("analysis.left_out"), (first, Column("c", camera.unit), *others), rows)
 
 
 def _checks(rmse_m: Floats | tuple[float, ...] | None, say: Catalogue) -> str:
     return say("word.none") if rmse_m is None else "; ".join(say.fixed(1e3 * v, 1) for v in rmse_m)
 
 
-def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> Table:
+def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> TablePart:
     heads = ["parameter<", "formal", "error", "corrected", "sandwich"]
     heads += [] if record.bootstrap is None else ["bootstrap"]
 
@@ -166,7 +166,7 @@ def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> Table:
         for name, error in record.standard_error.items()
     )
     note = say("analysis.jackknife_note", count=len(record.left_out))
-    return Table(say("analysis.jackknife"), columns(say, "analysis", *heads), rows, note)
+    return TablePart(say("analysis.jackknife"), columns(say, "analysis", *heads), rows, note)
 
 
 def method_check(analysis: Analysis, say: Catalogue) -> Section:
@@ -181,7 +181,7 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
             rows.append((name, words["name"], words["found"], words["needed"], met))
             if need.severity != "passed" and words["advice"] not in advice:
                 advice.append(words["advice"])
-    table = Table(
+    table = TablePart(
         say("analysis.method_table"), heads, tuple(rows), widths=(0.17, 0.27, 0.22, 0.24, 0.1), dense=True
     )
     kept = {True: say("analysis.satisfied"), False: say("analysis.not_satisfied")}
@@ -193,7 +193,7 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
     return Section(say("analysis.method"), tuple(pieces))
 
 
-def analysed(run: Run, say: Catalogue) -> list[Section]:
+def analysed(run: AnalysedRun, say: Catalogue) -> list[Section]:
     """Everything that is known of a run by its analysis."""
     sections, analysis = [hidden_errors(run, say)], run.analysis
     if analysis is None:
@@ -206,7 +206,7 @@ def analysed(run: Run, say: Catalogue) -> list[Section]:
     return [*sections, method_check(analysis, say)]
 
 
-def _lenses(camera: Camera, analysis: Analysis, say: Catalogue) -> list[Table]:
+def _lenses(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePart]:
     """Models of the lens that were compared."""
     heads = (
         "lens_model<",
@@ -227,10 +227,12 @@ def _lenses(camera: Camera, analysis: Analysis, say: Catalogue) -> list[Table]:
         )
         for fit in analysis.lens_models[camera.id]
     )
-    return [Table(say("analysis.lenses"), columns(say, "analysis", *heads), rows)] if len(rows) > 1 else []
+    return (
+        [TablePart(say("analysis.lenses"), columns(say, "analysis", *heads), rows)] if len(rows) > 1 else []
+    )
 
 
-def _within(camera: Camera, analysis: Analysis, say: Catalogue) -> list[Table]:
+def _within(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePart]:
     """c, x0 and y0 in the thirds of the flight, against the first one."""
     judged = analysis.cameras[camera.id]
 
@@ -250,7 +252,7 @@ def _within(camera: Camera, analysis: Analysis, say: Catalogue) -> list[Table]:
         for parameter in (judged.within_flight if judged else ())
     )
     heads = columns(say, "analysis", "parameter<", "second", "third", "p_value", "course<")
-    return [Table(say("analysis.within", unit=camera.unit), heads, rows)] if rows else []
+    return [TablePart(say("analysis.within", unit=camera.unit), heads, rows)] if rows else []
 
 
 def published(sets: Iterable[PublishedSet], threshold: float, say: Catalogue) -> list[Section]:
@@ -265,7 +267,7 @@ def published(sets: Iterable[PublishedSet], threshold: float, say: Catalogue) ->
     return sections
 
 
-def _loadings(components: Components, say: Catalogue) -> Table:
+def _loadings(components: Components, say: Catalogue) -> TablePart:
     """Eigenvalues, their shares, and the correlation of each parameter with each component (MCCP)."""
     heads = (Column("", align="left"), *(Column(f"Y{k + 1}") for k in range(len(components.names))))
     rows = (
@@ -275,7 +277,7 @@ def _loadings(components: Components, say: Catalogue) -> Table:
         *((symbol(name), row, 2) for name, row in zip(components.names, components.loadings, strict=True)),
     )
     texts = tuple((label, *(say.fixed(v, digits) for v in values)) for label, values, digits in rows)
-    return Table(say("analysis.components"), heads, texts)
+    return TablePart(say("analysis.components"), heads, texts)
 
 
 def warned(findings: Iterable[Finding], title: str, text: str, say: Catalogue) -> list[Statement]:
@@ -294,5 +296,5 @@ def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Sect
         heads = (Column(""), *columns(say, "warnings", f"{kind}<"))
         rows = tuple((str(n), text) for n, text in enumerate(texts, start=1))
         if rows:
-            tables.append(Table(say(f"warnings.table_{kind}"), heads, rows, widths=(0.06, 0.94)))
+            tables.append(TablePart(say(f"warnings.table_{kind}"), heads, rows, widths=(0.06, 0.94)))
     return [Section(say("warnings.section"), tuple(tables))] if tables else []

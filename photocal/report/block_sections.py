@@ -8,18 +8,27 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.block.model import InputFile
 from photocal.findings.digits import decimals_of, probability, symbol
-from photocal.findings.document import Column, Figure, KeyValues, Paragraph, Piece, Section, Table, columns
+from photocal.findings.document import (
+    Column,
+    KeyValues,
+    Paragraph,
+    PicturePart,
+    Piece,
+    Section,
+    TablePart,
+    columns,
+)
 from photocal.findings.texts import Catalogue
 from photocal.report.figures import difference_histograms, difference_map
 from photocal.report.sensor import RADIAL
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 from photocal.results.result import CENTRES, TURNS
 
 ROWS = 60
 ARCSECONDS = 3600.0
 
 
-def method(title: str, run: Run, say: Catalogue) -> Section:
+def method(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     """Say how the calibration was done and from what."""
     result = run.result
     models = sorted({camera.model for camera in result.cameras.values()})
@@ -37,11 +46,11 @@ def method(title: str, run: Run, say: Catalogue) -> Section:
         for g in result.groups
     )
     if rows:
-        pieces.append(Table(say("method.groups"), heads, rows))
+        pieces.append(TablePart(say("method.groups"), heads, rows))
     return Section(title, tuple(pieces))
 
 
-def _terms(run: Run, say: Catalogue) -> str:
+def _terms(run: AnalysedRun, say: Catalogue) -> str:
     """The polynomial of the distortion with the terms that some camera of the block has."""
     cameras = [camera for camera in run.result.cameras.values() if not camera.lens.relative]
     if not cameras:
@@ -66,7 +75,7 @@ def _terms(run: Run, say: Catalogue) -> str:
     return say("method.terms", dx=sums["x"], dy=sums["y"]) if sums["x"] else say("method.no_terms")
 
 
-def _block_facts(run: Run, say: Catalogue) -> KeyValues:
+def _block_facts(run: AnalysedRun, say: Catalogue) -> KeyValues:
     result = run.result
     roles = Counter(run.result.points.role)
     kind = result.block.datum
@@ -103,7 +112,7 @@ def _block_facts(run: Run, say: Catalogue) -> KeyValues:
     return KeyValues(tuple(rows))
 
 
-def relative_orientations(title: str, run: Run, say: Catalogue) -> tuple[Section, ...]:
+def relative_orientations(title: str, run: AnalysedRun, say: Catalogue) -> tuple[Section, ...]:
     """Make the table of cameras on a frame; nothing without one."""
     heads = run.result.heads
     if not heads:
@@ -132,10 +141,10 @@ def relative_orientations(title: str, run: Run, say: Catalogue) -> tuple[Section
             if abs(matrix[i, j]) > 0.9
         ]
     note = say("heads.note") + (" " + say("heads.strong", pairs="; ".join(strong)) if strong else "")
-    return (Section(title, (Table(say("heads.table"), tuple(heads_of), tuple(rows), note, dense=True),)),)
+    return (Section(title, (TablePart(say("heads.table"), tuple(heads_of), tuple(rows), note, dense=True),)),)
 
 
-def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
+def exterior_orientation(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     """Make the table of exterior orientations and the summary of their standard deviations."""
     n = len(run.result.images.names)
     order, caption, remark = list(range(n)), say("eop.table"), ""
@@ -149,11 +158,11 @@ def exterior_orientation(title: str, run: Run, say: Catalogue) -> Section:
     rows = _eop_rows(run, order, say)
     if run.result.scale:
         remark += say("eop.scaled", factor=say.fixed(run.result.scale, 3))
-    table = Table(caption, tuple(heads), rows, say("eop.note", all=remark).strip(), dense=True)
+    table = TablePart(caption, tuple(heads), rows, say("eop.note", all=remark).strip(), dense=True)
     return Section(title, (_eop_quality(run, say), table) if n else (table,))
 
 
-def _eop_rows(run: Run, order: list[int], say: Catalogue) -> tuple[tuple[str, ...], ...]:
+def _eop_rows(run: AnalysedRun, order: list[int], say: Catalogue) -> tuple[tuple[str, ...], ...]:
     images = run.result.images
     values = np.hstack([images.station, images.angles_deg])
     sigmas = np.hstack([images.sigma[:, 3:], np.degrees(images.sigma[:, :3])])
@@ -180,7 +189,7 @@ def _sigma(sigma: float, say: Catalogue) -> str:
     return say.fixed(sigma, max(decimals_of(sigma), 0)) if sigma > 0.0 else say("word.held")
 
 
-def _eop_quality(run: Run, say: Catalogue) -> Table:
+def _eop_quality(run: AnalysedRun, say: Catalogue) -> TablePart:
     images = run.result.images
     sigma = np.hstack([1e3 * images.sigma[:, 3:], ARCSECONDS * np.degrees(images.sigma[:, :3])])
     spreads = (Column(f"σ {name}", "mm" if name in "XYZ" else "(″)") for name in "XYZωφκ")
@@ -191,10 +200,10 @@ def _eop_quality(run: Run, say: Catalogue) -> Table:
     )
     note = say("checks.scaled").strip() if factor else ""
     heads = (*columns(say, "eop", "quantity<"), *spreads)
-    return Table(say("eop.quality", n=len(images)), heads, rows, note)
+    return TablePart(say("eop.quality", n=len(images)), heads, rows, note)
 
 
-def check_points(title: str, run: Run, say: Catalogue) -> Section:
+def check_points(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     """Make the table of check points, or say that there are none."""
     checks, factor = run.result.checks, run.result.scale
     lengths = [_check_lengths(run, say)] if checks.lengths else []
@@ -217,11 +226,11 @@ def check_points(title: str, run: Run, say: Catalogue) -> Section:
     rmse = (say.fixed(1e3 * (checks.rmse_m[axis] or 0.0), decimals) for axis in "xyz")
     rows.append((say("checks.rmse"), *rmse, *[""] * 6))
     note = say("checks.note", n=checks.n) + (say("checks.scaled") if factor else "")
-    table = Table(say("checks.table"), shown, tuple(rows), note, dense=True)
+    table = TablePart(say("checks.table"), shown, tuple(rows), note, dense=True)
     return Section(title, (table, *lengths, *_check_figures(run, say)))
 
 
-def _check_lengths(run: Run, say: Catalogue) -> Table:
+def _check_lengths(run: AnalysedRun, say: Catalogue) -> TablePart:
     """Known distances that took no part, after VDI/VDE 2634 part 1: the largest error is the figure."""
     lengths, factor = run.result.checks.lengths, run.result.scale
     lengths_of = ("known [mm]", "error [mm]", "adjusted_length [mm]", "known_sigma [mm]")
@@ -238,7 +247,7 @@ def _check_lengths(run: Run, say: Catalogue) -> Table:
     worst = max(lengths, key=lambda length: abs(length.error))
     largest = say.significant(1e3 * abs(worst.error), 3)
     note = say("checks.lengths_note", n=len(lengths), largest=largest, line=f"{worst.first}–{worst.second}")
-    return Table(say("checks.lengths"), columns(say, "checks", "line<", *lengths_of), tuple(rows), note)
+    return TablePart(say("checks.lengths"), columns(say, "checks", "line<", *lengths_of), tuple(rows), note)
 
 
 def _both(sigma: float, factor: float | None, say: Catalogue) -> str:
@@ -247,7 +256,7 @@ def _both(sigma: float, factor: float | None, say: Catalogue) -> str:
     return text if factor is None or sigma == 0.0 else f"{text} ({_sigma(factor * sigma, say)})"
 
 
-def _check_figures(run: Run, say: Catalogue) -> list[Figure]:
+def _check_figures(run: AnalysedRun, say: Catalogue) -> list[PicturePart]:
     """Map and histograms of the differences; two points and more make a picture."""
     checks = run.result.checks.points
     place = dict(zip(run.result.points.names, run.result.points.values, strict=True))
@@ -260,12 +269,12 @@ def _check_figures(run: Run, say: Catalogue) -> list[Figure]:
     map_text = say("checks.map_alternative", n=len(known))
     bars_text = say("checks.histograms_alternative", n=len(known))
     return [
-        Figure("checks-map", say("checks.map"), map_text, difference_map(names, at, d, say)),
-        Figure("checks-histograms", say("checks.histograms"), bars_text, difference_histograms(d, say)),
+        PicturePart("checks-map", say("checks.map"), map_text, difference_map(names, at, d, say)),
+        PicturePart("checks-histograms", say("checks.histograms"), bars_text, difference_histograms(d, say)),
     ]
 
 
-def global_test(title: str, run: Run, say: Catalogue) -> Section:
+def global_test(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     """Say how the global test came out and what the a posteriori factor is."""
     result, test = run.result, run.result.global_test
     if test is None or result.sigma0_squared is None:
@@ -288,7 +297,7 @@ def percent(probability: float, say: Catalogue) -> str:
     return f"{100 * probability:.6g}".replace(".", say.mark)
 
 
-def inputs(title: str, run: Run, say: Catalogue) -> Section:
+def inputs(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     """List the software and every file with its SHA-256."""
     software = run.result.software
     text = Paragraph(say("inputs.text", software=software.name, version=software.version))
@@ -296,6 +305,6 @@ def inputs(title: str, run: Run, say: Catalogue) -> Section:
     return Section(title, (text, given, _files(say("inputs.results"), run.files, say)))
 
 
-def _files(caption: str, files: tuple[InputFile, ...], say: Catalogue) -> Table:
+def _files(caption: str, files: tuple[InputFile, ...], say: Catalogue) -> TablePart:
     heads = (*columns(say, "inputs", "file<", "bytes"), Column(say("inputs.sha256"), "", "left", code=True))
-    return Table(caption, heads, tuple((f.path, str(f.bytes), f.sha256) for f in files), dense=True)
+    return TablePart(caption, heads, tuple((f.path, str(f.bytes), f.sha256) for f in files), dense=True)

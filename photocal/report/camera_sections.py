@@ -6,20 +6,20 @@ from photocal.adjustment.readout import Readout
 from photocal.findings.digits import power_of_ten, symbol, unit_power
 from photocal.findings.document import (
     Column,
-    Figure,
     KeyValues,
     Paragraph,
+    PicturePart,
     Piece,
     Section,
     Statement,
-    Table,
+    TablePart,
     columns,
 )
 from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report import sensor
 from photocal.report.figures import correlation_picture, natural_width, radial_curve, residual_map
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 CONFIDENCE = 0.95
 STRONG = 0.9
@@ -83,7 +83,7 @@ def _shutter(camera: Camera, readout: Readout, say: Catalogue) -> str:
     return text + (say("camera.shutter_shakes", effect=shaken) if camera.shake else "")
 
 
-def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -> Section:
+def interior_orientation(title: str, camera_id: str, run: AnalysedRun, say: Catalogue) -> Section:
     """Make the table of interior orientation parameters with standard deviations and significance."""
     camera, factor = run.result.cameras[camera_id], run.result.scale
     critical = critical_t(run.result.degrees_of_freedom)
@@ -100,7 +100,7 @@ def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -
     note = say("iop.note", critical=say.fixed(critical, 2))
     if len(further) > (factor is not None):
         note += say("iop.robust_note")
-    pieces: list[Piece] = [Table(say("iop.table"), columns(say, "iop", *heads), tuple(rows), note)]
+    pieces: list[Piece] = [TablePart(say("iop.table"), columns(say, "iop", *heads), tuple(rows), note)]
     weak = [symbol(name) for name in insignificant(camera, run.result.degrees_of_freedom)]
     if weak:
         text = say("iop.insignificant", names=", ".join(weak))
@@ -108,7 +108,7 @@ def interior_orientation(title: str, camera_id: str, run: Run, say: Catalogue) -
     return Section(title, tuple(pieces))
 
 
-def _opinions(camera_id: str, run: Run) -> dict[str, tuple[float | None, float | None]]:
+def _opinions(camera_id: str, run: AnalysedRun) -> dict[str, tuple[float | None, float | None]]:
     """Sandwich and bootstrap of all parameters, where one differs from what the adjustment says."""
     record = run.analysis.jackknife.get(camera_id) if run.analysis else None
     if record is None:
@@ -164,8 +164,8 @@ def correlations(title: str, name: str, camera: Camera, say: Catalogue) -> Secti
     )
     svg = correlation_picture(camera, say)
     texts = say("correlation.figure"), say("correlation.alternative")
-    picture = Figure(f"correlation-{name}", *texts, svg, width=natural_width(svg))
-    table = Table(say("correlation.table"), shown, rows, dense=len(heads) > 9)
+    picture = PicturePart(f"correlation-{name}", *texts, svg, width=natural_width(svg))
+    table = TablePart(say("correlation.table"), shown, rows, dense=len(heads) > 9)
     return Section(title, (table, Paragraph(_strong(camera, say)), picture))
 
 
@@ -183,7 +183,7 @@ def _strong(camera: Camera, say: Catalogue) -> str:
     return say("correlation.strong", limit=limit, pairs=", ".join(texts))
 
 
-def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
+def radial_distortion(title: str, name: str, run: AnalysedRun, camera_id: str, say: Catalogue) -> Section:
     """Make the distortion curve and its table."""
     camera = run.result.cameras[camera_id]
     if not any(camera.value(key) or key in camera.free for key in sensor.RADIAL):
@@ -197,7 +197,7 @@ def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Cata
         f"{say.fixed(factor * float(v), 1)} {unit}" for v in (curve.displacement[0], curve.displacement[-1])
     ]
     radius = say.fixed(corner, 2)
-    figure = Figure(
+    figure = PicturePart(
         f"radial-{name}",
         say("distortion.figure"),
         say("distortion.alternative", first=at[0], last=at[1], radius=radius, unit=camera.unit),
@@ -207,7 +207,7 @@ def radial_distortion(title: str, name: str, run: Run, camera_id: str, say: Cata
     return Section(title, (figure, _distortion_table(camera, corner, note, say)))
 
 
-def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) -> Table:
+def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) -> TablePart:
     power = float(10.0 ** np.floor(np.log10(corner / 10)))
     step = power * next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= corner / 10 * 0.95)
     profile = sensor.radial_profile(camera, np.append(np.arange(0.0, corner, step), corner))
@@ -227,10 +227,10 @@ def _distortion_table(camera: Camera, corner: float, note: str, say: Catalogue) 
         row += [say.fixed(float(d) / pitch, 2), say.fixed(float(s) / pitch, 2)]
         row.append(say.fixed(1e3 * float(t), 1) if millimetres else say.fixed(float(t), 2))
         rows.append(tuple(row))
-    return Table(say("distortion.table"), columns(say, "distortion", *heads), tuple(rows), note)
+    return TablePart(say("distortion.table"), columns(say, "distortion", *heads), tuple(rows), note)
 
 
-def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalogue) -> Section:
+def image_residuals(title: str, name: str, run: AnalysedRun, camera_id: str, say: Catalogue) -> Section:
     """Make the map of residuals on the sensor and their size by image."""
     camera = run.result.cameras[camera_id]
     residuals = sensor.sensor_residuals(run, camera_id)
@@ -241,7 +241,7 @@ def image_residuals(title: str, name: str, run: Run, camera_id: str, say: Catalo
         caption = say("residuals.figure_cells", rays=rays, cells=len(vectors.place))
     x, y = (say.fixed(v, 3) for v in rms_px(residuals))
     alternative = say("residuals.alternative", rays=rays, x=x, y=y)
-    figure = Figure(f"residuals-{name}", caption, alternative, residual_map(camera, vectors, say))
+    figure = PicturePart(f"residuals-{name}", caption, alternative, residual_map(camera, vectors, say))
     pieces: list[Piece] = [figure]
     if rays:
         pieces.append(Paragraph(_largest(run, camera_id, residuals, say)))
@@ -257,7 +257,7 @@ def rms_px(residuals: sensor.SensorResiduals) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _largest(run: Run, camera_id: str, residuals: sensor.SensorResiduals, say: Catalogue) -> str:
+def _largest(run: AnalysedRun, camera_id: str, residuals: sensor.SensorResiduals, say: Catalogue) -> str:
     rays = run.result.residuals_of(camera_id)
     length = np.hypot(*residuals.residual_px.T)
     w = np.nan_to_num(np.abs(rays.standardised)).max(axis=1)
@@ -273,7 +273,9 @@ def _largest(run: Run, camera_id: str, residuals: sensor.SensorResiduals, say: C
     )
 
 
-def _rms_table(run: Run, camera_id: str, residuals: sensor.SensorResiduals, say: Catalogue) -> Table:
+def _rms_table(
+    run: AnalysedRun, camera_id: str, residuals: sensor.SensorResiduals, say: Catalogue
+) -> TablePart:
     camera = run.result.cameras[camera_id]
     images = run.result.images_of(camera_id).tolist()
     count, rms = run.result.residuals.rms()
@@ -288,7 +290,7 @@ def _rms_table(run: Run, camera_id: str, residuals: sensor.SensorResiduals, say:
     names = run.result.images.names
     rows = [_rms_row(names[i], int(count[i]), tuple(rms[i].tolist()), camera, say) for i in shown]
     rows.append(_rms_row(say("residuals.all"), len(residuals.place), rms_px(residuals), camera, say))
-    return Table(caption, columns(say, "residuals", *heads), tuple(rows))
+    return TablePart(caption, columns(say, "residuals", *heads), tuple(rows))
 
 
 def _rms_row(

@@ -14,7 +14,7 @@ from photocal.report.derived_figures import DerivedFigures, derived_figures
 from photocal.report.derived_figures import verdict as keeps
 from photocal.report.ministry_rows import Context
 from photocal.report.sensor import sensor_residuals
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 # Findings of the plausibility that a reader must see first.
 WEAK = "weak_principal_distance"
@@ -22,7 +22,7 @@ WORDS = ("table", "figure", "page", "of", "contents")
 
 
 def certificate(
-    run: Run, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
+    run: AnalysedRun, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
 ) -> Document:
     """Compose the certificate."""
     cameras = run.result.cameras
@@ -44,7 +44,7 @@ def certificate(
     )
 
 
-def certificate_number(run: Run, particulars: Metadata, warnings: tuple[Finding, ...] = ()) -> str:
+def certificate_number(run: AnalysedRun, particulars: Metadata, warnings: tuple[Finding, ...] = ()) -> str:
     """Make a certificate's number from date, inputs, software and particulars, in whatever language."""
     software = run.result.software
     files = (f"{f.path} {f.sha256}" for f in run.result.inputs)
@@ -53,7 +53,7 @@ def certificate_number(run: Run, particulars: Metadata, warnings: tuple[Finding,
     return f"PC-{particulars.date:%Y%m%d}-{digest[:8].upper()}"
 
 
-def _facts(run: Run, particulars: Metadata, number: str, say: Catalogue) -> KeyValues:
+def _facts(run: AnalysedRun, particulars: Metadata, number: str, say: Catalogue) -> KeyValues:
     software = run.result.software
     rows = [
         (say("title.number"), number),
@@ -66,7 +66,7 @@ def _facts(run: Run, particulars: Metadata, number: str, say: Catalogue) -> KeyV
     return KeyValues(tuple((label, value) for label, value in rows if value))
 
 
-def _highlights(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> tuple[Highlight, ...]:
+def _highlights(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue) -> tuple[Highlight, ...]:
     cameras = run.result.cameras
     several = len(cameras) > 1
     shown: list[Highlight] = []
@@ -85,7 +85,7 @@ def _highlights(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> tupl
     return (*shown, _test(run, warnings, say), _checks(run, say))
 
 
-def _test(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> Highlight:
+def _test(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue) -> Highlight:
     test, judged = run.result.global_test, _tested(run, warnings)
     if test is None:
         return Highlight(say("highlight.test"), say("highlight.untested"), say("highlight.untested_remark"))
@@ -101,7 +101,7 @@ def _test(run: Run, warnings: tuple[Finding, ...], say: Catalogue) -> Highlight:
     return Highlight(say("highlight.test"), say(f"highlight.{key}"), remark)
 
 
-def _principal_point(run: Run, camera_id: str, say: Catalogue) -> Highlight:
+def _principal_point(run: AnalysedRun, camera_id: str, say: Catalogue) -> Highlight:
     camera = run.result.cameras[camera_id]
     x, y = (say.measured(camera.value(n), run.stated(camera_id, n)[0]) for n in ("x0", "y0"))
     remark = say("word.held")
@@ -110,7 +110,7 @@ def _principal_point(run: Run, camera_id: str, say: Catalogue) -> Highlight:
     return Highlight(say("highlight.x0y0"), f"{x.value}; {y.value} {camera.unit}", remark)
 
 
-def _residuals(run: Run, say: Catalogue) -> Highlight:
+def _residuals(run: AnalysedRun, say: Catalogue) -> Highlight:
     parts = [sensor_residuals(run, camera_id) for camera_id in run.result.cameras]
     rays = sum(len(part.place) for part in parts)
     squares = [(len(part.place), *camera_sections.rms_px(part)) for part in parts]
@@ -120,14 +120,14 @@ def _residuals(run: Run, say: Catalogue) -> Highlight:
     return Highlight(say("highlight.rms"), f"{say.fixed(both, 3)} px", remark)
 
 
-def _network(run: Run, say: Catalogue) -> Highlight:
+def _network(run: AnalysedRun, say: Catalogue) -> Highlight:
     result = run.result
     remark = say("highlight.network_remark", points=len(result.points.names), dof=result.degrees_of_freedom)
     text = say("highlight.network_value", images=len(result.images))
     return Highlight(say("highlight.network"), text, remark)
 
 
-def _checks(run: Run, say: Catalogue) -> Highlight:
+def _checks(run: AnalysedRun, say: Catalogue) -> Highlight:
     checks = run.result.checks
     label = say("highlight.checks")
     if checks.n == 0:
@@ -138,7 +138,7 @@ def _checks(run: Run, say: Catalogue) -> Highlight:
     return Highlight(label, text, say("highlight.checks_remark", **axes, n=checks.n))
 
 
-def overall(run: Run, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...]) -> Finding:
+def overall(run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...]) -> Finding:
     """Give the one verdict over everything that processing, adjustment and analysis found."""
     analysed = run.analysis.findings if run.analysis is not None else ()
     plausible = (finding for of in known for finding in of.findings)
@@ -146,7 +146,7 @@ def overall(run: Run, known: tuple[DerivedFigures, ...], warnings: tuple[Finding
     return verdict((*diverged, *warnings, _tested(run, warnings), *plausible, *analysed))
 
 
-def _tested(run: Run, warnings: tuple[Finding, ...]) -> Finding:
+def _tested(run: AnalysedRun, warnings: tuple[Finding, ...]) -> Finding:
     """The global test, as far as it tests anything."""
     result, test = run.result, run.result.global_test
     estimated = bool(result.variance_components) or any(f.code == "sigmas-from-residuals" for f in warnings)
@@ -155,7 +155,7 @@ def _tested(run: Run, warnings: tuple[Finding, ...]) -> Finding:
 
 
 def _verdicts(
-    run: Run, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...], say: Catalogue
+    run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...], say: Catalogue
 ) -> tuple[Statement, ...]:
     """The verdict first, then what it rests on; nothing is green where it is not."""
     result, final = run.result, overall(run, known, warnings)
@@ -181,7 +181,7 @@ def _verdicts(
 
 
 def _sections(
-    run: Run,
+    run: AnalysedRun,
     particulars: Metadata,
     known: tuple[DerivedFigures, ...],
     warnings: tuple[Finding, ...],
@@ -232,7 +232,7 @@ def _sections(
 
 
 def _judgements(
-    run: Run, particulars: Metadata, known: tuple[DerivedFigures, ...], final: Finding, say: Catalogue
+    run: AnalysedRun, particulars: Metadata, known: tuple[DerivedFigures, ...], final: Finding, say: Catalogue
 ) -> list[Section]:
     """Plausibility, acceptance and the ministry's form of each camera, and the equipment once."""
 

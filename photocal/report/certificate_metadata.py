@@ -34,7 +34,7 @@ class DocumentKeys(Table):
     references: tuple[str, ...] = ()
 
 
-class CameraKeys(Table):
+class CameraParticulars(Table):
     """Section `[camera]`: what the maker says."""
 
     model: str = ""
@@ -151,7 +151,7 @@ class Metadata(Table):
 
     date: dt.date
     document: DocumentKeys = DocumentKeys()
-    camera: CameraKeys = CameraKeys()
+    camera: CameraParticulars = CameraParticulars()
     gnss_ins: GnssInsKeys = GnssInsKeys()
     campaign: CampaignKeys = CampaignKeys()
     exterior_orientation: ExteriorKeys = ExteriorKeys()

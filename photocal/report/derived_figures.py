@@ -14,9 +14,9 @@ from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.report.camera_sections import rms_px
-from photocal.report.certificate_metadata import CameraKeys, CampaignKeys, GnssInsKeys, Metadata
+from photocal.report.certificate_metadata import CameraParticulars, CampaignKeys, GnssInsKeys, Metadata
 from photocal.report.sensor import sensor_residuals
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 Verdict = Literal["acceptable", "new_calibration", "not_determined"]
 Pair = tuple[FiniteFloat, FiniteFloat]
@@ -96,7 +96,7 @@ class CalibrationKeys(Table):
     correlation_decimals: PositiveInt = 2
 
 
-class PrintedCameraKeys(CameraKeys):
+class PrintedCameraKeys(CameraParticulars):
     """Table `[camera]`."""
 
     size_px: tuple[PositiveInt, PositiveInt] | None = None
@@ -180,7 +180,7 @@ def _record_of_print(keys: PrintedKeys, path: Path) -> CalibrationRecord:
     )
 
 
-def given_figures(camera: CameraKeys, campaign: CampaignKeys, system: GnssInsKeys) -> dict[str, Any]:
+def given_figures(camera: CameraParticulars, campaign: CampaignKeys, system: GnssInsKeys) -> dict[str, Any]:
     """What a person gives of the fields of a `CalibrationRecord`."""
     prior = system.boresight_prior_sigma_deg
     return {
@@ -224,7 +224,7 @@ class DerivedFigures:
     findings: tuple[Finding, ...]
 
 
-def derived_figures(run: Run, camera_id: str, particulars: Metadata) -> DerivedFigures:
+def derived_figures(run: AnalysedRun, camera_id: str, particulars: Metadata) -> DerivedFigures:
     """Collect the figures and check them."""
     camera, campaign = run.result.cameras[camera_id], particulars.campaign
     pixel = pixel_size_mm(camera, particulars)
@@ -257,7 +257,7 @@ def pixel_size_mm(camera: Camera, particulars: Metadata) -> float | None:
     return particulars.camera.pixel_size_mm
 
 
-def check_rmse_cm(run: Run) -> tuple[float, float] | None:
+def check_rmse_cm(run: AnalysedRun) -> tuple[float, float] | None:
     """Planimetric and altimetric root mean square error of the check points, cm; None without any."""
     rmse = [run.result.checks.rmse_m.get(axis) for axis in "xyz"]
     x, y, z = (value if value is not None else np.nan for value in rmse)
@@ -266,7 +266,7 @@ def check_rmse_cm(run: Run) -> tuple[float, float] | None:
     return 100.0 * float(np.hypot(x, y)), 100.0 * float(z)
 
 
-def flying_height(run: Run, camera_id: str) -> float | None:
+def flying_height(run: AnalysedRun, camera_id: str) -> float | None:
     """Mean height of the exposures over the object points, m; None unless the cameras look down."""
     images = run.result.images_of(camera_id)
     if not len(images) or not len(run.result.points.names):
@@ -277,7 +277,7 @@ def flying_height(run: Run, camera_id: str) -> float | None:
     return height if height > 0.0 else None
 
 
-def air_base(run: Run, camera_id: str) -> float | None:
+def air_base(run: AnalysedRun, camera_id: str) -> float | None:
     """Median distance of an exposure to its nearest neighbour, m; None for a single one."""
     from scipy.spatial import cKDTree
 
@@ -290,7 +290,7 @@ def air_base(run: Run, camera_id: str) -> float | None:
     return base if base > 0.0 else None
 
 
-def _record(run: Run, camera_id: str, particulars: Metadata) -> CalibrationRecord:
+def _record(run: AnalysedRun, camera_id: str, particulars: Metadata) -> CalibrationRecord:
     camera = run.result.cameras[camera_id]
     prior = dict(zip(PARAMETERS, camera.prior_sigma.tolist(), strict=True))
     # Coefficients of other lenses are not those of Brown's polynomial, which are judged there.
@@ -317,7 +317,7 @@ def _record(run: Run, camera_id: str, particulars: Metadata) -> CalibrationRecor
     )
 
 
-def network_shape(run: Run, camera_id: str) -> tuple[float, float] | None:
+def network_shape(run: AnalysedRun, camera_id: str) -> tuple[float, float] | None:
     """Largest angle between two optical axes of a camera, deg, and the spread of distances along them.
 
     The spread is the 95th less the 5th percentile over the median.

@@ -5,7 +5,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.findings.document import Column, Document, Figure, KeyValues, Paragraph, Piece, Section, Table
+from photocal.findings.document import (
+    Column,
+    Document,
+    KeyValues,
+    Paragraph,
+    PicturePart,
+    Piece,
+    Section,
+    TablePart,
+)
 from photocal.findings.texts import Catalogue
 
 # Sheets by what they are for; their words stand in the catalogue under forms.NAME, lines with bars between.
@@ -94,14 +103,14 @@ def _sheet(
     else:
         pieces.append(_table(f"{name}.table", places if name == "targets" else [], say))
     if place:
-        pieces.append(Figure(f"sketch-{place[0]}", say("forms.sketch"), say("forms.sketch"), _SKETCH))
+        pieces.append(PicturePart(f"sketch-{place[0]}", say("forms.sketch"), say("forms.sketch"), _SKETCH))
     return Section(title, tuple(pieces))
 
 
-def _table(key: str, rows: list[Cells], say: Catalogue) -> Table:
+def _table(key: str, rows: list[Cells], say: Catalogue) -> TablePart:
     """A table with some cells filled in, or as many empty rows as it has room for."""
     heads = say(f"forms.{key}.columns").split("|")
     filled = rows or [()] * ROWS[key]
     cells = tuple((*row, *[""] * (len(heads) - len(row))) for row in filled)
     columns = tuple(Column(head, align="left") for head in heads)
-    return Table(say(f"forms.{key}.caption"), columns, cells, widths=(1.0,) * len(heads))
+    return TablePart(say(f"forms.{key}.caption"), columns, cells, widths=(1.0,) * len(heads))

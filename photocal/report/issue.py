@@ -24,7 +24,7 @@ from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import DerivedFigures, derived_figures, verdict
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
-from photocal.report.stored_analysis import Run, certified_analysis, read_run
+from photocal.report.stored_analysis import AnalysedRun, certified_analysis, read_run
 from photocal.results.folder import read_json, result_json
 from photocal.results.origin import block_of_run, carry
 from photocal.results.result import Figures, Result
@@ -75,7 +75,7 @@ class _Needed:
 
 
 def record(
-    run: Run, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
+    run: AnalysedRun, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
 ) -> dict[str, Any]:
     """Make the machine-readable certificate; `say`: language of the technical report's texts."""
     result = {key: value for key, value in result_json(run.result).items() if key in RESULT_KEYS}
@@ -100,7 +100,7 @@ def record(
     }
 
 
-def _exposures(run: Run) -> list[dict[str, Any]]:
+def _exposures(run: AnalysedRun) -> list[dict[str, Any]]:
     images = run.result.images
     values = np.hstack([images.station, images.angles_deg])
     sigmas = np.hstack([images.sigma[:, 3:], np.degrees(images.sigma[:, :3])])
@@ -117,7 +117,7 @@ def _exposures(run: Run) -> list[dict[str, Any]]:
     ]
 
 
-def _camera(run: Run, known: DerivedFigures) -> dict[str, Any]:
+def _camera(run: AnalysedRun, known: DerivedFigures) -> dict[str, Any]:
     camera = run.result.cameras[known.camera_id]
     curve = radial_profile(camera, np.linspace(0.0, farthest_corner(camera), 21))
     columns = zip(curve.radius, curve.displacement, curve.sigma, curve.decentering, strict=True)
@@ -151,7 +151,7 @@ def _report(context: Context) -> list[dict[str, str]]:
 
 
 def plain_record(
-    run: Run, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
+    run: AnalysedRun, particulars: Metadata, say: Catalogue, warnings: tuple[Finding, ...] = ()
 ) -> dict[str, Any]:
     """Make the certificate as it comes back from JSON: lists for tuples."""
     content: dict[str, Any] = json.loads(json.dumps(record(run, particulars, say, warnings), allow_nan=False))

@@ -11,7 +11,7 @@ from photocal.findings.texts import Catalogue
 from photocal.geometry.camera import Camera
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, verdict
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 Origin = Literal["computed", "given", "fixed", "not_determined"]
 Filled = tuple[str, Origin] | None
@@ -22,7 +22,7 @@ LAYOUT = Path(__file__).with_name("ministry_aerial_survey.csv")
 class Context:
     """What the rows are filled from."""
 
-    run: Run
+    run: AnalysedRun
     particulars: Metadata
     facts: DerivedFigures
     say: Catalogue
@@ -302,7 +302,7 @@ class LayoutRow:
 
 
 @dataclass(frozen=True)
-class Entry:
+class FormEntry:
     """A row with its value and where that came from."""
 
     row: LayoutRow
@@ -319,10 +319,11 @@ def read_layout() -> tuple[LayoutRow, ...]:
         )
 
 
-def entries(layout: tuple[LayoutRow, ...], context: Context) -> tuple[Entry, ...]:
+def entries(layout: tuple[LayoutRow, ...], context: Context) -> tuple[FormEntry, ...]:
     """Fill every row."""
     filled = [(row, FILLERS[row.key](context)) for row in layout]
     missing = context.say("ministry.not_determined")
     return tuple(
-        Entry(row, *value) if value else Entry(row, missing, "not_determined") for row, value in filled
+        FormEntry(row, *value) if value else FormEntry(row, missing, "not_determined")
+        for row, value in filled
     )

@@ -12,7 +12,7 @@ from photocal.findings.document import (
     Section,
     Signature,
     Statement,
-    Table,
+    TablePart,
     Tone,
     columns,
 )
@@ -23,7 +23,7 @@ from photocal.report.camera_sections import critical_t
 from photocal.report.certificate_metadata import FlownCount, Metadata, Source
 from photocal.report.derived_figures import DerivedFigures, verdict
 from photocal.report.ministry_rows import Context, corners, entries, read_layout
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 # Contributions that a person may enter, in the order of the budget; type B.
 ENTERED: tuple[Source, ...] = ("control", "datum", "temperature", "refocus", "model")
@@ -89,7 +89,7 @@ def flown_block(title: str, particulars: Metadata, say: Catalogue) -> tuple[Sect
     return (flown_section(title, flown, wanted, counted, say),)
 
 
-def uncertainty(title: str, run: Run, particulars: Metadata, say: Catalogue) -> Section:
+def uncertainty(title: str, run: AnalysedRun, particulars: Metadata, say: Catalogue) -> Section:
     """Give the budget of each principal distance and its expanded uncertainty.
 
     JCGM 100:2008, 5.1.2 (combination), G.4.1 (effective degrees of freedom, Welch and Satterthwaite), 6.2
@@ -112,7 +112,7 @@ def combined(parts: list[tuple[float, float]]) -> tuple[float, float, float]:
     return u, freedom, critical_t(math.floor(min(freedom, 1e6)))
 
 
-def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> Table:
+def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalogue) -> TablePart:
     result, camera = run.result, run.result.cameras[camera_id]
     stated, whose = run.stated(camera_id)
     adjusted_sigma = max(math.sqrt(max(result.sigma0_squared or 1.0, 1.0)) * camera.sigma_of("c"), stated)
@@ -146,7 +146,7 @@ def _budget(camera_id: str, run: Run, particulars: Metadata, say: Catalogue) -> 
         factor=say.fixed(factor, max(decimals_of(factor), 2)),
     )
     heads = (source, kind_of, Column("u", camera.unit), share_of)
-    return Table(say("uncertainty.table", camera=camera_id), heads, tuple(rows), note)
+    return TablePart(say("uncertainty.table", camera=camera_id), heads, tuple(rows), note)
 
 
 def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue) -> Section:
@@ -164,7 +164,8 @@ def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue
     )
     note = say("acceptance.note", dz=_centimetres(facts.dz_cm, say), gsd=_centimetres(facts.gsd_cm, say))
     return Section(
-        title, (acceptance_statement(facts, final, say), Table(say("acceptance.table"), heads, rows, note))
+        title,
+        (acceptance_statement(facts, final, say), TablePart(say("acceptance.table"), heads, rows, note)),
     )
 
 
@@ -194,7 +195,7 @@ def findings(title: str, plausibility: tuple[Finding, ...], say: Catalogue) -> S
         return Section(title, (text, Paragraph(say("plausibility.none"))))
     heads = columns(say, "plausibility", "severity<", "finding<")
     rows = tuple((say(f"plausibility.{f.severity}"), finding_text(f, say)) for f in plausibility)
-    return Section(title, (text, Table(say("plausibility.table"), heads, rows, widths=(0.16, 0.84))))
+    return Section(title, (text, TablePart(say("plausibility.table"), heads, rows, widths=(0.16, 0.84))))
 
 
 def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
@@ -209,7 +210,7 @@ def equipment(title: str, particulars: Metadata, say: Catalogue) -> Section:
         keys = ("name", "manufacturer", "serial", "use", "calibration")
         heads = columns(say, "equipment", *(f"{key}<" for key in keys))
         listed = tuple(tuple(getattr(item, key) or missing for key in keys) for item in particulars.equipment)
-        pieces.append(Table(say("equipment.table"), heads, listed, widths=(0.2, 0.18, 0.14, 0.22, 0.26)))
+        pieces.append(TablePart(say("equipment.table"), heads, listed, widths=(0.2, 0.18, 0.14, 0.22, 0.26)))
     return Section(title, tuple(pieces))
 
 
@@ -228,7 +229,7 @@ def _offsets(particulars: Metadata, say: Catalogue) -> Piece:
         (say(f"equipment.{key}"), *(say("word.none") if v is None else say.as_given(v) for v in values))
         for key, values in table.items()
     )
-    return Table(say("equipment.offsets"), tuple(heads), rows)
+    return TablePart(say("equipment.offsets"), tuple(heads), rows)
 
 
 def technical_report(title: str, context: Context) -> Section:
@@ -244,9 +245,9 @@ def technical_report(title: str, context: Context) -> Section:
         label = row.labels[say.language] + (f" [{row.unit}]" if row.unit else "")
         rows.append((item, label, entry.value, say(f"ministry.origin_{entry.origin}")))
     corner_heads = columns(say, "ministry", "corner<", "column [px]", "line [px]", "x [mm]", "y [mm]")
-    table = Table(say("ministry.table"), heads, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14))
+    table = TablePart(say("ministry.table"), heads, tuple(rows), widths=(0.11, 0.31, 0.44, 0.14))
     note = say("ministry.corner_note")
-    of_corners = Table(say("ministry.corner_table"), corner_heads, corners(context), note)
+    of_corners = TablePart(say("ministry.corner_table"), corner_heads, corners(context), note)
     return Section(title, (Paragraph(say("ministry.text")), table, of_corners))
 
 

@@ -8,7 +8,7 @@ from photocal.base.arrays import Floats
 from photocal.geometry.camera import Camera
 from photocal.geometry.distortion import radial_profile as beyond
 from photocal.geometry.distortion import radial_profile_sigma
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 RADIAL = ("K1", "K2", "K3", "K4")
 _PRISM = ("S1", "S2", "S3", "S4")
@@ -71,7 +71,7 @@ class SensorResiduals:
     residual_px: Floats
 
 
-def sensor_residuals(run: Run, camera_id: str) -> SensorResiduals:
+def sensor_residuals(run: AnalysedRun, camera_id: str) -> SensorResiduals:
     """Take the residuals of one camera to its image plane."""
     camera = run.result.cameras[camera_id]
     rays = run.result.residuals_of(camera_id)

@@ -35,7 +35,7 @@ _OPINIONS: dict[str, Any] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class AnalysedRun:
     """Everything that a certificate says about an adjustment.
 
     files: the files of the folder themselves, with their SHA-256.
@@ -58,12 +58,12 @@ class Run:
         return (formal, "formal") if opinions is None else opinions.largest(parameter, formal)
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> AnalysedRun:
     """Read a result with the analysis that `photocal analyse` added; errors as for `read_result`."""
     result = read_result(folder)
     path = folder / ANALYSIS
     if not path.is_file():
-        return Run(result, result.files)
+        return AnalysedRun(result, result.files)
     content = read_json(path, SCHEMA, _AGAIN)
     malformed = InputMalformedError.at(path)
     try:
@@ -73,7 +73,7 @@ def read_run(folder: Path) -> Run:
     # That of an earlier run would say something else.
     if stored.result_sha256 != fingerprint(folder / RESULT).sha256:
         raise malformed("belongs to another run: result.json has changed since", _AGAIN)
-    return Run(result, (*result.files, fingerprint(path)), stored)
+    return AnalysedRun(result, (*result.files, fingerprint(path)), stored)
 
 
 def certified_analysis(analysis: Analysis | None) -> dict[str, Any] | None:

@@ -18,11 +18,11 @@ from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, given_particulars
 from photocal.report.issue import FORMS, NAME, certified_result, plain_record, printed
 from photocal.report.signing import SIGNATURE
-from photocal.report.stored_analysis import Run, read_run
+from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import RESULT
 from photocal.results.more_tables import Wanted
-from photocal.results.origin import CARRIED, Source, carry
+from photocal.results.origin import CARRIED, BlockSource, carry
 
 PAGES = FORMS[:2]
 # The pages are compared themselves.
@@ -167,8 +167,8 @@ def _tolerance(place: str, size: float, sigma: float) -> float:
 
 
 def repeated(
-    certified: dict[str, Any], folder: Path, source: Source, done: Callable[[], None] = lambda: None
-) -> Run:
+    certified: dict[str, Any], folder: Path, source: BlockSource, done: Callable[[], None] = lambda: None
+) -> AnalysedRun:
     """Adjust and analyse the certified inputs anew, as the certificate says that it was done.
 
     raises PhotocalError: as reading and adjusting do.
@@ -178,7 +178,7 @@ def repeated(
         aside = Path(name)
         # Only what is certified takes part, whatever else lies beside it.
         carry(result.inputs, source, aside)
-        copied = Source(aside / CARRIED, result.block.setup)
+        copied = BlockSource(aside / CARRIED, result.block.setup)
         wanted = Wanted(components=bool(result.variance_components))
         adjust_block(copied.path, aside / "run", result.snooping, wanted=wanted, read=read_any_block)
         done()
@@ -190,7 +190,7 @@ def repeated(
         return read_run(aside / "run")
 
 
-def as_certified(run: Run, certified: dict[str, Any], folder: Path) -> Run:
+def as_certified(run: AnalysedRun, certified: dict[str, Any], folder: Path) -> AnalysedRun:
     """Give a repeated run what no repetition can know: its block's name, the digests of the first run."""
     block = replace(run.result.block, name=certified_result(certified, folder).block.name)
     files = tuple(InputFile(**entry) for entry in certified["run_files"])
@@ -199,12 +199,12 @@ def as_certified(run: Run, certified: dict[str, Any], folder: Path) -> Run:
     return replace(run, result=replace(run.result, block=block), files=files, analysis=analysis)
 
 
-def record_of(run: Run, certified: dict[str, Any]) -> dict[str, Any]:
+def record_of(run: AnalysedRun, certified: dict[str, Any]) -> dict[str, Any]:
     """Make the certificate of a repeated run, comparable by `verification.differences`."""
     return plain_record(run, *given_by(certified))
 
 
-def pages_of(run: Run, certified: dict[str, Any]) -> dict[str, bytes]:
+def pages_of(run: AnalysedRun, certified: dict[str, Any]) -> dict[str, bytes]:
     """Print the certificate of a repeated run."""
     return printed(certificate(run, *given_by(certified)), dt.date.fromisoformat(certified["date"]))
 

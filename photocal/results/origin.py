@@ -16,7 +16,7 @@ DEPTH = 3
 
 
 @dataclass(frozen=True)
-class Source:
+class BlockSource:
     """What was adjusted.
 
     setup: the set-up file of another program within it; empty for a block folder.
@@ -45,7 +45,7 @@ def changed_inputs(inputs: Sequence[InputFile], folder: Path) -> dict[str, str]:
     return changes
 
 
-def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> Source:
+def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> BlockSource:
     """Find what a run was made from and make sure that it has not changed.
 
     given: the block folder or set-up file, when the user named it.
@@ -62,10 +62,10 @@ def block_of_run(run: Path, result: Figures, given: Path | None, here: Path) -> 
                 "adjust the block again, or name the folder of this run",
                 where=folder / next(iter(changed)),
             )
-        return Source(folder, setup)
+        return BlockSource(folder, setup)
     for folder in _candidates(run.resolve(), result, here):
         if not changed_inputs(result.inputs, folder):
-            return Source(folder, setup)
+            return BlockSource(folder, setup)
     raise InputNotFoundError(
         "no block folder with the files of this run was found beside it or below the current folder",
         "name it with --block, or adjust the block again if it has changed",
@@ -88,7 +88,7 @@ def _root(path: Path, setup: str) -> Path:
     return path.parents[max(len(PurePosixPath(setup).parts), 1) - 1]
 
 
-def carry(inputs: Sequence[InputFile], source: Source, folder: Path) -> None:
+def carry(inputs: Sequence[InputFile], source: BlockSource, folder: Path) -> None:
     """Copy the inputs of a run into the folder of a certificate; `folder`: the certificate's."""
     for file in inputs:
         copy = folder / CARRIED / file.path

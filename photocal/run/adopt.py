@@ -37,7 +37,7 @@ from photocal.geometry.camera import Camera, among
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import aligned_similarity, robust_similarity
 from photocal.measurement.block_files import SCHEMA as MEASURED
-from photocal.measurement.block_files import Measured
+from photocal.measurement.block_files import MeasuredBlock
 from photocal.measurement.marks import in_map_system, named_after, read_control_marks, with_marks
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_block import TIE, intersected, views_of
@@ -102,7 +102,7 @@ def adopt(
         if not foreign.weighted:
             foreign = _weighted(foreign)
         block = _with_positions(foreign)
-        Measured(block, {"schema": MEASURED, "kind": f"project of {foreign.program}"}).write(source)
+        MeasuredBlock(block, {"schema": MEASURED, "kind": f"project of {foreign.program}"}).write(source)
     with progress("adjustment", None):
         result = adjust_block(source, run)
     with progress("analysis", None):

@@ -110,7 +110,7 @@ def run_project(
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ProjectOutcome:
     """How the run of one project ended.
 
     lines: what it said on the way, where nobody could listen.
@@ -171,19 +171,19 @@ def _say(line: str) -> None:
         sys.stderr.write(printable(line) + "\n")
 
 
-def _elsewhere(task: Task) -> Outcome:
+def _elsewhere(task: Task) -> ProjectOutcome:
     """Run a project in another process: what it says and what ends it come back with its figures."""
     lines: list[str] = []
     outcome = _outcome(task, quiet, lines.append)
-    return Outcome(outcome.figures, outcome.failure, tuple(lines))
+    return ProjectOutcome(outcome.figures, outcome.failure, tuple(lines))
 
 
-def _outcome(task: Task, progress: Progress, say: Callable[[str], None]) -> Outcome:
+def _outcome(task: Task, progress: Progress, say: Callable[[str], None]) -> ProjectOutcome:
     try:
         with system_refusals():
-            return Outcome(run_one(*task, progress, say), None)
+            return ProjectOutcome(run_one(*task, progress, say), None)
     except PhotocalError as failure:
-        return Outcome({}, failure)
+        return ProjectOutcome({}, failure)
 
 
 def run_one(

@@ -21,7 +21,7 @@ from photocal.run.stage import Stage, pictures_of
 
 if TYPE_CHECKING:
     from photocal.navigation.exposure_run import ExposureRun
-    from photocal.navigation.rig import Rig
+    from photocal.navigation.rig import CameraOnBody
     from photocal.navigation.trajectory import Trajectory
 
 FIGURES = "exposures.json"
@@ -116,7 +116,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
 
 def _placed(
     project: Project, trajectory: "Trajectory | None", figures_of_ppk: dict[str, Any] | None
-) -> "tuple[ExposureRun, Rig]":
+) -> "tuple[ExposureRun, CameraOnBody]":
     from photocal.navigation.exposure_run import choices_of_project, place_exposures
 
     choices = choices_of_project(project)
@@ -130,19 +130,23 @@ def _placed(
     return run, choices.rig
 
 
-def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Rig, str]":
+def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, CameraOnBody, str]":
     """Place the exposures of a project that may lack something: by PPK, else by what logs or pictures say.
 
     PPK is a stage of the project: it is not done again. The text says why it was not possible, if so.
     """
-    from photocal.navigation.exposure_run import Choices, place_exposures
+    from photocal.navigation.exposure_run import ExposureChoices, place_exposures
     from photocal.navigation.ppk_inputs import Sources
-    from photocal.navigation.rig import Rig
+    from photocal.navigation.rig import CameraOnBody
     from photocal.run.ppk import kept_trajectory
     from photocal.run.stage import Digests, made_in, update_stage
 
     if project.contents.flight is None:
-        return place_exposures(Choices(Sources(), project.picture_folder), None, None), Rig(), ""
+        return (
+            place_exposures(ExposureChoices(Sources(), project.picture_folder), None, None),
+            CameraOnBody(),
+            "",
+        )
     stage = ppk_stage(project)
     digests = Digests(project.output / ".digests.json")
     try:

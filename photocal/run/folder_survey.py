@@ -52,7 +52,7 @@ class ControlFile:
 
 
 @dataclass
-class Survey:
+class FolderContents:
     """What a folder has, in the order of its names.
 
     pictures: of each folder with pictures that can be read, at the positions that a table beside them gives.
@@ -72,11 +72,11 @@ class Survey:
     unread: list[str] = field(default_factory=list)
 
 
-def survey(folder: Path) -> Survey:
+def survey(folder: Path) -> FolderContents:
     """Look at everything in a folder; raises InputNotFoundError when it is no folder."""
     if not folder.is_dir():
         raise InputNotFoundError("is no folder", "name the folder of the flight", where=folder)
-    seen = Survey(folder)
+    seen = FolderContents(folder)
     files = sorted(_files(folder, _DEPTH))
     seen.pictures = _pictures(files, seen.unread)
     sizes = {image.name: image.size_px for facts in seen.pictures.values() for image in facts}

@@ -114,7 +114,7 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
 
 
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
-    from photocal.measurement.block_files import SCHEMA, Measured
+    from photocal.measurement.block_files import SCHEMA, MeasuredBlock
     from photocal.measurement.picture_block import control_points
     from photocal.run.exposures import read_figures
     from photocal.run.project_checks import check_near, picture_places
@@ -129,7 +129,7 @@ def _make(project: Project, exposures: Path | None, folder: Path, show: Progress
         cameras = read_figures(exposures).cameras
         unmatched = [name for camera in cameras for name in camera.unmatched_images + camera.ambiguous_images]
         block = given_block(project, starts, unmatched)
-        Measured(block, {"schema": SCHEMA, "kind": "given observations"}).write(folder)
+        MeasuredBlock(block, {"schema": SCHEMA, "kind": "given observations"}).write(folder)
         return
     from photocal.measurement.match_images import MatchingPlan
     from photocal.measurement.orientation import of_exposures

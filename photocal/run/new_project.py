@@ -21,7 +21,7 @@ from photocal.measurement.marks import ControlMarks, in_map_system, named_after
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
-from photocal.run.folder_survey import ASSUMED_M, ControlFile, Survey, survey
+from photocal.run.folder_survey import ASSUMED_M, ControlFile, FolderContents, survey
 
 PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
@@ -99,7 +99,7 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
     return NewProject(folder / NAME, tuple(text.known), tuple(text.missing), tuple(text.asked))
 
 
-def _chosen(seen: Survey, facts: Sequence[ImageFacts]) -> ControlFile | None:
+def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlFile | None:
     """The control of the folder: with marks in its pictures if there is such a file, else the first."""
     names = [image.name for image in facts]
     if not seen.control:
@@ -127,7 +127,7 @@ class _Text:
     def __init__(
         self,
         folder: Path,
-        seen: Survey,
+        seen: FolderContents,
         facts: Sequence[ImageFacts],
         pictures: Path | None,
         control: ControlFile | None,

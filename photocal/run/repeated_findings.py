@@ -14,8 +14,8 @@ from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.report.certificate import overall
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import derived_figures
-from photocal.report.stored_analysis import Run
-from photocal.results.origin import CARRIED, Source, carry
+from photocal.report.stored_analysis import AnalysedRun
+from photocal.results.origin import CARRIED, BlockSource, carry
 from photocal.run.summary import add_new, calibration_findings, causes_first, hidden_faults, same_matter
 
 # Two machines may write another last digit; a figure may differ by this share of itself.
@@ -40,8 +40,8 @@ class RepeatedFindings:
 
 
 def repeated_findings(
-    run: Run,
-    source: Source,
+    run: AnalysedRun,
+    source: BlockSource,
     told: tuple[Finding, ...],
     particulars: Metadata,
     done: Callable[[], None] = lambda: None,
@@ -55,7 +55,7 @@ def repeated_findings(
     with tempfile.TemporaryDirectory(prefix="photocal-verify-") as name:
         # Only what is certified takes part, whatever else lies beside it.
         carry(run.result.inputs, source, Path(name))
-        checked, refusal = _of_check(Source(Path(name) / CARRIED, source.setup), done)
+        checked, refusal = _of_check(BlockSource(Path(name) / CARRIED, source.setup), done)
     found = {"calibration": tuple(calibration_findings(run.result))}
     if refusal is None:
         found["georeferencing"] = checked
@@ -85,7 +85,7 @@ def repeated_findings(
     )
 
 
-def _of_check(source: Source, done: Callable[[], None]) -> tuple[tuple[Finding, ...], str | None]:
+def _of_check(source: BlockSource, done: Callable[[], None]) -> tuple[tuple[Finding, ...], str | None]:
     """Findings of the three georeferencings of a block, as stage `georeferencing` makes them; or why none."""
     from photocal.accuracy.standard import Question
     from photocal.georeferencing.comparison import check_block

@@ -15,7 +15,7 @@ from photocal.findings.finding import Finding, of_global_test, verdict
 from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.findings.texts import catalogue, finding_json, findings_of
 from photocal.geometry.camera import PARAMETERS
-from photocal.report.stored_analysis import Run, read_run
+from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import changed_inputs
 from photocal.results.result import Result
@@ -273,7 +273,7 @@ def _exposures(figures: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _calibration(run: Run) -> dict[str, Any]:
+def _calibration(run: AnalysedRun) -> dict[str, Any]:
     result = run.result
     return {
         "images": len(result.images),

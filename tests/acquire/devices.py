@@ -12,7 +12,7 @@ DIGICAM_CONTROL = 203
 VERSIONS = {
     7: ("1.00 (59842)", "00070000", ("PROTVER 14.00",)),
     8: ("EXT CORE 3.01 (111141)", "00080000", ("FWVER=HPG 1.43", "PROTVER=20.30", "MOD=NEO-M8P-2")),
-    9: devices.Receiver.version,
+    9: devices.SimulatedReceiver.version,
 }
 _PVT_EVERY_S = 0.2
 _FRAGMENT_BYTES = 180
@@ -96,7 +96,7 @@ class Autopilot(devices.Autopilot):
         }
 
 
-class Receiver(devices.Receiver):
+class Receiver(devices.SimulatedReceiver):
     """A receiver of generation 7, 8 or 9 that measures, and may refuse or forget what it is told."""
 
     def __init__(self, generation: int, *, refuses: bool = False, forgets: bool = False) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from mcap.reader import make_reader
 
-from acquire.recording.configuration import Configuration
+from acquire.recording.configuration import RecordingConfiguration
 from acquire.recording.recorder import Host, Recorded, record
 from acquire.transports.sources import LinkLostError, Source
 from tests.acquire.live import until
@@ -62,7 +62,7 @@ def run(
     """Record until a condition on what was told holds."""
     told: list[str] = []
     stop = threading.Event()
-    chosen = Configuration.model_validate(configuration)
+    chosen = RecordingConfiguration.model_validate(configuration)
     with ThreadPoolExecutor(1) as pool:
         recording = pool.submit(record, chosen, folder, stop, told.append, host, sources)
         try:

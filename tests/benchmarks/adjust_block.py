@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from photocal.adjustment.adjust import adjust
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.factored import factorised
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.solver import minimise
 from photocal.adjustment.state import start_state
@@ -61,7 +61,7 @@ def network_of(path: Path) -> Network:
     sigma = np.full((len(order), 2), float(block["obs_sigma"]))
     return Network(
         (own,),
-        Exposures(
+        ExteriorOrientations(
             np.zeros(images, np.int64), np.hstack([angles_from_matrix(turns), block["gnss"]]), of_exposure
         ),
         Points(values, held, weight),

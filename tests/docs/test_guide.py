@@ -23,7 +23,7 @@ from acquire.simulate.world.configuration import FLIGHTS
 from photocal.block.mounting import BODY_AXES
 from photocal.findings.hypotheses import FAULTS
 from photocal.findings.texts import catalogue
-from photocal.project import Rig
+from photocal.project import RigSettings
 from tests.conftest import needs_engine
 from tests.installed import surroundings
 
@@ -230,7 +230,7 @@ def test_a_check_of_devices_that_are_silent_names_them(installed: Path, tmp_path
 def test_the_rig_is_one(tmp_path: Path) -> None:
     import tomllib
 
-    assert Rig.model_validate(tomllib.loads(blocks("hardware", "toml")[0])).camera_to_antenna_m == (
+    assert RigSettings.model_validate(tomllib.loads(blocks("hardware", "toml")[0])).camera_to_antenna_m == (
         0.08,
         0.03,
         -0.24,

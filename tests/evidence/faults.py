@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from acquire.simulate.world.configuration import Fault
+from acquire.simulate.world.configuration import SimulatedFault
 from photocal.base.errors import PhotocalError
 from photocal.run.campaign import run_one
 from photocal.run.summary import summary_text
@@ -33,35 +33,42 @@ TIES = 200
 DAY = dt.date(2025, 6, 16)
 OUTPUT = Path(__file__).parents[2] / "docs" / "evidence" / "faults.md"
 NAMES = {
-    Fault.ANTENNA_HEIGHT: "antenna-height",
-    Fault.BASE_OFF: "base-position",
-    Fault.EVENT_TIME_BASE: "event-time-base",
-    Fault.LATE_SHUTTER: "time-offset",
-    Fault.LEVER_ARM_AXIS: "lever-arm-axes",
-    Fault.ZOOM: "camera-change",
-    Fault.CONTROL_DIGITS: "control-mistyped",
-    Fault.MISSING_IMAGES: "events-without-image",
-    Fault.TELEMETRY_GAP: "telemetry-gap",
-    Fault.CYCLE_SLIPS: "ppk-not-fixed",
+    SimulatedFault.ANTENNA_HEIGHT: "antenna-height",
+    SimulatedFault.BASE_OFF: "base-position",
+    SimulatedFault.EVENT_TIME_BASE: "event-time-base",
+    SimulatedFault.LATE_SHUTTER: "time-offset",
+    SimulatedFault.LEVER_ARM_AXIS: "lever-arm-axes",
+    SimulatedFault.ZOOM: "camera-change",
+    SimulatedFault.CONTROL_DIGITS: "control-mistyped",
+    SimulatedFault.MISSING_IMAGES: "events-without-image",
+    SimulatedFault.TELEMETRY_GAP: "telemetry-gap",
+    SimulatedFault.CYCLE_SLIPS: "ppk-not-fixed",
 }
 
 SIZE_SEED = 11
 _WRONG_M = (0.1, 0.5, 10.0, 1000.0)
-SIZES: tuple[tuple[Fault, str, dict[str, Any]], ...] = (
-    *((Fault.ANTENNA_HEIGHT, f"{m} m", {"antenna_height_m": m}) for m in (0.05, 0.1, 0.3)),
-    (Fault.BASE_OFF, "0.05 m east", {"base_m": (0.05, 0.0, 0.0)}),
-    (Fault.BASE_OFF, "0.3 m", {"base_m": (0.2, -0.2, 0.1)}),
-    (Fault.BASE_OFF, "3 m", {"base_m": (2.0, -2.0, 1.0)}),
-    *((Fault.LATE_SHUTTER, f"{1e3 * s:.0f} ms", {"late_s": s}) for s in (0.005, 0.017, 1.0)),
-    *((Fault.ZOOM, f"{100 * k:+.2f} %", {"zoom": 1.0 + k}) for k in (0.0005, 0.001, 0.002, -0.002, 0.01)),
+SIZES: tuple[tuple[SimulatedFault, str, dict[str, Any]], ...] = (
+    *((SimulatedFault.ANTENNA_HEIGHT, f"{m} m", {"antenna_height_m": m}) for m in (0.05, 0.1, 0.3)),
+    (SimulatedFault.BASE_OFF, "0.05 m east", {"base_m": (0.05, 0.0, 0.0)}),
+    (SimulatedFault.BASE_OFF, "0.3 m", {"base_m": (0.2, -0.2, 0.1)}),
+    (SimulatedFault.BASE_OFF, "3 m", {"base_m": (2.0, -2.0, 1.0)}),
+    *((SimulatedFault.LATE_SHUTTER, f"{1e3 * s:.0f} ms", {"late_s": s}) for s in (0.005, 0.017, 1.0)),
     *(
-        (Fault.CONTROL_DIGITS, f"{axis} {m} m", {"control_m": tuple(m * (axis == own) for own in "XYZ")})
+        (SimulatedFault.ZOOM, f"{100 * k:+.2f} %", {"zoom": 1.0 + k})
+        for k in (0.0005, 0.001, 0.002, -0.002, 0.01)
+    ),
+    *(
+        (
+            SimulatedFault.CONTROL_DIGITS,
+            f"{axis} {m} m",
+            {"control_m": tuple(m * (axis == own) for own in "XYZ")},
+        )
         for axis in "XYZ"
         for m in _WRONG_M
     ),
-    *((Fault.TELEMETRY_GAP, f"{s:.0f} s", {"gap_s": s}) for s in (1.0, 10.0)),
-    *((Fault.CYCLE_SLIPS, f"{n:.0f} an hour", {"slips_per_hour": n}) for n in (20.0, 60.0, 180.0)),
-    (Fault.MISSING_IMAGES, "2 images", {"missing_share": 0.03}),
+    *((SimulatedFault.TELEMETRY_GAP, f"{s:.0f} s", {"gap_s": s}) for s in (1.0, 10.0)),
+    *((SimulatedFault.CYCLE_SLIPS, f"{n:.0f} an hour", {"slips_per_hour": n}) for n in (20.0, 60.0, 180.0)),
+    (SimulatedFault.MISSING_IMAGES, "2 images", {"missing_share": 0.03}),
 )
 
 
@@ -91,10 +98,10 @@ class Processed:
 def processed(fault: str, seed: int, size: str) -> dict[str, Any]:
     """Fly with a fault or without one, of a size of the table or its own, and process to the certificate."""
     sizes = next((sizes for own, name, sizes in SIZES if (own, name) == (fault, size)), {})
-    return asdict(_processed(Fault(fault) if fault else None, seed, sizes))
+    return asdict(_processed(SimulatedFault(fault) if fault else None, seed, sizes))
 
 
-def _processed(fault: Fault | None, seed: int, sizes: dict[str, Any]) -> Processed:
+def _processed(fault: SimulatedFault | None, seed: int, sizes: dict[str, Any]) -> Processed:
     with tempfile.TemporaryDirectory() as scratch:
         project = fly(
             Path(scratch) / "flight",
@@ -154,7 +161,7 @@ def others(flights: list[Processed], name: str) -> tuple[str, str]:
     return cells[0], cells[1]
 
 
-def row(fault: Fault | None, flights: list[Processed]) -> str:
+def row(fault: SimulatedFault | None, flights: list[Processed]) -> str:
     """Line of the table."""
     name = "" if fault is None else NAMES[fault]
     count = len(flights)
@@ -171,7 +178,7 @@ def row(fault: Fault | None, flights: list[Processed]) -> str:
     return "| " + " | ".join([*cells, *others(flights, name)]) + " |"
 
 
-def size_row(fault: Fault, size: str, flight: Processed) -> str:
+def size_row(fault: SimulatedFault, size: str, flight: Processed) -> str:
     """Line of the table of sizes."""
     name = NAMES[fault]
     causes, consequences = (

@@ -25,7 +25,7 @@ from pathlib import Path
 from acquire.importing.recovery import recover
 from acquire.log.records import MAGIC
 from acquire.log.replay import raw_frames
-from acquire.recording.configuration import Configuration
+from acquire.recording.configuration import RecordingConfiguration
 from acquire.recording.recorder import record, source_of_link
 from drivers import ubx
 from drivers.frames import GNSS, StreamFramer, Wire
@@ -177,7 +177,7 @@ def stop_one(seed: int, servers: list[HangingServer], full: FullServer) -> tuple
     links.append({"name": "far", "protocol": "rtcm3", "url": f"tcp://127.0.0.1:{full.port}"})
     links += [{"name": name, "protocol": "ubx", "url": "file:x"} for name in ("dead", "failing")]
     with tempfile.TemporaryDirectory() as name:
-        chosen = Configuration.model_validate(
+        chosen = RecordingConfiguration.model_validate(
             {"recording": {"output": name, "least_free_mb": 0}, "link": links}
         )
         opened = {link.name: source_of_link(link) for link in chosen.link if link.url != "file:x"}

@@ -25,7 +25,7 @@ import numpy as np
 from acquire.log.replay import raw_frames
 from acquire.simulate.hardware import awaited, on_ports, record_settings
 from acquire.simulate.playback import FlightClock, PlayedFlight, read_flight
-from acquire.simulate.world.streams import Wire
+from acquire.simulate.world.streams import RecordedWire
 from tests.acquire.live import Recorder, free_port
 
 HOURS_S = 7200.0
@@ -101,7 +101,7 @@ def two_hours(folder: Path) -> PlayedFlight:
     lines = {}
     for name, line in flight.lines.items():
         count = int(np.searchsorted(line.arrival_s, HOURS_S))
-        lines[name] = Wire(line.arrival_s[:count], line.frames[:count])
+        lines[name] = RecordedWire(line.arrival_s[:count], line.frames[:count])
     return replace(flight, lines=lines)
 
 
@@ -117,7 +117,7 @@ def processor_s(pid: int) -> float:
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def compared(name: str, line: Wire, log: Path) -> Compared:
+def compared(name: str, line: RecordedWire, log: Path) -> Compared:
     """Compare a link with what was sent; the numbers of an autopilot's frames go on through its answers."""
     found = [frame for _, frame in raw_frames(log, name)]
     vehicle = name == "vehicle"

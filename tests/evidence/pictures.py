@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.demo.simulated import Row, against_truth
+from photocal.demo.simulated import ComparedQuantity, against_truth
 from photocal.run.campaign import run_one
 from tests.simulated import FLIGHT, fly
 
@@ -117,7 +117,9 @@ def _together(truth: Path, work: Path) -> str:
     return f"{z @ np.linalg.solve(np.array(camera['correlation']['matrix']), z):.1f} of {len(z)}"
 
 
-def _line(number: int, figures: dict[str, Any], rows: tuple[Row, ...], together: str) -> list[str]:
+def _line(
+    number: int, figures: dict[str, Any], rows: tuple[ComparedQuantity, ...], together: str
+) -> list[str]:
     by_name = {row.name: row for row in rows}
     own = [row for row in rows if not row.name.startswith(("antenna", "direct", "integrated", "indirect"))]
     lens = [row for row in own if row.name[0] in "KPB"]
@@ -141,7 +143,7 @@ _AXES = ("east", "north", "height")
 _METHODS = ("direct", "integrated", "indirect")
 
 
-def _worst(rows: list[Row]) -> str:
+def _worst(rows: list[ComparedQuantity]) -> str:
     worst = max(rows, key=lambda row: abs(row.deviation))
     return f"{worst.name} {worst.deviation:+.2f}"
 

@@ -30,7 +30,7 @@ from photocal.exchange.micmac import read_micmac
 from photocal.geometry.camera import PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.geometry.similarity import similarity
-from photocal.measurement.block_files import Measured
+from photocal.measurement.block_files import MeasuredBlock
 from photocal.measurement.image_file import list_images
 from photocal.measurement.image_pairs import footprints, select_pairs, stated_footprints
 from photocal.measurement.image_tracks import track_images
@@ -251,7 +251,7 @@ def few_images(shared: Path, plan: MatchingPlan) -> list[str]:
     ]
 
 
-def _outcome(what: str, measure: Callable[[], Measured]) -> str:
+def _outcome(what: str, measure: Callable[[], MeasuredBlock]) -> str:
     try:
         record: dict[str, Any] = measure().record
     except PhotocalError as refusal:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from photocal.base.errors import PhotocalError
-from photocal.demo.simulated import Row, against_truth
+from photocal.demo.simulated import ComparedQuantity, against_truth
 from photocal.run.campaign import run_one
 from tests.simulated import FLIGHT, fly
 
@@ -111,7 +111,7 @@ class Outcome:
     """
 
     figures: dict[str, Any]
-    rows: tuple[Row, ...]
+    rows: tuple[ComparedQuantity, ...]
     refusal: str
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world.motion import Waves, make_waves
 from photocal.adjustment.mounting import COMMON, NADIR, Attitudes, Mounting, Positions
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.adjustment.solution import Solution
 from photocal.block.motion import expected_rates, velocity_of_neighbours
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera
@@ -154,7 +154,7 @@ def measured(
     values[0] = 1.005 * truth.camera.values[0]
     return Network(
         (truth.camera.with_values(values),),
-        Exposures(np.zeros(images, dtype=np.int64), start, np.full((images, 6), np.inf)),
+        ExteriorOrientations(np.zeros(images, dtype=np.int64), start, np.full((images, 6), np.inf)),
         Points(xyz + errors, held, weight),
         Rays(image, point, plane + rng.normal(0, sigma, plane.shape), np.full(plane.shape, sigma)),
         tuple(f"i{k}" for k in range(images)),

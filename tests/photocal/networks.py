@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from photocal.adjustment.mounting import NADIR, Attitudes, Mounting, Positions
-from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.geometry.camera import PARAMETERS, Affinity, AffinityForm, Camera, Model, camera
 from photocal.geometry.distortion import projected
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -151,7 +151,7 @@ def observe(
     held, weight = point_weights(of_point)
     return Network(
         tuple(_started(own, rng) for own in scene.cameras),
-        Exposures(
+        ExteriorOrientations(
             scene.camera_of, _observed(scene.exposures, of_exposure, rng, start, disturb / 4), of_exposure
         ),
         Points(_observed(scene.points, of_point, rng, start, disturb), held, weight),

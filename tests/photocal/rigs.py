@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
-from photocal.adjustment.rig import OF_HEAD, Rig, pairs_of
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
+from photocal.adjustment.rig import OF_HEAD, RigHeads, pairs_of
 from photocal.adjustment.solution import Solution
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
 from photocal.block.rig import Head
@@ -98,7 +98,7 @@ def flight(
     given = np.zeros_like(truth)
     given[1:] = truth[1:] + rng.normal(0, 1, truth[1:].shape) * sigma[1:]
     pairs = pairs_of(exposure, head, np.zeros(len(HEADS), dtype=np.int64))
-    rig = Rig(
+    rig = RigHeads(
         Rotation.from_rotvec(NOMINAL).as_matrix(), given, sigma, np.arange(len(HEADS)),
         np.zeros(len(HEADS), dtype=np.int64), *pairs, np.tile(STIFFNESS, (len(pairs[0]), 1)),
         np.zeros((len(pairs[0]), 2)), np.zeros((len(HEADS), 2)),
@@ -111,7 +111,7 @@ def _measured(
     head: Integers,
     exposure: Integers,
     motion: Floats,
-    rig: Rig,
+    rig: RigHeads,
     rng: np.random.Generator,
     sigma_px: float,
 ) -> Network:
@@ -144,7 +144,7 @@ def _measured(
     noise = rng.normal(0, sigma_px, (len(order), 2))
     return Network(
         cameras,
-        Exposures(head.copy(), start, deviation, motion),
+        ExteriorOrientations(head.copy(), start, deviation, motion),
         Points(flown.points[used] + rng.normal(0, 0.2, (len(used), 3)), held, weight),
         Rays(image[order], points, plane[order] + noise, np.full((len(order), 2), sigma_px)),
         tuple(f"i{k}" for k in range(len(head))),

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from acquire.simulate.gnss.geometry import Place
+from acquire.simulate.gnss.geometry import AntennaTrack
 from acquire.simulate.gnss.settings import L1CA, LIGHT_M_S, SkySettings
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import DAY_NS
@@ -39,7 +39,7 @@ class Atmosphere:
         waves = [k * np.cos(course), k * np.sin(course), 2 * np.pi / period, rng.uniform(0, 2 * np.pi, 3)]
         return cls(settings, np.stack(waves, axis=1), float(rng.normal(0, settings.wet_sigma_m)), longitude)
 
-    def ionosphere_m(self, at: Place, azimuth: Floats, elevation: Floats, gps_ns: Integers) -> Floats:
+    def ionosphere_m(self, at: AntennaTrack, azimuth: Floats, elevation: Floats, gps_ns: Integers) -> Floats:
         """Return the delay of codes on L1, float64 (n,); it grows with the inverse square of the frequency.
 
         A thin layer at 350 km whose vertical delay is the broadcast model's (IS-GPS-200N, 20.3.3.5.2.5, there
@@ -72,7 +72,7 @@ class Atmosphere:
         day = np.where(np.abs(phase) < np.pi / 2, amplitude * np.cos(phase), 0.0)
         return np.asarray(LIGHT_M_S * (5e-9 + day))
 
-    def troposphere_m(self, at: Place, elevation: Floats) -> Floats:
+    def troposphere_m(self, at: AntennaTrack, elevation: Floats) -> Floats:
         """Return the delay of all signals, float64 (n,)."""
         # Zenith delays by Saastamoinen (1972) in the standard atmosphere; mapped by Chao (1974), dry and wet.
         kelvin = 273.15 + self.settings.temperature_c - 6.5e-3 * at.height_m

@@ -33,7 +33,7 @@ class Antenna:
 
 
 @dataclass(frozen=True)
-class Place(Columns):
+class AntennaTrack(Columns):
     """An antenna at the epochs of a receiver.
 
     position_m, velocity_m_s (n, 3): Earth-centred, earth-fixed.
@@ -52,14 +52,14 @@ class Place(Columns):
         return enu_axes(np.degrees(self.lat), np.degrees(self.lon))
 
 
-def place(position_m: Floats, velocity_m_s: Floats) -> Place:
+def place(position_m: Floats, velocity_m_s: Floats) -> AntennaTrack:
     """Return an antenna with its geodetic coordinates."""
     lat, lon, height = geodetic(position_m)
-    return Place(position_m, velocity_m_s, np.radians(lat), np.radians(lon), height)
+    return AntennaTrack(position_m, velocity_m_s, np.radians(lat), np.radians(lon), height)
 
 
 @dataclass(frozen=True)
-class Link:
+class SatelliteView:
     """A satellite as an antenna receives it.
 
     range_m, range_rate_m_s (n,): way of the signal that arrives at the epoch, and its derivative.
@@ -77,7 +77,7 @@ class Link:
     wind_up: Floats
 
 
-def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: Place) -> Link:
+def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: AntennaTrack) -> SatelliteView:
     """Solve the light time equation.
 
     The earth turns while the signal travels (Sagnac effect): the satellite's position at transmission is
@@ -103,7 +103,7 @@ def link(satellite: Satellite, seconds: Floats, origin_gps_ns: int, at: Place) -
     e, n, u = (np.einsum("ij,ij->i", axis, unit) for axis in (east, north, up))
     clock_rate = state.clock_rate * (1 - rate / LIGHT_M_S)
     turns = _wind_up(position, -unit, _sun(seconds, origin_gps_ns), (east, north))
-    return Link(distance, rate, np.arctan2(e, n), np.arcsin(u), state.clock_s, clock_rate, turns)
+    return SatelliteView(distance, rate, np.arctan2(e, n), np.arcsin(u), state.clock_s, clock_rate, turns)
 
 
 def _wind_up(satellite: Floats, ray: Floats, sun: Floats, antenna: tuple[Floats, Floats]) -> Floats:

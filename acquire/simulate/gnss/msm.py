@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from acquire.simulate.gnss.ephemeris import Ephemeris
 from acquire.simulate.gnss.navigation_messages import GST_BEHIND_WEEKS, field, joined, octets
-from acquire.simulate.gnss.observations import Observations
+from acquire.simulate.gnss.observations import SatelliteObservations
 from acquire.simulate.gnss.session import Session
 from acquire.simulate.gnss.settings import GALILEO, GPS, LIGHT_M_S
 from photocal.base.time_scales import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S
@@ -27,7 +27,7 @@ _MJD_1970 = 40_587
 _ORBIT = "crs delta_n m0 cuc e cus sqrt_a toe cic omega0 cis i0 crc omega omega_dot"
 
 
-def observation_messages(observations: Observations) -> Iterator[tuple[int, bytes]]:
+def observation_messages(observations: SatelliteObservations) -> Iterator[tuple[int, bytes]]:
     """Yield time of sending (GPS ns) and payload: 1077 and 1097 of each epoch at a whole second."""
     rows = observations.rows
     clock = observations.clock
@@ -45,7 +45,7 @@ def observation_messages(observations: Observations) -> Iterator[tuple[int, byte
             yield int(true_ns[epoch]) + _LATENCY_NS, octets(head + _body(of_system, observations))
 
 
-def _body(rows: NDArray[np.void], observations: Observations) -> str:
+def _body(rows: NDArray[np.void], observations: SatelliteObservations) -> str:
     """Return the masks, the satellites and the signals of one system."""
     satellites = np.unique(rows["satellite"]).tolist()
     signals = sorted({observations.signal(s, n).msm for s in satellites for n in np.unique(rows["signal"])})
@@ -69,7 +69,7 @@ def _body(rows: NDArray[np.void], observations: Observations) -> str:
     return masks + "".join(columns) + "".join("".join(column) for column in zip(*fine, strict=True))
 
 
-def _signal(row: np.void, rough: int, rate: int, observations: Observations) -> tuple[str, ...]:
+def _signal(row: np.void, rough: int, rate: int, observations: SatelliteObservations) -> tuple[str, ...]:
     signal = observations.signal(row["satellite"], row["signal"])
     base_ms = rough / 1024
     code = round((float(row["code_m"]) / _MS_M - base_ms) * 2**29)
@@ -86,7 +86,7 @@ def _signal(row: np.void, rough: int, rate: int, observations: Observations) -> 
     )
 
 
-def _rate(observations: Observations, row: np.void) -> float:
+def _rate(observations: SatelliteObservations, row: np.void) -> float:
     return -float(row["doppler_hz"]) * observations.signal(row["satellite"], row["signal"]).wavelength_m
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquire.simulate.gnss.ephemeris import Ephemeris
-from acquire.simulate.gnss.observations import Observations
+from acquire.simulate.gnss.observations import SatelliteObservations
 from acquire.simulate.gnss.settings import GALILEO, GPS, SEMICIRCLE_RAD, UBX_SYSTEM, SkySettings
 from drivers.checksums import crc24q
 from photocal.base.arrays import Floats, Integers
@@ -219,7 +219,7 @@ _SOURCES = {
 
 
 def messages(
-    observations: Observations, span_gps_ns: tuple[int, int], sky: SkySettings
+    observations: SatelliteObservations, span_gps_ns: tuple[int, int], sky: SkySettings
 ) -> Iterator[tuple[int, bytes]]:
     """Yield time of sending (GPS ns) and payload of all that was received whole."""
     seconds = (observations.clock.tag_gps_ns - span_gps_ns[0]) / SECOND_NS
@@ -244,7 +244,7 @@ def messages(
                 yield received, head + struct.pack(f"<{len(words)}I", *words)
 
 
-def _tracked(observations: Observations, satellite: int, signal: int) -> Integers:
+def _tracked(observations: SatelliteObservations, satellite: int, signal: int) -> Integers:
     """Return at how many epochs before each one a signal was there; int64 (n + 1,)."""
     rows = observations.rows
     there = np.zeros(len(observations.clock) + 1, np.int64)

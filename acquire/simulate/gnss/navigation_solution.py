@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from acquire.simulate.gnss.observations import Observations, correlated
+from acquire.simulate.gnss.observations import SatelliteObservations, correlated
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
@@ -22,7 +22,7 @@ _SIGMA_M, _CORRELATION_S, _SPEED_SIGMA_M_S = (0.9, 0.9, 1.6), 60.0, 0.04
 
 
 def messages(
-    observations: Observations, geoid_m: float, leap_s: int, rng: np.random.Generator
+    observations: SatelliteObservations, geoid_m: float, leap_s: int, rng: np.random.Generator
 ) -> Iterator[tuple[int, bytes]]:
     """Yield time of sending (GPS ns) and payload of NAV-PVT, one per epoch with four satellites.
 
@@ -69,7 +69,7 @@ def messages(
         )
 
 
-def survey_messages(observations: Observations, announced_m: Floats) -> Iterator[tuple[int, bytes]]:
+def survey_messages(observations: SatelliteObservations, announced_m: Floats) -> Iterator[tuple[int, bytes]]:
     """Yield time of sending and payload of NAV-SVIN, every second: its survey ended before the session."""
     clock = observations.clock
     whole = clock.tag_gps_ns % SECOND_NS == 0
@@ -89,7 +89,7 @@ def survey_messages(observations: Observations, announced_m: Floats) -> Iterator
         )
 
 
-def dilution(observations: Observations) -> tuple[Integers, Floats]:
+def dilution(observations: SatelliteObservations) -> tuple[Integers, Floats]:
     """Return the number of satellites and the PDOP of each epoch (99 where it is not defined)."""
     rows = observations.rows[observations.rows["signal"] == 0]
     count = len(observations.clock)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from acquire.simulate.gnss.atmosphere import Atmosphere, on
 from acquire.simulate.gnss.constellation import Satellite
-from acquire.simulate.gnss.geometry import Antenna, Link, Place, link, place
+from acquire.simulate.gnss.geometry import Antenna, AntennaTrack, SatelliteView, link, place
 from acquire.simulate.gnss.settings import GPS, LIGHT_M_S, SIGNALS, ReceiverModel, Signal
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.time_scales import SECOND_NS
@@ -179,14 +179,14 @@ def correlated(count: int, step: float, rows: int, rng: np.random.Generator) -> 
 
 
 @dataclass(frozen=True)
-class Observations:
+class SatelliteObservations:
     """Measurements of one receiver.
 
     rows (m,) of `ROW`: by epoch, satellite and signal; `phase_cycles` grows with the range, like `code_m`.
     """
 
     clock: Clock
-    place: Place
+    place: AntennaTrack
     satellites: tuple[Satellite, ...]
     rows: NDArray[np.void]
 
@@ -204,7 +204,7 @@ def observe(
     rng: np.random.Generator,
     *,
     gaps_s: tuple[tuple[float, float], ...] = (),
-) -> Observations:
+) -> SatelliteObservations:
     """Measure through a session."""
     start = span_gps_ns[0]
     clock = run_clock(model, *span_gps_ns, rng)
@@ -223,7 +223,7 @@ def observe(
         parts += _satellite(index, satellite, atmosphere, model, epochs, bias, chance)
     rows = np.concatenate([np.empty(0, ROW), *parts])
     order = np.lexsort((rows["signal"], rows["satellite"], rows["epoch"]))
-    return Observations(clock, here, satellites, rows[order])
+    return SatelliteObservations(clock, here, satellites, rows[order])
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ class _Epochs:
     origin_ns: int
     true_ns: Integers
     clock: Clock
-    place: Place
+    place: AntennaTrack
     blocked: Flags
 
 
@@ -288,7 +288,7 @@ def _rows(
     numbers: tuple[int, int],
     signal: Signal,
     clock: Clock,
-    way: Link,
+    way: SatelliteView,
     held: Tracking,
     noise: Noise,
     measured: tuple[Floats, Floats, Floats],

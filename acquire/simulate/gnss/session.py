@@ -8,7 +8,7 @@ import numpy as np
 from acquire.simulate.gnss.atmosphere import Atmosphere
 from acquire.simulate.gnss.constellation import Satellite, constellation
 from acquire.simulate.gnss.geometry import Antenna
-from acquire.simulate.gnss.observations import Observations, observe
+from acquire.simulate.gnss.observations import SatelliteObservations, observe
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, ReceiverModel, SkySettings
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
@@ -24,8 +24,8 @@ class Session:
     span_gps_ns: tuple[int, int]
     sky: SkySettings
     satellites: tuple[Satellite, ...]
-    rover: Observations
-    base: Observations
+    rover: SatelliteObservations
+    base: SatelliteObservations
     announced_m: Floats
 
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.simulate.gnss import msm, navigation_messages, navigation_solution, time_marks
-from acquire.simulate.gnss.observations import Observations
+from acquire.simulate.gnss.observations import SatelliteObservations
 from acquire.simulate.gnss.session import Session
 from acquire.simulate.gnss.settings import SIGNALS, UBX_SYSTEM
-from acquire.simulate.gnss.time_marks import Events
+from acquire.simulate.gnss.time_marks import Pulses
 from drivers import rtcm3, ubx
 from drivers.ubx.decode import signal_layout
 from photocal.base.arrays import Floats, Integers
@@ -25,7 +25,7 @@ _LONGEST_LOCK_MS = 64_500
 Timed = tuple[int, bytes]
 
 
-def messages(observations: Observations, leap_s: int) -> Iterator[tuple[int, bytes]]:
+def messages(observations: SatelliteObservations, leap_s: int) -> Iterator[tuple[int, bytes]]:
     """Yield time of sending (GPS ns) and payload, one per epoch that has signals."""
     rows = observations.rows
     records = _records(observations).tobytes()
@@ -41,7 +41,7 @@ def messages(observations: Observations, leap_s: int) -> Iterator[tuple[int, byt
         yield int(true_ns[epoch]) + _LATENCY_NS, head + records[first * 32 : after * 32]
 
 
-def _records(observations: Observations) -> NDArray[np.void]:
+def _records(observations: SatelliteObservations) -> NDArray[np.void]:
     rows = observations.rows
     satellites = observations.satellites
     out = np.zeros(len(rows), signal_layout())
@@ -85,7 +85,7 @@ class Stream:
 
 
 def rover_ubx(
-    session: Session, events: Events | None = None, geoid_m: float = 0.0, *, rng: np.random.Generator
+    session: Session, events: Pulses | None = None, geoid_m: float = 0.0, *, rng: np.random.Generator
 ) -> Stream:
     """Return the rover's stream: RXM-RAWX, RXM-SFRBX, NAV-PVT and TIM-TM2."""
     for_position, for_marks = rng.spawn(2)
@@ -103,7 +103,7 @@ def base_ubx(session: Session) -> Stream:
     return _stream([*_raw(session, session.base), _ubx(navigation_solution.SURVEY_KIND, surveyed)])
 
 
-def _raw(session: Session, receiver: Observations) -> list[list[Timed]]:
+def _raw(session: Session, receiver: SatelliteObservations) -> list[list[Timed]]:
     """Return what a receiver measured, and what the satellites told it."""
     broadcast = navigation_messages.messages(receiver, session.span_gps_ns, session.sky)
     return [_ubx(KIND, messages(receiver, session.sky.leap_s)), _ubx(navigation_messages.KIND, broadcast)]

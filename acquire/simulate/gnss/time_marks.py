@@ -22,7 +22,7 @@ _BASE = {"receiver": 0, "gnss": 1, "utc": 2}
 
 
 @dataclass(frozen=True)
-class Events:
+class Pulses:
     """Pulses at the receiver's pin.
 
     rising_gps_ns (n,): true GPS times of the rising edges, rising.
@@ -42,7 +42,7 @@ class Events:
 
 
 def messages(
-    events: Events, clock: Clock, leap_s: int, rng: np.random.Generator
+    events: Pulses, clock: Clock, leap_s: int, rng: np.random.Generator
 ) -> Iterator[tuple[int, bytes]]:
     """Yield time of sending (GPS ns) and payload.
 
@@ -69,7 +69,7 @@ def messages(
         yield int(true_ns[epoch]) + _LATENCY_NS, head + body
 
 
-def _marks(events: Events, true_ns: Integers) -> Iterator[tuple[int, int, tuple[int | None, int | None]]]:
+def _marks(events: Pulses, true_ns: Integers) -> Iterator[tuple[int, int, tuple[int | None, int | None]]]:
     """Yield the epoch that tells of a mark, the number of its rising edge, and its edges."""
     rising = np.searchsorted(true_ns, events.rising_gps_ns).tolist()
     falling = np.searchsorted(true_ns, events.falling_gps_ns).tolist()
@@ -87,7 +87,7 @@ def _marks(events: Events, true_ns: Integers) -> Iterator[tuple[int, int, tuple[
             yield falling[place], count, (None, int(events.falling_gps_ns[place]))
 
 
-def _stamp(gps_ns: int, events: Events, clock: Clock, leap_s: int) -> int:
+def _stamp(gps_ns: int, events: Pulses, clock: Clock, leap_s: int) -> int:
     if events.stamped_in == "utc":
         return gps_ns - leap_s * SECOND_NS
     if events.stamped_in == "receiver":

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
+from acquire.simulate.world.configuration import LEAP_S, FlightConfiguration, SimulatedFault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
-from acquire.simulate.world.observations import Observations, kept_images
+from acquire.simulate.world.observations import MeasuredPoints, kept_images
 from acquire.simulate.world.world import World
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
@@ -23,9 +23,9 @@ Columns = dict[str, tuple[str, Iterable[Any]]]
 _LEAST_SLIP_M = 0.5
 
 
-def write_block(world: World, observed: Observations, folder: Path) -> None:
+def write_block(world: World, observed: MeasuredPoints, folder: Path) -> None:
     """Write the block folder of a flight; a fault that only shows in streams is refused."""
-    if world.has(Fault.CYCLE_SLIPS):
+    if world.has(SimulatedFault.CYCLE_SLIPS):
         raise ConfigurationError(
             "cycle slips do not show at the level block", 'take level = "observations" or "pictures"'
         )
@@ -57,7 +57,7 @@ def write_block(world: World, observed: Observations, folder: Path) -> None:
     (folder / "block.toml").write_text(_setup(world), encoding="utf-8")
 
 
-def write_observations(world: World, observed: Observations, path: Path) -> None:
+def write_observations(world: World, observed: MeasuredPoints, path: Path) -> None:
     """Write `observations.csv`."""
     names = np.array(world.exposures.names, dtype=object)
     points = np.array(observed.names, dtype=object)
@@ -79,7 +79,7 @@ def _navigation(
 ) -> tuple[dict[str, tuple[str, Floats]], dict[str, tuple[str, Floats]]]:
     """Give positions of the antenna and attitudes at the events, with noise."""
     rig, random = world.configuration.rig, world.random("sky")
-    late = LEAP_S if world.has(Fault.EVENT_TIME_BASE) else 0.0
+    late = LEAP_S if world.has(SimulatedFault.EVENT_TIME_BASE) else 0.0
     event = world.exposures.event_s[kept] - late
     position = antenna_at(world.motion, world.rig, event)
     position = position + random.standard_normal(position.shape) * rig.position_sigma_m
@@ -104,7 +104,7 @@ def _navigation(
 
 def telemetry_gap(world: World) -> tuple[float, float]:
     """Give when telemetry is lost: in the middle of the survey, or never."""
-    if not world.has(Fault.TELEMETRY_GAP):
+    if not world.has(SimulatedFault.TELEMETRY_GAP):
         return np.inf, np.inf
     middle = float(np.median(world.exposures.event_s))
     half = world.configuration.fault_sizes.gap_s / 2.0
@@ -120,7 +120,7 @@ def write_targets(world: World, notes: "FieldBook", path: Path, names: Sequence[
     path.write_text("\n".join(["point,X,Y,Z,sX,sY,sZ,role", *lines]) + "\n", encoding="utf-8")
 
 
-def camera_keys(configuration: Configuration) -> dict[str, Any]:
+def camera_keys(configuration: FlightConfiguration) -> dict[str, Any]:
     """Give the `[[camera]]` of block and project files: it knows what the makers say, no more."""
     camera = configuration.camera
     return {
@@ -216,7 +216,7 @@ def take_notes(world: World, coordinates: Floats) -> FieldBook:
     given = world.configuration
     texts = [tuple(f"{value:.4f}" for value in row) for row in coordinates.tolist()]
     mistyped = ""
-    if world.has(Fault.CONTROL_DIGITS):
+    if world.has(SimulatedFault.CONTROL_DIGITS):
         control = [k for k, role in enumerate(world.targets.roles) if role == "control"]
         row = control[int(world.random("faults").integers(len(control)))]
         added, wrong = given.fault_sizes.control_m, _swapped(texts[row])
@@ -226,7 +226,7 @@ def take_notes(world: World, coordinates: Floats) -> FieldBook:
         mistyped = world.targets.names[row]
     base = world.base_m + world.base_error_m
     arm = np.array(given.rig.camera_to_antenna_m)
-    if world.has(Fault.LEVER_ARM_AXIS):
+    if world.has(SimulatedFault.LEVER_ARM_AXIS):
         arm = arm[[2, 1, 0]]
     antenna_height_m = given.gnss.base_antenna_height_m - world.antenna_height_error_m
     return FieldBook(tuple((x, y, z) for x, y, z in texts), base, antenna_height_m, arm, mistyped)

@@ -11,7 +11,7 @@ from photocal.base.checked_toml import Table
 OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
-class Camera(Table):
+class TrueCamera(Table):
     """A camera with radial and tangential distortion; pixel centres are whole numbers, rows go down.
 
     nominal_mm: what the makers say (EXIF, start value of a calibration).

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, FiniteFloat, PositiveFloat, model_validator
 
-from acquire.simulate.world.camera import Camera
+from acquire.simulate.world.camera import TrueCamera
 from photocal.base.checked_toml import Table, checked_tables, read_tables
 
 Pair = tuple[FiniteFloat, FiniteFloat]
@@ -24,7 +24,7 @@ LEAP_S = 18
 LEAP_SECONDS_SINCE, LEAP_SECONDS_KNOWN_TO = dt.date(2017, 1, 1), dt.date(2027, 6, 28)
 
 
-class Fault(StrEnum):
+class SimulatedFault(StrEnum):
     """What can be made wrong; each is one mistake that people or devices make."""
 
     ANTENNA_HEIGHT = "wrong_antenna_height"
@@ -74,7 +74,7 @@ class Level(StrEnum):
     BLOCK = "block"
 
 
-class Place(Table):
+class PlaceKeys(Table):
     """Where and when: the origin of the local frame on the ellipsoid, the system of control and results."""
 
     latitude_deg: Annotated[float, Field(gt=-85, lt=85)]
@@ -96,7 +96,7 @@ class Place(Table):
         return self
 
 
-class Terrain(Table):
+class TerrainKeys(Table):
     """Fractal relief: standard deviation, longest wave, and how power falls with the wave number."""
 
     relief_m: NonNegative = 3.0
@@ -131,7 +131,7 @@ class Plan(Table):
         return self
 
 
-class Vehicle(Table):
+class VehicleKeys(Table):
     """Motion beside the plan: wind, gusts and vibration of a multirotor."""
 
     wind_m_s: NonNegative = 2.0
@@ -141,7 +141,7 @@ class Vehicle(Table):
     vibration_deg: NonNegative = 0.01
 
 
-class Rig(Table):
+class RigKeys(Table):
     """What the surveyor believes of the rig; the truth is drawn around it with the stated sigmas."""
 
     camera_to_antenna_m: Triple
@@ -154,7 +154,7 @@ class Rig(Table):
     attitude_sigma_deg: PositiveSigmas = (0.3, 0.3, 0.6)
 
 
-class Targets(Table):
+class TargetKeys(Table):
     """Surveyed plates: how many, their coded pattern, and how well their centres are known."""
 
     control: Annotated[int, Field(ge=0)] = 8
@@ -224,14 +224,14 @@ class Wires(Table):
     rover_damage: Share = 0.0
 
 
-class Judgement(Table):
+class SimulatedJudgement(Table):
     """What the project file asks the check points to be judged against."""
 
     scale: str = ""
     standards: tuple[str, ...] = ()
 
 
-class Configuration(Table):
+class FlightConfiguration(Table):
     """The whole file.
 
     `seed` draws everything; with `field_seed` ground, targets, their survey and the rig stay the same for all
@@ -242,25 +242,25 @@ class Configuration(Table):
     seed: Annotated[int, Field(ge=0)] = 1
     field_seed: Annotated[int, Field(ge=0)] | None = None
     level: Level = Level.PICTURES
-    place: Place
-    terrain: Terrain = Terrain()
+    place: PlaceKeys
+    terrain: TerrainKeys = TerrainKeys()
     plan: Plan
-    vehicle: Vehicle = Vehicle()
-    camera: Camera
-    rig: Rig
-    targets: Targets = Targets()
+    vehicle: VehicleKeys = VehicleKeys()
+    camera: TrueCamera
+    rig: RigKeys
+    targets: TargetKeys = TargetKeys()
     pictures: Pictures = Pictures()
     observing: Observing = Observing()
     gnss: Gnss = Gnss()
     air: Air = Air()
     telemetry: Telemetry = Telemetry()
     wires: Wires = Wires()
-    faults: frozenset[Fault] = frozenset()
+    faults: frozenset[SimulatedFault] = frozenset()
     fault_sizes: FaultSizes = FaultSizes()
-    judgement: Judgement = Judgement()
+    judgement: SimulatedJudgement = SimulatedJudgement()
 
 
-def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Configuration:
+def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> FlightConfiguration:
     """Read the configuration of a simulated flight.
 
     raises InputNotFoundError: when the file cannot be read.
@@ -268,4 +268,4 @@ def read_configuration(path: Path, instead: dict[str, Any] | None = None) -> Con
     """
     known = FLIGHTS / f"{path}.toml"
     path = known if not path.exists() and known.is_file() else path
-    return checked_tables({**read_tables(path), **(instead or {})}, Configuration, path)
+    return checked_tables({**read_tables(path), **(instead or {})}, FlightConfiguration, path)

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world import configuration
-from acquire.simulate.world.camera import Camera
-from acquire.simulate.world.motion import Motion, Strip
+from acquire.simulate.world.camera import TrueCamera
+from acquire.simulate.world.motion import FlownStrip, Motion
 from photocal.base.arrays import Floats, Integers
 
 # Camera axes (x right, y up in the image, z backwards) in body axes (forward, right, down), the upper edge of
@@ -20,7 +20,7 @@ CAMERA_FROM_IMU_M = np.array([0.04, 0.0, 0.06])
 
 
 @dataclass(frozen=True)
-class Rig:
+class TrueRig:
     """The true mounting.
 
     camera_to_antenna_m (3,): from the projection centre to the antenna's phase centre, body axes.
@@ -38,12 +38,12 @@ class Rig:
         return np.asarray(Rotation.from_rotvec(self.boresight).as_matrix() @ NADIR)
 
 
-def make_rig(given: configuration.Rig, random: np.random.Generator) -> Rig:
+def make_rig(given: configuration.RigKeys, random: np.random.Generator) -> TrueRig:
     """Draw the true rig around what the surveyor believes of it, with the sigmas that he states."""
     arm = given.camera_to_antenna_m + random.standard_normal(3) * given.camera_to_antenna_sigma_m
     turn = np.radians(given.boresight_deg + random.standard_normal(3) * given.boresight_sigma_deg)
     late = given.time_offset_s + random.standard_normal() * given.time_offset_sigma_s
-    return Rig(arm, turn, float(late))
+    return TrueRig(arm, turn, float(late))
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,14 @@ class Pose:
     rotation: Floats
 
 
-def pose_at(motion: Motion, rig: Rig, time_s: Floats) -> Pose:
+def pose_at(motion: Motion, rig: TrueRig, time_s: Floats) -> Pose:
     """Give where the camera is and how it is turned."""
     body = motion.to_body(time_s)
     centre = motion.position(time_s) + np.swapaxes(body, 1, 2) @ CAMERA_FROM_IMU_M
     return Pose(centre, rig.body_to_camera @ body)
 
 
-def antenna_at(motion: Motion, rig: Rig, time_s: Floats) -> Floats:
+def antenna_at(motion: Motion, rig: TrueRig, time_s: Floats) -> Floats:
     """Give positions of the antenna in the local frame, shape (n, 3)."""
     body = motion.to_body(time_s)
     return np.asarray(
@@ -73,7 +73,7 @@ def antenna_at(motion: Motion, rig: Rig, time_s: Floats) -> Floats:
     )
 
 
-def antenna_velocity(motion: Motion, rig: Rig, time_s: Floats, step_s: float = 1e-3) -> Floats:
+def antenna_velocity(motion: Motion, rig: TrueRig, time_s: Floats, step_s: float = 1e-3) -> Floats:
     """Give velocities of the antenna by central differences, shape (n, 3)."""
     # Over 1 ms the third derivative of a motion of 60 Hz and millimetres leaves an error far below 1 mm/s.
     after, before = (antenna_at(motion, rig, time_s + side * step_s) for side in (1.0, -1.0))
@@ -91,7 +91,7 @@ def omega_phi_kappa(rotation: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Exposures:
+class TrueExposures:
     """All pictures of a flight in the order of time.
 
     names (n,): of the files.
@@ -107,7 +107,7 @@ class Exposures:
     event_s: Floats
     middle_s: Floats
     pose: Pose
-    cameras: tuple[Camera, ...]
+    cameras: tuple[TrueCamera, ...]
 
     def __len__(self) -> int:
         return len(self.names)
@@ -115,12 +115,12 @@ class Exposures:
 
 def make_exposures(
     motion: Motion,
-    rig: Rig,
-    lines: tuple[Strip, ...],
+    rig: TrueRig,
+    lines: tuple[FlownStrip, ...],
     spreads: tuple[float, ...],
-    cameras: tuple[Camera, ...],
+    cameras: tuple[TrueCamera, ...],
     random: np.random.Generator,
-) -> Exposures:
+) -> TrueExposures:
     """Take the pictures of a flight."""
     event, covers, strip = [], [], []
     for number, begin, end in motion.strip:
@@ -135,7 +135,7 @@ def make_exposures(
     moment = np.round(moment, 9)
     middle = moment + rig.time_offset_s
     names = tuple(f"IMG_{number:04d}.JPG" for number in range(1, len(moment) + 1))
-    return Exposures(
+    return TrueExposures(
         names,
         passes,
         np.concatenate(strip),

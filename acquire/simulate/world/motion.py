@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from acquire.simulate.world import configuration
-from acquire.simulate.world.camera import Camera
+from acquire.simulate.world.camera import TrueCamera
 from photocal.base.arrays import Floats
 
 _CLIMB_M_S = 4.0
@@ -27,7 +27,7 @@ TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
-class Strip:
+class FlownStrip:
     """A straight line of exposures.
 
     begin_m, end_m (3,): where its first and its last exposure are wanted.
@@ -53,10 +53,10 @@ class Leg:
     strip: int = -1
 
 
-def strips(plan: configuration.Plan, camera: Camera) -> tuple[Strip, ...]:
+def strips(plan: configuration.Plan, camera: TrueCamera) -> tuple[FlownStrip, ...]:
     """Lay strips over the area, pass after pass, each next to the one before and flown the other way."""
     area = np.array(plan.area_m)
-    lines: list[Strip] = []
+    lines: list[FlownStrip] = []
     for number, pass_ in enumerate(plan.passes):
         course = np.radians(pass_.course_deg)
         along = np.array([np.sin(course), np.cos(course)])
@@ -71,7 +71,7 @@ def strips(plan: configuration.Plan, camera: Camera) -> tuple[Strip, ...]:
             shots = max(2, int(np.ceil((last - first) / (height * (1 - pass_.forward_overlap)))) + 1)
             ends = [np.append(across * right + at * along, height_m) for at in (first, last)]
             begin, end = ends if index % 2 == 0 else ends[::-1]
-            lines.append(Strip(number, begin, end, shots, pass_.speed_m_s))
+            lines.append(FlownStrip(number, begin, end, shots, pass_.speed_m_s))
     return tuple(lines)
 
 
@@ -86,7 +86,9 @@ def _crossing(area: Floats, right: Floats, along: Floats, across: float) -> tupl
     return float(places.min()), float(places.max())
 
 
-def legs(plan: configuration.Plan, lines: tuple[Strip, ...], ground_m: float) -> tuple[Floats, list[Leg]]:
+def legs(
+    plan: configuration.Plan, lines: tuple[FlownStrip, ...], ground_m: float
+) -> tuple[Floats, list[Leg]]:
     """Join the strips to one way, from the ground to the ground."""
     home = np.array([*plan.take_off_m, ground_m])
     way = [Leg(home, plan.on_ground_s)]
@@ -213,7 +215,7 @@ def body_of(angles: Floats) -> Floats:
 
 
 def make_motion(
-    start_m: Floats, legs: list[Leg], given: configuration.Vehicle, random: np.random.Generator
+    start_m: Floats, legs: list[Leg], given: configuration.VehicleKeys, random: np.random.Generator
 ) -> Motion:
     """Make the motion along a way."""
     ends = np.cumsum([0.0, *(leg.duration_s for leg in legs)])

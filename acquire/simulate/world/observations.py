@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquire.simulate.world.camera import Camera
-from acquire.simulate.world.configuration import Fault
-from acquire.simulate.world.exposures import TO_OPENCV, Exposures, Pose, Rig, pose_at
+from acquire.simulate.world.camera import TrueCamera
+from acquire.simulate.world.configuration import SimulatedFault
+from acquire.simulate.world.exposures import TO_OPENCV, Pose, TrueExposures, TrueRig, pose_at
 from acquire.simulate.world.motion import Motion
 from acquire.simulate.world.world import World
 from photocal.base.arrays import Flags, Floats, Integers
@@ -14,7 +14,7 @@ from photocal.base.arrays import Flags, Floats, Integers
 MARGIN_PX = 8.0
 
 
-def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
+def seen(points_m: Floats, pose: Pose, camera: TrueCamera) -> Floats:
     """Give columns and rows of points, each by its own pose or all by one, shape (n, 2).
 
     points_m (n, 3): in the local frame.
@@ -24,7 +24,7 @@ def seen(points_m: Floats, pose: Pose, camera: Camera) -> Floats:
 
 
 def seen_rolling(
-    points_m: Floats, exposures: Exposures, number: int, motion: Motion, rig: Rig, readout_s: float
+    points_m: Floats, exposures: TrueExposures, number: int, motion: Motion, rig: TrueRig, readout_s: float
 ) -> Floats:
     """Give where points appear in one picture, shape (n, 2)."""
     camera, pose = exposures.cameras[number], exposures.pose
@@ -38,14 +38,14 @@ def seen_rolling(
     return place
 
 
-def row_time(exposures: Exposures, number: int, rows: Floats, readout_s: float) -> Floats:
+def row_time(exposures: TrueExposures, number: int, rows: Floats, readout_s: float) -> Floats:
     """Give the middle of the exposure of rows, s."""
     height = exposures.cameras[number].height
     return np.asarray(exposures.middle_s[number] + (rows / (height - 1) - 0.5) * readout_s)
 
 
 @dataclass(frozen=True)
-class Observations:
+class MeasuredPoints:
     """Measured places of points in images.
 
     names: targets first, then ties.
@@ -65,14 +65,14 @@ class Observations:
 def kept_images(world: World) -> Flags:
     """Tell which pictures reach the office: some are lost from within a strip when that fault is on."""
     kept = np.ones(len(world.exposures), bool)
-    if world.has(Fault.MISSING_IMAGES):
+    if world.has(SimulatedFault.MISSING_IMAGES):
         lost = max(int(len(kept) * world.configuration.fault_sizes.missing_share), 2)
         first = int(world.random("faults").integers(2, len(kept) - lost - 1))
         kept[first : first + lost] = False
     return kept
 
 
-def observe(world: World) -> Observations:
+def observe(world: World) -> MeasuredPoints:
     """Measure targets and tie points in all pictures."""
     given = world.configuration
     random = world.random("observations")
@@ -99,4 +99,4 @@ def observe(world: World) -> Observations:
     sigma = np.where(point < count, given.observing.target_sigma_px, given.observing.sigma_px)
     noisy = pixels + random.standard_normal(pixels.shape) * sigma[:, None]
     names = (*world.targets.names, *(f"T{number:04d}" for number in range(1, given.observing.ties + 1)))
-    return Observations(names, points, image, point, noisy, sigma)
+    return MeasuredPoints(names, points, image, point, noisy, sigma)

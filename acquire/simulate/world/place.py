@@ -33,7 +33,7 @@ class Place:
     crs: str
 
     @classmethod
-    def of(cls, given: configuration.Place) -> Self:
+    def of(cls, given: configuration.PlaceKeys) -> Self:
         """Make the frame of a configuration."""
         latitude, longitude = np.radians([given.latitude_deg, given.longitude_deg]).tolist()
         return cls(latitude, longitude, given.height_m, given.crs)

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.simulate.world.camera import Camera
+from acquire.simulate.world.camera import TrueCamera
 from acquire.simulate.world.exposures import TO_OPENCV, Pose, pose_at
 from acquire.simulate.world.observations import row_time, seen_rolling
-from acquire.simulate.world.terrain import Terrain
+from acquire.simulate.world.terrain import HeightField
 from acquire.simulate.world.world import STREAMS, World
 from photocal.base.arrays import Bytes, Floats
 from photocal.base.errors import ConfigurationError
@@ -36,7 +36,7 @@ GRID_PX = 8
 
 
 @dataclass(frozen=True)
-class Ground:
+class PaintedGround:
     """A painted square around the origin, rows from north to south.
 
     detail (n, n): brightness, 128 where it is that of the colour.
@@ -49,13 +49,13 @@ class Ground:
     colour: Bytes
     half_m: float
 
-    def softened(self, seen_m: float) -> "Ground":
+    def softened(self, seen_m: float) -> "PaintedGround":
         """Give the ground without detail finer than a pixel of `seen_m` on the ground can show."""
         import cv2
 
         sigma = 0.4 * seen_m / self.texel_m
         soft: Any = cv2.GaussianBlur(self.detail, (0, 0), sigma)
-        return Ground(np.asarray(soft, np.uint8), self.texel_m, self.colour, self.half_m)
+        return PaintedGround(np.asarray(soft, np.uint8), self.texel_m, self.colour, self.half_m)
 
     def seen_at(self, east_m: NDArray[np.float32], north_m: NDArray[np.float32]) -> Bytes:
         """Give blue, green, red at places, shape (h, w, 3)."""
@@ -70,13 +70,13 @@ class Ground:
         return np.asarray(cv2.multiply(colour, cv2.merge([detail] * 3), scale=1 / MEAN_GREY), np.uint8)
 
 
-def paint(terrain: Terrain, half_m: float, texel_m: float, random: np.random.Generator) -> Ground:
+def paint(terrain: HeightField, half_m: float, texel_m: float, random: np.random.Generator) -> PaintedGround:
     """Paint the ground."""
     count = int(np.ceil(2 * half_m / texel_m))
     side = count * texel_m / 2
     detail = _detail(count, random)
     _scatter(detail, texel_m, random)
-    return Ground(detail, texel_m, _colour(terrain, side, random), side)
+    return PaintedGround(detail, texel_m, _colour(terrain, side, random), side)
 
 
 def _detail(count: int, random: np.random.Generator) -> Bytes:
@@ -115,7 +115,7 @@ def _scatter(detail: Bytes, texel_m: float, random: np.random.Generator) -> None
         cv2.polylines(detail, [np.rint(curve).astype(np.int32)], False, 160, width, cv2.LINE_AA)
 
 
-def _colour(terrain: Terrain, half_m: float, random: np.random.Generator) -> Bytes:
+def _colour(terrain: HeightField, half_m: float, random: np.random.Generator) -> Bytes:
     import cv2
 
     count = int(np.ceil(2 * half_m / COLOUR_M))
@@ -205,15 +205,15 @@ def dictionary_of(name: str) -> Any:
 
 
 @dataclass(frozen=True)
-class Scene:
+class PaintedScene:
     """What is to be pictured, painted once; `grounds`: for each pass, as soft as its pixels are large."""
 
     world: World
     plates: tuple[Plate, ...]
-    grounds: tuple[Ground, ...]
+    grounds: tuple[PaintedGround, ...]
 
     @cached_property
-    def directions(self) -> dict[Camera, Floats]:
+    def directions(self) -> dict[TrueCamera, Floats]:
         """Directions of the grid of rays of each camera, OpenCV's axes, shape (rows, columns, 3)."""
         directions = {}
         for camera in dict.fromkeys(self.world.exposures.cameras):
@@ -222,7 +222,7 @@ class Scene:
         return directions
 
 
-def make_scene(world: World) -> Scene:
+def make_scene(world: World) -> PaintedScene:
     """Paint the ground and make the plates of a world."""
     given, targets = world.configuration, world.targets
     plates = tuple(
@@ -233,7 +233,7 @@ def make_scene(world: World) -> Scene:
     )
     ground = paint(world.terrain, _reach(world), given.pictures.texel_m, world.random("texture"))
     sizes = [pass_.height_m * given.camera.pitch_mm / given.camera.nominal_mm for pass_ in given.plan.passes]
-    return Scene(world, plates, tuple(ground.softened(size) for size in sizes))
+    return PaintedScene(world, plates, tuple(ground.softened(size) for size in sizes))
 
 
 def _reach(world: World) -> float:
@@ -248,7 +248,7 @@ def _reach(world: World) -> float:
     return farthest + 2.0
 
 
-def render(scene: Scene, number: int) -> Bytes:
+def render(scene: PaintedScene, number: int) -> Bytes:
     """Take a picture, (height, width, 3): blue, green, red."""
     import cv2
 
@@ -293,7 +293,7 @@ def _poses(world: World, number: int, rows: Floats) -> Pose:
     )
 
 
-def _lay(picture: Bytes, plate: Plate, scene: Scene, number: int) -> None:
+def _lay(picture: Bytes, plate: Plate, scene: PaintedScene, number: int) -> None:
     """Draw a plate into a picture."""
     world, camera = scene.world, scene.world.exposures.cameras[number]
     readout = world.configuration.camera.readout_s
@@ -329,7 +329,7 @@ def _between(nodes: Floats, rows: Floats, columns: Floats) -> Floats:
     return np.asarray(RectBivariateSpline(down, across, nodes)(rows, columns))
 
 
-def _spread(scene: Scene, number: int) -> NDArray[np.float32]:
+def _spread(scene: PaintedScene, number: int) -> NDArray[np.float32]:
     """Give how a point of light is spread: by the lens, and along its way during the exposure."""
     world = scene.world
     camera, time = world.exposures.cameras[number], world.exposures.middle_s[number]

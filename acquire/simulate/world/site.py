@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from acquire.simulate.world import block_folder
-from acquire.simulate.world.configuration import Configuration, Level
+from acquire.simulate.world.configuration import FlightConfiguration, Level
 from acquire.simulate.world.observations import kept_images, observe
-from acquire.simulate.world.streams import Wire, make_streams, telemetry_log
+from acquire.simulate.world.streams import RecordedWire, make_streams, telemetry_log
 from acquire.simulate.world.truth import conditions, write_truth
 from acquire.simulate.world.world import World, make_world, picture_stamps
 
@@ -131,7 +131,7 @@ def write_particulars(world: World, path: Path) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def simulate_flight(configuration: Configuration, folder: Path, advance: Advance) -> dict[str, Any]:
+def simulate_flight(configuration: FlightConfiguration, folder: Path, advance: Advance) -> dict[str, Any]:
     """Simulate a flight and write `site/` and `truth/`."""
     world = make_world(configuration)
     site, truth = folder / "site", folder / "truth"
@@ -154,7 +154,7 @@ def simulate_flight(configuration: Configuration, folder: Path, advance: Advance
     return summary(world)
 
 
-def write_streams(world: World, streams: dict[str, Wire], folder: Path) -> None:
+def write_streams(world: World, streams: dict[str, RecordedWire], folder: Path) -> None:
     """Write the recorded streams to the site, and when each frame arrived beside the truth."""
     site, wires = folder / "site", folder / "truth" / "wires"
     wires.mkdir(parents=True)

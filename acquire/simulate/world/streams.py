@@ -8,10 +8,10 @@ from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import BASE, ROVER, Faults, SkySettings
 from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
-from acquire.simulate.gnss.time_marks import Events
+from acquire.simulate.gnss.time_marks import Pulses
 from acquire.simulate.world import telemetry
 from acquire.simulate.world.block_folder import telemetry_gap
-from acquire.simulate.world.configuration import Fault
+from acquire.simulate.world.configuration import SimulatedFault
 from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.world import World
 from photocal.base.arrays import Floats, Integers
@@ -20,7 +20,7 @@ PULSE_S = 0.02
 
 
 @dataclass(frozen=True)
-class Wire:
+class RecordedWire:
     """What arrived over one link.
 
     arrival_s (n,): when each frame had arrived, s since the start of the flight; never decreasing.
@@ -51,7 +51,7 @@ def carry(
     loss: float = 0.0,
     damage: float = 0.0,
     gap_s: tuple[float, float] = (np.inf, np.inf),
-) -> Wire:
+) -> RecordedWire:
     """Carry frames from a device to the recording; `time_s` (n,): when they are sent."""
     late = latency_s * (0.6 + 0.4 * random.exponential(size=len(frames)))
     arrival = np.maximum.accumulate(np.asarray(time_s) + late)
@@ -61,7 +61,7 @@ def carry(
     for number in np.flatnonzero(hurt).tolist():
         arrived[number] = _turned(frames[number], random)
     rows = np.flatnonzero(kept)
-    return Wire(arrival[rows], tuple(arrived[row] for row in rows.tolist()), int(hurt.sum()))
+    return RecordedWire(arrival[rows], tuple(arrived[row] for row in rows.tolist()), int(hurt.sum()))
 
 
 def _turned(frame: bytes, random: np.random.Generator) -> bytes:
@@ -71,7 +71,7 @@ def _turned(frame: bytes, random: np.random.Generator) -> bytes:
     return bytes(octets)
 
 
-def telemetry_log(world: World, wire: Wire) -> bytes:
+def telemetry_log(world: World, wire: RecordedWire) -> bytes:
     """Give the bytes of a `.tlog`: each frame after the UTC of its arrival, microseconds, big-endian."""
     utc_start_us = int(world.utc_ns(np.zeros(1))[0]) // 1000
     stamps = utc_start_us + np.rint(wire.arrival_s * 1e6).astype(np.int64)
@@ -79,7 +79,7 @@ def telemetry_log(world: World, wire: Wire) -> bytes:
     return b"".join(stamp.to_bytes(8, "big") + frame for stamp, frame in pairs)
 
 
-def make_streams(world: World) -> dict[str, Wire]:
+def make_streams(world: World) -> dict[str, RecordedWire]:
     """Let the devices of a flight send: what the recording receives over vehicle, rover and base."""
     given = world.configuration
     random = world.random("wires")
@@ -94,7 +94,7 @@ def make_streams(world: World) -> dict[str, Wire]:
     }
 
 
-def vehicle_wire(world: World, random: np.random.Generator) -> Wire:
+def vehicle_wire(world: World, random: np.random.Generator) -> RecordedWire:
     """Let the autopilot send over its radio."""
     given, sent = world.configuration, telemetry.messages(world)
     return carry(
@@ -108,13 +108,15 @@ def vehicle_wire(world: World, random: np.random.Generator) -> Wire:
     )
 
 
-def _carried(world: World, stream: Stream, random: np.random.Generator, loss: float, damage: float) -> Wire:
+def _carried(
+    world: World, stream: Stream, random: np.random.Generator, loss: float, damage: float
+) -> RecordedWire:
     return carry(world.seconds(stream.time_gps_ns), stream.frames, random, loss=loss, damage=damage)
 
 
 def _session(world: World) -> tuple[Session, np.random.Generator]:
     given, chance = world.configuration.gnss, world.random("sky")
-    slips = world.configuration.fault_sizes.slips_per_hour if world.has(Fault.CYCLE_SLIPS) else None
+    slips = world.configuration.fault_sizes.slips_per_hour if world.has(SimulatedFault.CYCLE_SLIPS) else None
     east, north, up = world.base_error_m.tolist()
     session = simulate(
         _rover(world),
@@ -144,10 +146,10 @@ def _rover(world: World) -> Antenna:
     return Antenna(position, velocity)
 
 
-def _events(world: World) -> Events:
+def _events(world: World) -> Pulses:
     rising = world.gps_ns(world.exposures.event_s)
     falling = world.gps_ns(world.exposures.event_s + PULSE_S)
-    if world.has(Fault.EVENT_TIME_BASE):
+    if world.has(SimulatedFault.EVENT_TIME_BASE):
         # The receiver was set to mark in UTC and says GNSS.
-        return Events(rising, falling, time_base="gnss", stamped_in="utc")
-    return Events(rising, falling)
+        return Pulses(rising, falling, time_base="gnss", stamped_in="utc")
+    return Pulses(rising, falling)

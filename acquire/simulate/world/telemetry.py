@@ -31,7 +31,7 @@ _GLOBAL_RELATIVE = 6
 
 
 @dataclass(frozen=True)
-class Sent:
+class SentMessage:
     """A message: when it leaves the autopilot (s since the start), who sends it, what it says."""
 
     time_s: float
@@ -85,7 +85,7 @@ def _wander(count: int, share: float, random: np.random.Generator) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))
 
 
-def messages(world: World) -> list[Sent]:
+def messages(world: World) -> list[SentMessage]:
     """Give all messages of a flight in the order of sending."""
     view = make_filter(world)
     parts = itertools.chain(
@@ -98,7 +98,7 @@ def messages(world: World) -> list[Sent]:
     return sorted(parts, key=lambda sent: sent.time_s)
 
 
-def frames(sent: list[Sent]) -> list[bytes]:
+def frames(sent: list[SentMessage]) -> list[bytes]:
     """Give the frames of messages; every source numbers its own."""
     dialect = ardupilotmega()
     numbers = {name: dialect.number(name) for name in {message.name for message in sent}}
@@ -115,10 +115,10 @@ def _every(world: World, rate_hz: float, phase_s: float) -> Floats:
     return np.asarray(np.arange(phase_s, world.motion.duration_s, 1 / rate_hz))
 
 
-def _rows(name: str, time_s: Floats, columns: Mapping[str, Any]) -> Iterator[Sent]:
+def _rows(name: str, time_s: Floats, columns: Mapping[str, Any]) -> Iterator[SentMessage]:
     values = [np.broadcast_to(column, len(time_s)).tolist() for column in columns.values()]
     for moment, *row in zip(time_s.tolist(), *values, strict=True):
-        yield Sent(moment, AUTOPILOT, name, dict(zip(columns, row, strict=True)))
+        yield SentMessage(moment, AUTOPILOT, name, dict(zip(columns, row, strict=True)))
 
 
 def _whole(values: Any) -> Integers:
@@ -136,9 +136,9 @@ def _since_boot(world: World, time_s: Floats, unit_s: float) -> Integers:
     return _whole((given.boot_s + time_s * (1 + given.clock_drift_ppm * 1e-6)) * unit_s)
 
 
-def _status(world: World) -> Iterator[Sent]:
+def _status(world: World) -> Iterator[SentMessage]:
     random = world.random("telemetry")
-    yield Sent(0.0, AUTOPILOT, "STATUSTEXT", {"severity": 6, "text": LABEL.encode()})
+    yield SentMessage(0.0, AUTOPILOT, "STATUSTEXT", {"severity": 6, "text": LABEL.encode()})
     time = _every(world, 1.0, 0.01)
     flying = (time > world.configuration.plan.on_ground_s).tolist()
     # Armed with a mode of its own, active; or standing by.
@@ -161,10 +161,10 @@ def _status(world: World) -> Iterator[Sent]:
     yield from _rows("TIMESYNC", time + 0.009, {"tc1": 0, "ts1": _since_boot(world, time, 1e9)})
     for moment in time.tolist():
         radio = {"rssi": 190, "remrssi": 185, "txbuf": 100, "noise": 60, "remnoise": 62}
-        yield Sent(moment + 0.4, RADIO, "RADIO_STATUS", radio)
+        yield SentMessage(moment + 0.4, RADIO, "RADIO_STATUS", radio)
 
 
-def _attitudes(world: World, view: Filter) -> Iterator[Sent]:
+def _attitudes(world: World, view: Filter) -> Iterator[SentMessage]:
     rate = world.configuration.telemetry.attitude_hz
     time = _every(world, rate, 0.02)
     angles = view.angles(time)
@@ -179,7 +179,7 @@ def _attitudes(world: World, view: Filter) -> Iterator[Sent]:
     yield from _rows("ATTITUDE_QUATERNION", slow, {"time_boot_ms": _since_boot(world, slow, 1e3), **parts})
 
 
-def _positions(world: World, view: Filter) -> Iterator[Sent]:
+def _positions(world: World, view: Filter) -> Iterator[SentMessage]:
     rate, geoid = world.configuration.telemetry.position_hz, world.configuration.place.geoid_m
     time = _every(world, rate, 0.03)
     place, velocity = view.place(time)
@@ -221,7 +221,7 @@ def _positions(world: World, view: Filter) -> Iterator[Sent]:
     )
 
 
-def _pictures(world: World, view: Filter) -> Iterator[Sent]:
+def _pictures(world: World, view: Filter) -> Iterator[SentMessage]:
     event, geoid = world.exposures.event_s, world.configuration.place.geoid_m
     trigger = event - TRIGGER_LEAD_S
     numbers = np.arange(1, len(event) + 1)
@@ -246,7 +246,7 @@ def _pictures(world: World, view: Filter) -> Iterator[Sent]:
     )
 
 
-def _mission(world: World) -> Iterator[Sent]:
+def _mission(world: World) -> Iterator[SentMessage]:
     """Give the plan as it is told before the take-off, and how it is followed."""
     strips = world.motion.strip
     ends = np.array([moment for _, begin, end in strips for moment in (begin, end)])
@@ -254,7 +254,7 @@ def _mission(world: World) -> Iterator[Sent]:
     home = world.place.to_geodetic(world.motion.position(np.zeros(1)))
     route = np.vstack([home, place, home])
     commands = [_TAKE_OFF, *([_WAYPOINT] * len(place)), _LAND]
-    yield Sent(5.0, AUTOPILOT, "MISSION_COUNT", {"count": len(route), "target_system": 255})
+    yield SentMessage(5.0, AUTOPILOT, "MISSION_COUNT", {"count": len(route), "target_system": 255})
     for number, (where, command) in enumerate(zip(route.tolist(), commands, strict=True)):
         item = {
             "target_system": 255,
@@ -266,9 +266,9 @@ def _mission(world: World) -> Iterator[Sent]:
             "y": round(np.degrees(where[1]) * 1e7),
             "z": where[2] - float(home[0, 2]),
         }
-        yield Sent(5.1 + 0.05 * number, AUTOPILOT, "MISSION_ITEM_INT", item)
+        yield SentMessage(5.1 + 0.05 * number, AUTOPILOT, "MISSION_ITEM_INT", item)
     for number, moment in enumerate(ends.tolist(), 1):
-        yield Sent(moment, AUTOPILOT, "MISSION_ITEM_REACHED", {"seq": number})
+        yield SentMessage(moment, AUTOPILOT, "MISSION_ITEM_REACHED", {"seq": number})
     for moment in np.arange(6.5, world.motion.duration_s, 2.0).tolist():
         following = int(np.searchsorted(ends, moment)) + 1
-        yield Sent(moment, AUTOPILOT, "MISSION_CURRENT", {"seq": following})
+        yield SentMessage(moment, AUTOPILOT, "MISSION_CURRENT", {"seq": following})

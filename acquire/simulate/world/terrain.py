@@ -15,7 +15,7 @@ _MEETS_M, _MOST_STEPS = 1e-7, 60
 
 
 @dataclass(frozen=True)
-class Terrain:
+class HeightField:
     """A height field over a square around the origin.
 
     coefficients (n, n): of the cubic spline through heights at steps of `STEP_M`; rows north, columns east.
@@ -92,7 +92,7 @@ class Terrain:
         return np.asarray(point[:, 2] - self.height(point[:, 0], point[:, 1]))
 
 
-def make_terrain(given: configuration.Terrain, half_m: float, random: np.random.Generator) -> Terrain:
+def make_terrain(given: configuration.TerrainKeys, half_m: float, random: np.random.Generator) -> HeightField:
     """Draw a surface."""
     # White noise filtered to a power spectrum k^-exponent below the longest wave (spectral synthesis; Saupe
     # 1988, in The Science of Fractal Images, section 2.5). Waves shorter than four steps are left out.
@@ -109,4 +109,4 @@ def make_terrain(given: configuration.Terrain, half_m: float, random: np.random.
     surface = surface - surface.mean()
     spread = float(surface.std())
     heights = surface * (given.relief_m / spread) if spread > 0 else surface
-    return Terrain(np.asarray(spline_filter(heights, order=3, mode="nearest")), (count - 1) / 2 * STEP_M)
+    return HeightField(np.asarray(spline_filter(heights, order=3, mode="nearest")), (count - 1) / 2 * STEP_M)

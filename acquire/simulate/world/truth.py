@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 
 from acquire.simulate.world.block_folder import Columns, take_notes, toml_text, write_table
-from acquire.simulate.world.camera import OPENCV, Camera
-from acquire.simulate.world.configuration import Configuration
+from acquire.simulate.world.camera import OPENCV, TrueCamera
+from acquire.simulate.world.configuration import FlightConfiguration
 from acquire.simulate.world.exposures import antenna_at, omega_phi_kappa
-from acquire.simulate.world.observations import Observations, kept_images
+from acquire.simulate.world.observations import MeasuredPoints, kept_images
 from acquire.simulate.world.place import Place
 from acquire.simulate.world.world import World
 from photocal.base.arrays import Floats
 from photocal.base.files import write_json
 
 
-def write_truth(world: World, folder: Path, observed: Observations | None, projected: bool) -> None:
+def write_truth(world: World, folder: Path, observed: MeasuredPoints | None, projected: bool) -> None:
     """Write `truth.json`, `flight.toml`, `exposures.csv`, `points.csv` and `trajectory.csv`."""
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "truth.json", _figures(world), 2)
@@ -72,7 +72,7 @@ def _figures(world: World) -> dict[str, object]:
     }
 
 
-def conditions(given: Configuration) -> dict[str, object]:
+def conditions(given: FlightConfiguration) -> dict[str, object]:
     """Give what names a flight."""
     named = {"name": given.name, "seed": given.seed, "level": given.level.value}
     return {**named, "faults": sorted(fault.value for fault in given.faults)}
@@ -90,7 +90,7 @@ def _settings(world: World) -> str:
     return toml_text(sections + [("[[plan.pass]]", keys) for keys in passes])
 
 
-def _camera(camera: Camera) -> dict[str, object]:
+def _camera(camera: TrueCamera) -> dict[str, object]:
     return {
         "px": camera.certificate_terms("px"),
         "mm": camera.certificate_terms("mm"),
@@ -140,7 +140,7 @@ def grid_to_local(place: Place, local_m: Floats, step_m: float = 10.0) -> Floats
     return np.stack([np.cross(north, up), north, up], axis=2)
 
 
-def _write_points(world: World, path: Path, observed: Observations | None, projected: bool) -> None:
+def _write_points(world: World, path: Path, observed: MeasuredPoints | None, projected: bool) -> None:
     targets = world.targets
     names, points = list(targets.names), targets.centre_m
     roles = list(targets.roles)

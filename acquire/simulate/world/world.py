@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquire.simulate.world import configuration
-from acquire.simulate.world.camera import Camera
-from acquire.simulate.world.configuration import LEAP_S, Configuration, Fault
-from acquire.simulate.world.exposures import Exposures, Rig, make_exposures, make_rig
+from acquire.simulate.world.camera import TrueCamera
+from acquire.simulate.world.configuration import LEAP_S, FlightConfiguration, SimulatedFault
+from acquire.simulate.world.exposures import TrueExposures, TrueRig, make_exposures, make_rig
 from acquire.simulate.world.motion import Motion, legs, make_motion, strips
 from acquire.simulate.world.place import Place
-from acquire.simulate.world.terrain import Terrain, make_terrain
+from acquire.simulate.world.terrain import HeightField, make_terrain
 from photocal.base.arrays import Floats, Integers, spread
 from photocal.base.errors import ConfigurationError
 
@@ -29,7 +29,7 @@ LASTING = ("terrain", "targets", "rig", "texture")
 
 
 @dataclass(frozen=True)
-class Targets:
+class Plates:
     """The plates.
 
     roles (n,): ``control`` or ``check``.
@@ -48,8 +48,8 @@ class Targets:
 
 
 def make_targets(
-    given: configuration.Targets, area_m: Floats, terrain: Terrain, random: np.random.Generator
-) -> Targets:
+    given: configuration.TargetKeys, area_m: Floats, terrain: HeightField, random: np.random.Generator
+) -> Plates:
     """Lay the plates far from each other over the area; those that spread widest become control."""
     count = given.control + given.check
     places = spread_points(area_m, count, random)
@@ -61,7 +61,7 @@ def make_targets(
     numbers = np.where(control, np.cumsum(control), np.cumsum(~control)).tolist()
     kinds = [("control", "GCP") if chosen else ("check", "CHK") for chosen in control.tolist()]
     surveyed = centre + random.standard_normal((count, 3)) * given.sigma_m
-    return Targets(
+    return Plates(
         tuple(f"{letters}{number:02d}" for (_, letters), number in zip(kinds, numbers, strict=True)),
         tuple(role for role, _ in kinds),
         np.arange(1, count + 1),
@@ -98,14 +98,14 @@ class World:
     start_gps_ns: GPS time of the flight's second 0, since 1980-01-06.
     """
 
-    configuration: Configuration
+    configuration: FlightConfiguration
     place: Place
-    terrain: Terrain
-    targets: Targets
-    camera: Camera
-    rig: Rig
+    terrain: HeightField
+    targets: Plates
+    camera: TrueCamera
+    rig: TrueRig
     motion: Motion
-    exposures: Exposures
+    exposures: TrueExposures
     base_m: Floats
     start_gps_ns: int
 
@@ -113,7 +113,7 @@ class World:
         """Give the random numbers of a part."""
         return generator(self.configuration, part)
 
-    def has(self, fault: Fault) -> bool:
+    def has(self, fault: SimulatedFault) -> bool:
         """Tell whether a fault is switched on."""
         return fault in self.configuration.faults
 
@@ -126,13 +126,17 @@ class World:
     @property
     def base_error_m(self) -> Floats:
         """Announced place of the base less the true one, shape (3,)."""
-        wrong = self.has(Fault.BASE_OFF)
+        wrong = self.has(SimulatedFault.BASE_OFF)
         return np.array(self.configuration.fault_sizes.base_m) if wrong else np.zeros(3)
 
     @property
     def antenna_height_error_m(self) -> float:
         """By which the height of the base's antenna is noted too low."""
-        return self.configuration.fault_sizes.antenna_height_m if self.has(Fault.ANTENNA_HEIGHT) else 0.0
+        return (
+            self.configuration.fault_sizes.antenna_height_m
+            if self.has(SimulatedFault.ANTENNA_HEIGHT)
+            else 0.0
+        )
 
     def gps_ns(self, time_s: Floats) -> Integers:
         """Give GPS nanoseconds of seconds since the start."""
@@ -147,14 +151,14 @@ class World:
         return np.asarray((gps_ns - self.start_gps_ns) / 1e9)
 
 
-def generator(configuration: Configuration, part: str) -> np.random.Generator:
+def generator(configuration: FlightConfiguration, part: str) -> np.random.Generator:
     """Give the random numbers of one part of a simulation, independent of the other parts."""
     lasting = configuration.field_seed if part in LASTING else None
     seed = configuration.seed if lasting is None else lasting
     return np.random.default_rng([seed, STREAMS.index(part)])
 
 
-def make_world(configuration: Configuration) -> World:
+def make_world(configuration: FlightConfiguration) -> World:
     """Draw a world and fly through it."""
     area = np.array(configuration.plan.area_m)
     far = np.abs(area).max() + 1.3 * max(pass_.height_m for pass_ in configuration.plan.passes)
@@ -169,10 +173,14 @@ def make_world(configuration: Configuration) -> World:
     ground = float(terrain.height(home[:1], home[1:])[0]) + 0.3
     start, way = legs(configuration.plan, lines, ground)
     motion = make_motion(start, way, configuration.vehicle, generator(configuration, "motion"))
-    if Fault.LATE_SHUTTER in configuration.faults:
+    if SimulatedFault.LATE_SHUTTER in configuration.faults:
         rig = replace(rig, time_offset_s=rig.time_offset_s + configuration.fault_sizes.late_s)
     passes = configuration.plan.passes
-    zoomed = camera.zoomed(configuration.fault_sizes.zoom) if Fault.ZOOM in configuration.faults else camera
+    zoomed = (
+        camera.zoomed(configuration.fault_sizes.zoom)
+        if SimulatedFault.ZOOM in configuration.faults
+        else camera
+    )
     cameras = (camera, *[zoomed] * (len(passes) - 1))
     spreads = tuple(pass_.spacing_spread for pass_ in passes)
     exposures = make_exposures(motion, rig, lines, spreads, cameras, generator(configuration, "exposures"))
@@ -194,7 +202,7 @@ def make_world(configuration: Configuration) -> World:
     )
 
 
-def _require_room(configuration: Configuration, terrain: Terrain) -> None:
+def _require_room(configuration: FlightConfiguration, terrain: HeightField) -> None:
     """Refuse a flight into the ground."""
     area = np.array(configuration.plan.area_m)
     reach = np.linspace(1.3 * area.min(axis=0), 1.3 * area.max(axis=0), 40)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photocal.adjustment.datum import with_datum
-from photocal.adjustment.network import Exposures, Network, Points, Rays
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays
 from photocal.adjustment.normal import prepare
 from photocal.adjustment.snooping import ray_fit, robust_state
 from photocal.adjustment.start.bearings import Bearings
@@ -190,7 +190,7 @@ def adjusted(model: Model) -> Model:
         return model
     network = Network(
         _to_calibrate(seen, rays),
-        Exposures(
+        ExteriorOrientations(
             seen.camera_of[images],
             np.hstack([angles_from_matrix(model.rotation[images]), model.centre[images]]),
             np.full((len(images), 6), np.inf),

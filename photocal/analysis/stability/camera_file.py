@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, PositiveFloat, Positive
 
 from photocal.analysis.estimates import from_sigmas
 from photocal.analysis.stability.comparison import Published
-from photocal.analysis.stability.methods import Terrain
+from photocal.analysis.stability.methods import ResectionGround
 from photocal.base.checked_toml import Table, checked_tables, read_tables
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.camera_setup import CameraKeys, make_camera
@@ -51,9 +51,9 @@ class Comparison(Table):
     thresholds_px: Annotated[list[PositiveFloat], AfterValidator(sorted)] = Field(
         default=[0.33, 0.5], min_length=1
     )
-    terrain: tuple[Terrain, ...] = (
-        Terrain(height_m=250.0, relief_m=100.0),
-        Terrain(height_m=250.0, relief_m=20.0),
+    terrain: tuple[ResectionGround, ...] = (
+        ResectionGround(height_m=250.0, relief_m=100.0),
+        ResectionGround(height_m=250.0, relief_m=20.0),
     )
     terrains_each: Annotated[int, Field(gt=0, le=100)] = 5
     seed: Annotated[int, Field(ge=0)] = 1

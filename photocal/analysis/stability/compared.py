@@ -8,9 +8,9 @@ import numpy as np
 
 from photocal.analysis.stability.camera_file import CameraFile
 from photocal.analysis.stability.comparison import (
-    Figure,
+    CalibrationPair,
+    ComparisonFigure,
     Followed,
-    Pair,
     compare,
     follow,
     likeness,
@@ -40,7 +40,7 @@ class Compared:
 
     asked: CameraFile
     points: int
-    pairs: tuple[Pair, ...]
+    pairs: tuple[CalibrationPair, ...]
     followed: tuple[Followed, ...]
 
     def figures(self) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def compare_cameras(asked: CameraFile, done: Callable[[], None] = lambda: None) 
 
 
 def _figures(
-    asked: CameraFile, points: int, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]
+    asked: CameraFile, points: int, pairs: tuple[CalibrationPair, ...], followed: tuple[Followed, ...]
 ) -> dict[str, Any]:
     how = asked.comparison
     return {
@@ -108,7 +108,7 @@ def _figures(
     }
 
 
-def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, ...]) -> str:
+def _text(asked: CameraFile, pairs: tuple[CalibrationPair, ...], followed: tuple[Followed, ...]) -> str:
     names = tuple(calibration.id for calibration in asked.calibrations)
     blocks = [_matrix(pairs, names, k) for k in range(len(pairs[0].figures))]
     if any(figure.sigma_px is not None for pair in pairs for figure in pair.figures):
@@ -116,7 +116,7 @@ def _text(asked: CameraFile, pairs: tuple[Pair, ...], followed: tuple[Followed, 
     return "\n\n".join([*blocks, "\n".join(sentences(pairs, asked.comparison.thresholds_px, followed))])
 
 
-def _matrix(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> str:
+def _matrix(pairs: tuple[CalibrationPair, ...], names: tuple[str, ...], which: int) -> str:
     from photocal.findings.document import Section, table, text
 
     cells = {(pair.first, pair.second): _cell(pair.figures[which]) for pair in pairs}
@@ -125,7 +125,7 @@ def _matrix(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> str:
     return text([Section("", (table(f"{kind.method}, {kind.definition}, px", ["", *names[:-1]], rows),))])
 
 
-def _cell(figure: Figure) -> str:
+def _cell(figure: ComparisonFigure) -> str:
     if figure.sigma_px is None:
         return f"{figure.value_px:.2f} "
     return f"{figure.value_px:.2f}+-{figure.sigma_px:.2f}{'*' if figure.different else ' '}"

@@ -9,18 +9,18 @@ import numpy as np
 from pydantic import FiniteFloat, PositiveFloat
 
 from photocal.analysis.stability import methods
-from photocal.analysis.stability.methods import Method, Misfit, View
+from photocal.analysis.stability.methods import IdealImage, Method, Misfit
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError
 from photocal.geometry.camera import Camera
 
-Wobble = tuple[View, ...]
+Wobble = tuple[IdealImage, ...]
 
 
 @dataclass(frozen=True)
-class Figure:
+class ComparisonFigure:
     """How much two calibrations differ, by one method.
 
     sigma_px: its standard deviation from the covariances of both calibrations.
@@ -43,12 +43,12 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Pair:
+class CalibrationPair:
     """All figures of one pair of calibrations."""
 
     first: str
     second: str
-    figures: tuple[Figure, ...]
+    figures: tuple[ComparisonFigure, ...]
 
 
 def compare(
@@ -58,7 +58,7 @@ def compare(
     generator: np.random.Generator,
     draws: int = 1000,
     done: Callable[[], None] = lambda: None,
-) -> tuple[Pair, ...]:
+) -> tuple[CalibrationPair, ...]:
     """Compare every pair of calibrations; set I is the one that comes first.
 
     pixels (n, 2): the grid, column and row, px.
@@ -74,20 +74,20 @@ def compare(
             _figure(method, views[a.id], views[b.id], wobbles[a.id], wobbles[b.id], generator, draws)
             for method in chosen
         )
-        pairs.append(Pair(a.id, b.id, figures))
+        pairs.append(CalibrationPair(a.id, b.id, figures))
         done()
     return tuple(pairs)
 
 
 def _figure(
     method: Method,
-    first: View,
-    second: View,
+    first: IdealImage,
+    second: IdealImage,
     first_wobble: Wobble | None,
     second_wobble: Wobble | None,
     generator: np.random.Generator,
     draws: int,
-) -> Figure:
+) -> ComparisonFigure:
     poses = [methods.fitted_pose(method, misfit, first, second) for misfit in method.misfits]
     values = [
         float(methods.figure(method, misfit(first, second, pose)))
@@ -95,7 +95,7 @@ def _figure(
     ]
     value, named = float(np.mean(values)), (method.name, method.definition, method.source)
     if first_wobble is None or second_wobble is None:
-        return Figure(*named, value, None, None, None)
+        return ComparisonFigure(*named, value, None, None, None)
     z = generator.standard_normal((draws, len(first_wobble) + len(second_wobble)))
     around, noise = np.zeros(draws), np.zeros(draws)
     for misfit, (pose, design) in zip(method.misfits, poses, strict=True):
@@ -104,7 +104,9 @@ def _figure(
         noise += _drawn(method, np.zeros_like(field), change, z) / len(poses)
         around += _drawn(method, field, change, z) / len(poses)
     p_value = float((1 + np.sum(noise >= value)) / (1 + draws))
-    return Figure(*named, value, float(np.std(around)), float(np.quantile(noise, policy.CONFIDENCE)), p_value)
+    return ComparisonFigure(
+        *named, value, float(np.std(around)), float(np.quantile(noise, policy.CONFIDENCE)), p_value
+    )
 
 
 def _drawn(method: Method, field: Floats, change: Floats, z: Floats) -> Floats:
@@ -121,13 +123,18 @@ def _drawn(method: Method, field: Floats, change: Floats, z: Floats) -> Floats:
 
 
 def _changes(
-    misfit: Misfit, first: View, second: View, first_wobble: Wobble, second_wobble: Wobble, pose: Floats
+    misfit: Misfit,
+    first: IdealImage,
+    second: IdealImage,
+    first_wobble: Wobble,
+    second_wobble: Wobble,
+    pose: Floats,
 ) -> Floats:
     """Give the change of the misfit, (p, n, 2) px, for each unit normal variable, at a fixed pose."""
 
-    def moved(view: View, by: View, sign: float) -> View:
+    def moved(view: IdealImage, by: IdealImage, sign: float) -> IdealImage:
         """A view displaced by one standard deviation of its calibration, forwards or backwards."""
-        return View(view.ideal + sign * by.ideal, view.c + sign * by.c)
+        return IdealImage(view.ideal + sign * by.ideal, view.c + sign * by.c)
 
     of_first = [
         (misfit(moved(first, by, 1.0), second, pose) - misfit(moved(first, by, -1.0), second, pose)) / 2.0
@@ -198,7 +205,7 @@ class Followed:
         return abs(self.computed_px - self.printed_px) <= self.tolerance_px
 
 
-def follow(published: tuple[Published, ...], pairs: tuple[Pair, ...]) -> tuple[Followed, ...]:
+def follow(published: tuple[Published, ...], pairs: tuple[CalibrationPair, ...]) -> tuple[Followed, ...]:
     """Set printed figures against those of the comparison."""
     computed = {
         (figure.method, figure.definition, pair.first, pair.second): figure.value_px
@@ -213,7 +220,7 @@ def follow(published: tuple[Published, ...], pairs: tuple[Pair, ...]) -> tuple[F
     )
 
 
-def likeness(figure: Figure, thresholds_px: Sequence[float]) -> float | None:
+def likeness(figure: ComparisonFigure, thresholds_px: Sequence[float]) -> float | None:
     """Give the tightest threshold that a figure keeps.
 
     thresholds_px: thresholds, px.
@@ -223,7 +230,7 @@ def likeness(figure: Figure, thresholds_px: Sequence[float]) -> float | None:
 
 
 def sentences(
-    pairs: tuple[Pair, ...], thresholds_px: Sequence[float], followed: tuple[Followed, ...]
+    pairs: tuple[CalibrationPair, ...], thresholds_px: Sequence[float], followed: tuple[Followed, ...]
 ) -> tuple[str, ...]:
     """Put a comparison into words.
 

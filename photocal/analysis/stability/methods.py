@@ -17,7 +17,7 @@ from photocal.geometry.rotation import matrix_from_angles
 
 
 @dataclass(frozen=True)
-class View:
+class IdealImage:
     """Where a calibration places pixels: the ideal image of its rays.
 
     ideal (n, 2): image coordinates free of distortion, from the principal point, x right, y up, px.
@@ -42,7 +42,7 @@ def sensor_grid(size_px: tuple[int, int], step_px: float | None = None) -> Float
     return np.column_stack([m.ravel() for m in np.meshgrid(columns, rows)])
 
 
-def view(camera: Camera, pixels: Floats) -> View:
+def view(camera: Camera, pixels: Floats) -> IdealImage:
     """Correct pixels by a calibration."""
     plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
     ideal = undistorted(camera, plane) / camera.pitch[0]
@@ -53,10 +53,10 @@ def view(camera: Camera, pixels: Floats) -> View:
             "check sign and unit of the coefficients, and the direction of the model",
             where=f"camera {camera.id}",
         )
-    return View(ideal, camera.value("c") / camera.pitch[0])
+    return IdealImage(ideal, camera.value("c") / camera.pitch[0])
 
 
-def wobble(camera: Camera, pixels: Floats) -> tuple[View, ...] | None:
+def wobble(camera: Camera, pixels: Floats) -> tuple[IdealImage, ...] | None:
     """Change of a view for each independent unit normal variable of a calibration; None without sigmas."""
     known = estimates_of(camera)
     if known is None:
@@ -72,10 +72,10 @@ def wobble(camera: Camera, pixels: Floats) -> tuple[View, ...] | None:
         ideal.append((above.ideal - below.ideal) / (2.0 * sigma))
         c.append((above.c - below.c) / (2.0 * sigma))
     changes = np.tensordot(factor.T, np.array(ideal), axes=1)
-    return tuple(View(d, float(dc)) for d, dc in zip(changes, factor.T @ np.array(c), strict=True))
+    return tuple(IdealImage(d, float(dc)) for d, dc in zip(changes, factor.T @ np.array(c), strict=True))
 
 
-Misfit = Callable[[View, View, Floats], Floats]
+Misfit = Callable[[IdealImage, IdealImage, Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Method:
     misfits: tuple[Misfit, ...] = field(repr=False)
 
 
-class Terrain(Table):
+class ResectionGround(Table):
     """Ground for the single photo resection.
 
     height_m: height of the exposure over the lowest ground.
@@ -118,22 +118,22 @@ class Terrain(Table):
         return self
 
 
-def misclosure_misfit(first: View, second: View, _pose: Floats) -> Floats:
+def misclosure_misfit(first: IdealImage, second: IdealImage, _pose: Floats) -> Floats:
     """Same centre, same principal distance, no rotation (equation 14 of the Canon ELPH study)."""
     return second.ideal - first.ideal
 
 
-def zero_rotation_misfit(first: View, second: View, _pose: Floats) -> Floats:
+def zero_rotation_misfit(first: IdealImage, second: IdealImage, _pose: Floats) -> Floats:
     """Same centre, no rotation: set II scaled onto the plane of set I (equation 16)."""
     return second.ideal * (first.c / second.c) - first.ideal
 
 
-def rotation_misfit(first: View, second: View, pose: Floats) -> Floats:
+def rotation_misfit(first: IdealImage, second: IdealImage, pose: Floats) -> Floats:
     """Same centre, free rotation, each with its principal distance (equations 17 to 19)."""
     return _imaged(second.ideal, second.c, pose, first.c) - first.ideal
 
 
-def common_rotation_misfit(first: View, second: View, pose: Floats) -> Floats:
+def common_rotation_misfit(first: IdealImage, second: IdealImage, pose: Floats) -> Floats:
     """Same centre, free rotation, the principal distance of set I for both: so the tables were made."""
     return _imaged(second.ideal, first.c, pose, first.c) - first.ideal
 
@@ -141,7 +141,7 @@ def common_rotation_misfit(first: View, second: View, pose: Floats) -> Floats:
 def resection_misfit(heights: Floats) -> Misfit:
     """Make the misfit of the single photo resection over given ground."""
 
-    def misfit(first: View, second: View, pose: Floats) -> Floats:
+    def misfit(first: IdealImage, second: IdealImage, pose: Floats) -> Floats:
         """Ground of the first view in the second image at a pose, less where the second one sees it."""
         ground = np.column_stack([first.ideal / first.c, -np.ones(len(heights))]) * heights[:, None]
         rays = (ground - pose[3:]) @ matrix_from_angles(pose[:3]).T
@@ -150,7 +150,9 @@ def resection_misfit(heights: Floats) -> Misfit:
     return misfit
 
 
-def methods(points: int, terrains: tuple[Terrain, ...], repeats: int, seed: int) -> tuple[Method, ...]:
+def methods(
+    points: int, terrains: tuple[ResectionGround, ...], repeats: int, seed: int
+) -> tuple[Method, ...]:
     """List every method with every definition."""
     fixed = (
         Method("MIS", "root mean square", "equations", 0, False, (misclosure_misfit,)),
@@ -170,7 +172,9 @@ def methods(points: int, terrains: tuple[Terrain, ...], repeats: int, seed: int)
     return (*fixed, *resections)
 
 
-def fitted_pose(method: Method, misfit: Misfit, first: View, second: View) -> tuple[Floats, Floats]:
+def fitted_pose(
+    method: Method, misfit: Misfit, first: IdealImage, second: IdealImage
+) -> tuple[Floats, Floats]:
     """Find the pose of least misfit."""
     pose = np.zeros(method.pose_size)
     for _ in range(30):
@@ -211,7 +215,7 @@ def _imaged(ideal: Floats, c: float, pose: Floats, c_of_plane: float) -> Floats:
     return np.asarray(-c_of_plane * rays[:, :2] / rays[:, 2:])
 
 
-def _design(misfit: Misfit, first: View, second: View, pose: Floats) -> Floats:
+def _design(misfit: Misfit, first: IdealImage, second: IdealImage, pose: Floats) -> Floats:
     step = 1e-5
     columns = [
         (misfit(first, second, pose + move) - misfit(first, second, pose - move)).ravel() / (2.0 * step)

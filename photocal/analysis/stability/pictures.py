@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photocal.analysis.stability.comparison import Pair
+from photocal.analysis.stability.comparison import CalibrationPair
 from photocal.base.arrays import Floats
 from photocal.base.files import output_picture
 from photocal.geometry.camera import Camera, pixel_to_plane
@@ -116,7 +116,7 @@ def _vectors(axes: "Axes", camera: Camera, pixels: Floats, field: Floats, title:
     axes.set_title(f"{title}\nlongest {longest:.3g} px", fontsize=8)
 
 
-def matrix_of(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> Floats:
+def matrix_of(pairs: tuple[CalibrationPair, ...], names: tuple[str, ...], which: int) -> Floats:
     """Arrange one figure of every pair as a matrix."""
     place = {name: i for i, name in enumerate(names)}
     matrix = np.full((len(names), len(names)), np.nan)
@@ -125,7 +125,9 @@ def matrix_of(pairs: tuple[Pair, ...], names: tuple[str, ...], which: int) -> Fl
     return matrix
 
 
-def draw(pairs: tuple[Pair, ...], names: tuple[str, ...], thresholds_px: Sequence[float], path: Path) -> None:
+def draw(
+    pairs: tuple[CalibrationPair, ...], names: tuple[str, ...], thresholds_px: Sequence[float], path: Path
+) -> None:
     """Draw the matrices of all methods, coloured by threshold.
 
     thresholds_px: limits between the colours, ascending, px.

@@ -5,7 +5,7 @@ import numpy as np
 from photocal.adjustment.factored import covariance_column
 from photocal.analysis.estimates import Estimates, f_test, scaled
 from photocal.analysis.systematic_errors.candidates import ExtraParameter
-from photocal.analysis.systematic_errors.refit import Fit, ground_effect
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, ground_effect
 from photocal.analysis.systematic_errors.search import Round, Search, camera_estimates
 from photocal.base import policy
 from photocal.base.arrays import Floats
@@ -77,14 +77,14 @@ def _left_px(correction: Round) -> float:
     return float(np.linalg.norm(change, axis=1).max(initial=0.0))
 
 
-def _in_sigmas(fitted: Fit, moved: Floats) -> float:
+def _in_sigmas(fitted: AdjustedNetwork, moved: Floats) -> float:
     """How far points move, (points, 3), in their standard deviations, root mean square."""
     sigma = np.sqrt(np.diagonal(fitted.solution.point_covariance, axis1=1, axis2=2))
     ratio = np.divide(moved, sigma, out=np.zeros_like(moved), where=sigma > 0.0)
     return float(np.sqrt(np.mean(ratio**2))) if ratio.size else 0.0
 
 
-def moved_with_c(fitted: Fit, camera: int, change: float) -> float:
+def moved_with_c(fitted: AdjustedNetwork, camera: int, change: float) -> float:
     """By how many standard deviations points move when c is another and all observations are kept."""
     problem = fitted.factored.problem
     active, columns = problem.layout.camera_columns[camera]
@@ -306,10 +306,10 @@ def of_jackknife(search: Search) -> list[Finding]:
     return listed
 
 
-def _factor(fitted: Fit) -> float:
+def _factor(fitted: AdjustedNetwork) -> float:
     """Give the variance factor for judging: a posteriori, but never below 1."""
     return max(1.0, fitted.solution.variance_factor)
 
 
-def _honest(fitted: Fit, camera: int) -> Estimates:
+def _honest(fitted: AdjustedNetwork, camera: int) -> Estimates:
     return scaled(camera_estimates(fitted, camera), _factor(fitted))

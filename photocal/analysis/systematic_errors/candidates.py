@@ -13,7 +13,7 @@ from photocal.adjustment.normal import values_of
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.state import State
 from photocal.analysis.robust import FEWEST, groups_of, standard_error, state_without
-from photocal.analysis.systematic_errors.refit import Fit, left_without, without_images
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, left_without, without_images
 from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError
@@ -68,7 +68,7 @@ def change_of(values: Floats, plane: Floats, parameter: str) -> Floats:
     return np.broadcast_to(np.eye(2)[PARAMETERS.index(parameter) - 1], plane.shape).copy()
 
 
-def within_flight(fit: Fit, camera: int) -> tuple[Within, ...]:
+def within_flight(fit: AdjustedNetwork, camera: int) -> tuple[Within, ...]:
     """Test c, x0 and y0 of a camera for a change within the flight; nothing for fewer than twelve images."""
     exposures = fit.network.exposures
     order = order_of(exposures.time, np.flatnonzero(exposures.camera == camera))
@@ -95,7 +95,9 @@ def within_flight(fit: Fit, camera: int) -> tuple[Within, ...]:
     return tuple(tested)
 
 
-def _within(fit: Fit, name: str, slope: Floats, information: Floats, courses: Iterable[str]) -> Within:
+def _within(
+    fit: AdjustedNetwork, name: str, slope: Floats, information: Floats, courses: Iterable[str]
+) -> Within:
     """Test one parameter, from the normal equations of its thirds and its drifts."""
     from scipy import stats
 
@@ -270,7 +272,7 @@ class ExtraParameter:
     alike: tuple[str, ...] = ()
 
 
-def estimated_amounts(fit: Fit, tested: Sequence[Candidate]) -> list[ExtraParameter]:
+def estimated_amounts(fit: AdjustedNetwork, tested: Sequence[Candidate]) -> list[ExtraParameter]:
     """Estimate each candidate's amount as one more unknown, to first order; of those that are determined."""
     if not tested:
         return []
@@ -290,12 +292,14 @@ def estimated_amounts(fit: Fit, tested: Sequence[Candidate]) -> list[ExtraParame
     return outcomes
 
 
-def estimated_amount(fit: Fit, candidate: Candidate) -> ExtraParameter | None:
+def estimated_amount(fit: AdjustedNetwork, candidate: Candidate) -> ExtraParameter | None:
     """Estimate the amount of one candidate, as `estimated_amounts` does; None where it is not determined."""
     return next(iter(estimated_amounts(fit, (candidate,))), None)
 
 
-def judged(fit: Fit, candidate: Candidate, amount: float, sigma: float, fall: float) -> ExtraParameter:
+def judged(
+    fit: AdjustedNetwork, candidate: Candidate, amount: float, sigma: float, fall: float
+) -> ExtraParameter:
     """Make the F test of a fall of the sum of squares."""
     from scipy import stats
 
@@ -308,7 +312,7 @@ def judged(fit: Fit, candidate: Candidate, amount: float, sigma: float, fall: fl
     return ExtraParameter(candidate, amount, sigma, fall, statistic, p_value, float(moved.max(initial=0.0)))
 
 
-def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
+def agreed(fit: AdjustedNetwork, candidate: Candidate, amount: float) -> float:
     """Probability of an amount that is none, by how the images differ about it; 1 where too few can be asked.
 
     The F test takes rays for independent. What matching, focus or a moving shutter do to one image they do to
@@ -329,7 +333,7 @@ def agreed(fit: Fit, candidate: Candidate, amount: float) -> float:
     return _probability(amount, float(standard_error(amounts)), len(amounts) - 1)
 
 
-def _spread(fit: Fit, information: float, shown: Floats, residuals: Floats) -> float:
+def _spread(fit: AdjustedNetwork, information: float, shown: Floats, residuals: Floats) -> float:
     """Standard deviation of an amount when the residuals of an image are one observation of it.
 
     shown: change of the residuals by a unit of it, when all other unknowns follow.
@@ -345,7 +349,7 @@ def _probability(amount: float, sigma: float, freedom: int) -> float:
     return float(2 * stats.t.sf(abs(amount) / sigma, freedom)) if sigma > 0.0 and freedom > 0 else 1.0
 
 
-def _left_out(fit: Fit, candidate: Candidate) -> Floats:
+def _left_out(fit: AdjustedNetwork, candidate: Candidate) -> Floats:
     """What is left of an amount when images are left out, (m,)."""
     removals, amounts = Removals(fit.factored), []
     for out in groups_of(fit):

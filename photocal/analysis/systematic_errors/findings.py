@@ -6,7 +6,7 @@ from scipy import special
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.observations import mounting_equations
 from photocal.analysis.systematic_errors import camera_findings
-from photocal.analysis.systematic_errors.refit import Fit
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork
 from photocal.analysis.systematic_errors.scatter import VarianceComponent
 from photocal.analysis.systematic_errors.search import Search
 from photocal.base import policy
@@ -130,7 +130,7 @@ def of_maps(search: Search) -> list[Finding]:
     return listed
 
 
-def of_heads(fitted: Fit) -> list[Finding]:
+def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
     """Name a head that moved on its frame between exposures: the likeliest head and place."""
     network, state, at = fitted.network, fitted.state, fitted.factored
     rig = network.rig

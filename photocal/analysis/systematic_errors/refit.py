@@ -28,7 +28,7 @@ NEAR = 1e-7
 
 
 @dataclass(frozen=True)
-class Fit:
+class AdjustedNetwork:
     """A network at its minimum."""
 
     network: Network
@@ -42,13 +42,13 @@ class Fit:
         return self.network.rays.plane + self.solution.residuals
 
 
-def fit(network: Network, state: State | None = None) -> Fit:
+def fit(network: Network, state: State | None = None) -> AdjustedNetwork:
     """Adjust a network with its statistics."""
     start = start_state(network) if state is None else state
     problem = with_datum(prepare(network), start)
     minimum = minimise(problem, start)
     at = factorised(problem, minimum)
-    return Fit(network, minimum.state, complete(at, minimum.iterations), at)
+    return AdjustedNetwork(network, minimum.state, complete(at, minimum.iterations), at)
 
 
 def lowest(network: Network, state: State, near: float = CONVERGED) -> Near:
@@ -123,7 +123,7 @@ def _of_images(observed: Observed, place: Integers, kept: Flags) -> Observed:
     return replace(observed, image=place[observed.image]).rows(kept[observed.image])
 
 
-def ground_effect(fitted: Fit, camera: int, change_of_c: float) -> float:
+def ground_effect(fitted: AdjustedNetwork, camera: int, change_of_c: float) -> float:
     """Give the height error that a wrong c makes at the mean distance of the points of a camera."""
     rays, state = fitted.network.rays, fitted.state
     of_camera = fitted.network.exposures.camera[rays.image] == camera
@@ -153,7 +153,7 @@ class Checks:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class WithoutParameter:
     """The adjustment without one parameter.
 
     parameter: the parameter, held at zero.
@@ -170,7 +170,7 @@ class LeftOut:
     check_rmse_m: Floats | None
 
 
-def without_parameter(fit: Fit, camera: int, parameter: int) -> Near:
+def without_parameter(fit: AdjustedNetwork, camera: int, parameter: int) -> Near:
     """Find the minimum with a parameter at zero: near the one with it, or from anew."""
     interior, current = fit.network.cameras[camera], fit.state.cameras
     if not np.isfinite(interior.prior_sigma[parameter]):
@@ -190,8 +190,8 @@ def without_parameter(fit: Fit, camera: int, parameter: int) -> Near:
 
 
 def left_out(
-    fit: Fit, camera: int, checks: Checks, done: Callable[[], None] = lambda: None
-) -> tuple[LeftOut, ...]:
+    fit: AdjustedNetwork, camera: int, checks: Checks, done: Callable[[], None] = lambda: None
+) -> tuple[WithoutParameter, ...]:
     """Find the minimum without each estimated parameter but c, one at a time."""
     interior = fit.network.cameras[camera]
     estimates = []
@@ -209,7 +209,7 @@ def left_out(
         redundancy = fit.solution.degrees_of_freedom + (0 if observed else 1)
         c = float(minimum.state.cameras[camera, 0])
         estimates.append(
-            LeftOut(
+            WithoutParameter(
                 PARAMETERS[at],
                 c,
                 c - float(fit.state.cameras[camera, 0]),

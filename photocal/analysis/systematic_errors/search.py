@@ -12,7 +12,13 @@ from photocal.analysis.estimates import Estimates
 from photocal.analysis.robust import Jackknife, jackknife
 from photocal.analysis.systematic_errors import candidates, scatter, shifts
 from photocal.analysis.systematic_errors.candidates import Candidate, ExtraParameter
-from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements, with_sigmas, without_member
+from photocal.analysis.systematic_errors.refit import (
+    AdjustedNetwork,
+    fit,
+    with_measurements,
+    with_sigmas,
+    without_member,
+)
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
@@ -34,8 +40,8 @@ class Round:
     """One error that was found and corrected."""
 
     parameter: ExtraParameter
-    before: Fit
-    after: Fit
+    before: AdjustedNetwork
+    after: AdjustedNetwork
 
 
 @dataclass(frozen=True)
@@ -57,8 +63,8 @@ class Search:
     """
 
     rounds: tuple[Round, ...]
-    first: Fit
-    last: Fit
+    first: AdjustedNetwork
+    last: AdjustedNetwork
     members: tuple[Member, ...]
     positions: shifts.PositionShift | None
     shift: shifts.PositionShift | None
@@ -74,7 +80,7 @@ class Search:
     jackknife_last: Jackknife
 
 
-def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
+def search(first: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> Search:
     """Look for systematic errors in an adjusted network."""
     rounds = list[Round]()
     members, last = _without_gross_errors(first)
@@ -119,7 +125,7 @@ def search(first: Fit, done: Callable[[], None] = lambda: None) -> Search:
     )
 
 
-def _without_gross_errors(first: Fit) -> tuple[tuple[Member, ...], Fit]:
+def _without_gross_errors(first: AdjustedNetwork) -> tuple[tuple[Member, ...], AdjustedNetwork]:
     """Take out positions and control points that contradict all others, one after the other."""
     members, last = list[Member](), first
     while len(members) < ROUNDS:
@@ -135,7 +141,7 @@ def _without_gross_errors(first: Fit) -> tuple[tuple[Member, ...], Fit]:
     return tuple(members), last
 
 
-def camera_estimates(fitted: Fit, camera: int) -> Estimates:
+def camera_estimates(fitted: AdjustedNetwork, camera: int) -> Estimates:
     """Give the estimated parameters of a camera with their a priori covariance."""
     at = np.flatnonzero(fitted.network.cameras[camera].estimated)
     return Estimates(
@@ -145,7 +151,9 @@ def camera_estimates(fitted: Fit, camera: int) -> Estimates:
     )
 
 
-def _suspected(last: Fit, named: tuple[Candidate, ...], done: Callable[[], None]) -> Iterator[ExtraParameter]:
+def _suspected(
+    last: AdjustedNetwork, named: tuple[Candidate, ...], done: Callable[[], None]
+) -> Iterator[ExtraParameter]:
     """Test every candidate that was not yet found; give the significant ones, the worst first."""
     known = {(candidate.kind, candidate.name, candidate.camera) for candidate in named}
     fresh = [
@@ -175,7 +183,7 @@ def _suspected(last: Fit, named: tuple[Candidate, ...], done: Callable[[], None]
         yield replace(worst, alike=alike, tested=len(tested))
 
 
-def _step_or_drift(last: Fit, drift: ExtraParameter) -> ExtraParameter:
+def _step_or_drift(last: AdjustedNetwork, drift: ExtraParameter) -> ExtraParameter:
     """A step of c in place of a drift of it, where it explains so much more; else beside it, if as much."""
     if drift.candidate.kind != "c-drift":
         return drift
@@ -187,12 +195,12 @@ def _step_or_drift(last: Fit, drift: ExtraParameter) -> ExtraParameter:
     return replace(drift, alike=(best.candidate.name,)) if as_good else drift
 
 
-def _parallel(last: Fit, first: ExtraParameter, second: ExtraParameter) -> bool:
+def _parallel(last: AdjustedNetwork, first: ExtraParameter, second: ExtraParameter) -> bool:
     a, b = ((each.candidate.displacement / last.network.rays.sigma).ravel() for each in (first, second))
     return bool(abs(a @ b) > policy.ALIKE_FIELDS * np.linalg.norm(a) * np.linalg.norm(b))
 
 
-def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
+def _corrected(before: AdjustedNetwork, worst: ExtraParameter) -> Round | None:
     """Correct an error step by step, as large ones are not linear; None when it then is not significant.
 
     It is neither when the images do not agree about it.
@@ -231,7 +239,7 @@ def _corrected(before: Fit, worst: ExtraParameter) -> Round | None:
     return Round(replace(outcome, alike=worst.alike, tested=worst.tested), before, after)
 
 
-def _groups(last: Fit, sigma: scatter.AssumedSigma) -> tuple[GroupTest, ...]:
+def _groups(last: AdjustedNetwork, sigma: scatter.AssumedSigma) -> tuple[GroupTest, ...]:
     """Test groups of observations, with the sigma of the rays that was found where it differs."""
     ratio = sigma.found / sigma.assumed
     if sigma.p_value < policy.FAMILY_SIGNIFICANCE and abs(ratio - 1.0) > policy.WRONG_SIGMA:
@@ -254,7 +262,7 @@ def _groups(last: Fit, sigma: scatter.AssumedSigma) -> tuple[GroupTest, ...]:
     return tuple(judged)
 
 
-def _components(last: Fit, tests: tuple[GroupTest, ...]) -> VarianceComponents | None:
+def _components(last: AdjustedNetwork, tests: tuple[GroupTest, ...]) -> VarianceComponents | None:
     """Estimate the variances of the rays and of wrongly stated groups together; None where all is well."""
     far = {
         "control" if group.name in CONTROL else group.name
@@ -273,7 +281,7 @@ def _components(last: Fit, tests: tuple[GroupTest, ...]) -> VarianceComponents |
         return None
 
 
-def _as_residuals_agree(last: Fit) -> Fit | None:
+def _as_residuals_agree(last: AdjustedNetwork) -> AdjustedNetwork | None:
     """The network with larger sigmas of positions, attitudes or control, where residuals ask for them."""
     components = _components(last, group_tests(last.network, last.solution))
     if components is None or all(
@@ -285,7 +293,7 @@ def _as_residuals_agree(last: Fit) -> Fit | None:
     return fit(components.network, components.solution.state)
 
 
-def _map(last: Fit, camera: int, factor: float) -> scatter.ResidualMap | None:
+def _map(last: AdjustedNetwork, camera: int, factor: float) -> scatter.ResidualMap | None:
     of_camera = last.network.exposures.camera[last.network.rays.image] == camera
     if not of_camera.any():
         return None

@@ -13,7 +13,7 @@ from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
-from photocal.analysis.systematic_errors.refit import Fit
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.geometry.rotation import skew
@@ -49,7 +49,7 @@ class PositionShift:
     stated: Floats
 
 
-def position_shift(fit: Fit) -> PositionShift | None:
+def position_shift(fit: AdjustedNetwork) -> PositionShift | None:
     """Estimate the shift from the normal equations as they stand; None where it is free already."""
     network, positions = fit.network, fit.network.positions
     if not len(positions.image) or np.any(network.mounting.sigma[SHIFT]) or _strips_free(network):
@@ -96,7 +96,7 @@ class StripShift:
         return bool(np.max(np.abs(self.shift) / self.stated) > policy.STATED or self.on_c > policy.STATED)
 
 
-def strip_shifts(fit: Fit) -> tuple[StripShift, ...]:
+def strip_shifts(fit: AdjustedNetwork) -> tuple[StripShift, ...]:
     """Estimate a shift of the positions of each strip; nothing for one strip, or where they are free."""
     network, positions = fit.network, fit.network.positions
     strips, count = np.unique(positions.strip, return_counts=True)
@@ -137,7 +137,7 @@ def _estimated(information: Floats, slope: Floats, group: Group) -> tuple[Floats
     return shift, np.sqrt(np.diag(covariance)), fall, _smaller_p(shift, scale * covariance, rest)
 
 
-def _on_c(fit: Fit, step: Floats) -> float:
+def _on_c(fit: AdjustedNetwork, step: Floats) -> float:
     """The largest change of a principal distance with a step, in its standard deviations."""
     sigma = np.sqrt(fit.solution.camera_covariance[:, 0, 0])
     columns = fit.factored.problem.layout.camera_columns
@@ -145,12 +145,12 @@ def _on_c(fit: Fit, step: Floats) -> float:
     return float(np.max(np.divide(change, sigma, out=np.zeros_like(change), where=sigma > 0.0)))
 
 
-def _whitened(fit: Fit) -> Floats:
+def _whitened(fit: AdjustedNetwork) -> Floats:
     """Rows of observed positions are whitened position by position: so is a shift, (3 positions, 3)."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(fit.network.positions.covariance)).reshape(-1, 3))
 
 
-def _further(fit: Fit, fields: Floats) -> tuple[Floats, Floats, Floats]:
+def _further(fit: AdjustedNetwork, fields: Floats) -> tuple[Floats, Floats, Floats]:
     """Normal equations of shifts along fields of the whitened positions, and how all else follows a unit."""
     at = fit.factored
     rows = other_equations(at.problem, at.state)["position"]
@@ -164,7 +164,7 @@ def _further(fit: Fit, fields: Floats) -> tuple[Floats, Floats, Floats]:
     return (information + information.T) / 2, fields.T @ (rows.weight * rows.residual), steps.T
 
 
-def gross_error(fit: Fit, level: float) -> Member | None:
+def gross_error(fit: AdjustedNetwork, level: float) -> Member | None:
     """Find the worst of the positions and control points, where it contradicts all others at a level."""
     tested = [member for member in member_tests(fit.factored, fit.solution) if member.dimensions]
     redundancy = {group.name: group.redundancy for group in fit.solution.groups}
@@ -249,7 +249,7 @@ class ImageShift:
 
 
 def image_shifts(
-    fit: Fit, variance_factor: float, done: Callable[[], None] = lambda: None
+    fit: AdjustedNetwork, variance_factor: float, done: Callable[[], None] = lambda: None
 ) -> tuple[ImageShift, ...]:
     """Test each image for a scale and a principal point of its own."""
     screened = screened_shifts(fit, variance_factor)
@@ -265,7 +265,7 @@ def image_shifts(
     return tuple(jointly.get(shift.image, shift) for shift in screened)
 
 
-def joint_shift(fit: Fit, image: str) -> ImageShift | None:
+def joint_shift(fit: AdjustedNetwork, image: str) -> ImageShift | None:
     """Estimate scale and principal point of one image as further unknowns, to first order."""
     from scipy import stats
 
@@ -312,7 +312,7 @@ def _own_geometry(plane: Floats) -> Floats:
     return np.stack([np.column_stack(pair) for pair in ((x, y), (ones, zero), (zero, ones))], axis=-1)
 
 
-def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
+def screened_shifts(fit: AdjustedNetwork, variance_factor: float) -> tuple[ImageShift, ...]:
     """Test the residuals of each image for a scale and a principal point of its own."""
     from scipy import stats
 
@@ -357,7 +357,7 @@ def screened_shifts(fit: Fit, variance_factor: float) -> tuple[ImageShift, ...]:
     return tuple(shifts)
 
 
-def pose_derivatives(fit: Fit, state: State) -> Floats:
+def pose_derivatives(fit: AdjustedNetwork, state: State) -> Floats:
     """Change of the ideal image coordinates with the exterior orientation of their image."""
     image = fit.network.rays.image
     c = state.cameras[fit.network.exposures.camera[image], :1]

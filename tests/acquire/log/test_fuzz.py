@@ -18,7 +18,7 @@ from acquire.log.records import ARRIVED_ENCODING, Channel
 from acquire.log.replay import links_of
 from acquire.log.writer import LogWriter
 from acquire.monitor.reducer import state_after
-from acquire.monitor.state import State
+from acquire.monitor.state import RecordingState
 from acquire.monitor.view_model import view_of
 from drivers import ubx
 from drivers.mavlink.decode import encode
@@ -101,7 +101,7 @@ def test_hostile_logs_are_refused_or_read_by_every_reader(plain: bytes, tmp_path
     refused = 0
 
     def monitored() -> None:
-        state = State()
+        state = RecordingState()
         for chunk in LogReader(log).chunks(lambda _: None):
             state = state_after(state, chunk)
         view_of(state).as_json()

@@ -11,7 +11,7 @@ from pathlib import Path
 from queue import Empty, Queue
 from typing import Any
 
-from acquire.recording.configuration import Configuration
+from acquire.recording.configuration import RecordingConfiguration
 from acquire.recording.recorder import record
 from acquire.transports.sources import Source
 from drivers import rtcm3
@@ -133,7 +133,7 @@ def at_work(folder: Path, flush_s: float = 0.5) -> Iterator[Field]:
         {"name": "rover", "protocol": "ubx", "url": "file:x"},
         {"name": "base", "protocol": "rtcm3", "url": "file:x", "corrections_to": ["rover"]},
     ]
-    configuration = Configuration.model_validate(
+    configuration = RecordingConfiguration.model_validate(
         {"recording": {"output": str(folder), "flush_s": flush_s}, "link": links}
     )
 

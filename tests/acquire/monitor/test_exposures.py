@@ -7,15 +7,23 @@ from functools import reduce
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.monitor.exposures import GRACE_NS, Exposures, Trigger, numbers, reported, settled, triggered
+from acquire.monitor.exposures import (
+    GRACE_NS,
+    CountedPictures,
+    Trigger,
+    numbers,
+    reported,
+    settled,
+    triggered,
+)
 
 SECOND = 1_000_000_000
 
 
-def after(*events: tuple[str, int, float]) -> Exposures:
+def after(*events: tuple[str, int, float]) -> CountedPictures:
     """Return the count after events: what, number, second."""
 
-    def step(counted: Exposures, event: tuple[str, int, float]) -> Exposures:
+    def step(counted: CountedPictures, event: tuple[str, int, float]) -> CountedPictures:
         what, number, second = event
         time_ns = round(second * SECOND)
         if what == "trigger":
@@ -24,10 +32,10 @@ def after(*events: tuple[str, int, float]) -> Exposures:
             return reported(counted, number, time_ns)
         return settled(counted, time_ns)
 
-    return reduce(step, events, Exposures())
+    return reduce(step, events, CountedPictures())
 
 
-def missed(counted: Exposures) -> list[int]:
+def missed(counted: CountedPictures) -> list[int]:
     return [trigger.number for trigger in counted.unreported]
 
 

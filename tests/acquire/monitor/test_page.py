@@ -329,10 +329,12 @@ def listeners(pid: int) -> list[tuple[str, int]]:
 
 def test_beyond_this_computer_the_page_opens_with_its_token_only(browser: Browser) -> None:
     from acquire.monitor.page import Latest, application
-    from acquire.monitor.state import Look, State
+    from acquire.monitor.state import ComputerState, RecordingState
 
     latest = Latest()
-    latest.publish(State(look=Look(time.time_ns(), "secret.mcap", 10, ended=False, free_bytes=None)))
+    latest.publish(
+        RecordingState(look=ComputerState(time.time_ns(), "secret.mcap", 10, ended=False, free_bytes=None))
+    )
     context = browser.new_context()
     with serving(application(latest), Address("0.0.0.0", 0)) as url:  # noqa: S104 - that is what is tested
         port = url.split(":")[2].split("/")[0]

@@ -19,10 +19,10 @@ from rich.console import Console
 
 from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATION
 from acquire.importing.importer import import_recordings
-from acquire.log.reader import LogReader, Messages
+from acquire.log.reader import LoggedMessages, LogReader
 from acquire.log.records import Channel
 from acquire.monitor.reducer import state_after
-from acquire.monitor.state import LONGEST, Battery, Look, State, Track, extended, place_at
+from acquire.monitor.state import LONGEST, Battery, ComputerState, RecordingState, Track, extended, place_at
 from acquire.monitor.terminal import render
 from acquire.monitor.traffic import looked
 from acquire.monitor.view_model import Word, layers, view_of
@@ -43,36 +43,36 @@ def log(tmp_path_factory: pytest.TempPathFactory, demo_flight: bytes) -> Path:
     return made
 
 
-def chunks(path: Path) -> list[list[Messages]]:
+def chunks(path: Path) -> list[list[LoggedMessages]]:
     return list(LogReader(path).chunks())
 
 
-def reduced(parts: list[list[Messages]]) -> State:
-    state = State()
+def reduced(parts: list[list[LoggedMessages]]) -> RecordingState:
+    state = RecordingState()
     for part in parts:
         state = state_after(state, part)
     return state
 
 
-def rows(topic: str, layout: Any, *messages: dict[str, Any], every_s: float = 1.0) -> Messages:
+def rows(topic: str, layout: Any, *messages: dict[str, Any], every_s: float = 1.0) -> LoggedMessages:
     """Return messages of one channel, one after the other."""
     payloads = [json.dumps(message).encode() for message in messages]
     times = START + np.round(np.arange(len(messages)) * every_s * SECOND).astype(np.int64)
     channel = Channel(topic, "json", layout.schema())
-    return Messages(channel, payloads, times, times, np.arange(len(messages)))
+    return LoggedMessages(channel, payloads, times, times, np.arange(len(messages)))
 
 
-def raw(link: str, seconds: list[float], size: int = 10) -> Messages:
+def raw(link: str, seconds: list[float], size: int = 10) -> LoggedMessages:
     times = START + np.round(np.array(seconds) * SECOND).astype(np.int64)
     numbers = np.arange(len(seconds))
-    return Messages(Channel(f"/{link}/raw", "ubx"), [bytes(size)] * len(seconds), times, times, numbers)
+    return LoggedMessages(Channel(f"/{link}/raw", "ubx"), [bytes(size)] * len(seconds), times, times, numbers)
 
 
 def status(fix: str) -> dict[str, Any]:
     return {"link": "rover", "source": "NAV-PVT", "fix": fix, "satellites": 12, "horizontal_m": 0.02}
 
 
-def told(state: State, *levels: str) -> list[str]:
+def told(state: RecordingState, *levels: str) -> list[str]:
     return [alarm.text for alarm in state.alarms if alarm.level in levels]
 
 
@@ -111,7 +111,7 @@ def test_how_chunks_are_cut_leaves_no_trace(log: Path) -> None:
     )
 
 
-def _between(part: Messages, begin: int, end: int) -> Messages:
+def _between(part: LoggedMessages, begin: int, end: int) -> LoggedMessages:
     own = np.flatnonzero((part.log_ns >= begin) & (part.log_ns < end))
     payloads = [part.payloads[row] for row in own]
     return replace(
@@ -125,8 +125,8 @@ def _between(part: Messages, begin: int, end: int) -> Messages:
 
 def test_rates_are_those_of_the_last_seconds_and_fall_to_nothing() -> None:
     regular = [n / 20 for n in range(200)]
-    state = state_after(State(), [raw("rover", regular), raw("base", [0.0, 9.9])])
-    look = Look(START, "a.mcap", 10, ended=False, free_bytes=None)
+    state = state_after(RecordingState(), [raw("rover", regular), raw("base", [0.0, 9.9])])
+    look = ComputerState(START, "a.mcap", 10, ended=False, free_bytes=None)
     state = looked(state, look)
     row = view_of(state).links[1]
     assert row.frames_per_s == pytest.approx(20)
@@ -139,7 +139,7 @@ def test_rates_are_those_of_the_last_seconds_and_fall_to_nothing() -> None:
 
 
 def test_pauses_of_a_link_are_counted_across_chunks() -> None:
-    state = state_after(State(), [raw("rover", [0, 1, 2])])
+    state = state_after(RecordingState(), [raw("rover", [0, 1, 2])])
     state = state_after(state, [raw("rover", [7, 8, 10.5])])
     row = view_of(state).links[0]
     assert (row.gaps, row.longest_gap_s) == (2, 5.0)
@@ -171,27 +171,27 @@ def test_pauses_of_a_link_are_counted_across_chunks() -> None:
     ],
 )
 def test_a_loss_of_fix_is_told_once(fixes: list[str], alarms: list[tuple[str, str]]) -> None:
-    state = state_after(State(), [rows("/gnss/rover/status", GNSS_STATUS, *map(status, fixes))])
+    state = state_after(RecordingState(), [rows("/gnss/rover/status", GNSS_STATUS, *map(status, fixes))])
     assert [(alarm.level, alarm.text) for alarm in state.alarms] == alarms
     assert all(alarm.link == "rover" for alarm in state.alarms)
 
 
 def test_a_receiver_that_says_nothing_has_no_fix() -> None:
     parts = [rows("/gnss/rover/status", GNSS_STATUS, status("rtk_fixed")), raw("base", [0, 6.5])]
-    row = view_of(state_after(State(), parts)).receivers[0]
+    row = view_of(state_after(RecordingState(), parts)).receivers[0]
     assert (row.fix.text, row.fix.level) == ("not told for 6 s", "bad")
 
 
 def test_the_age_of_corrections_is_what_the_receiver_says_else_since_they_were_sent() -> None:
     own = {**status("rtk_fixed"), "correction_age_s": 2.5}
     times = np.array([START - 12 * SECOND])
-    sent = Messages(Channel("/rover/sent", "rtcm3"), [b"\xd3"], times, times, np.zeros(1, np.int64))
-    asked = Messages(
+    sent = LoggedMessages(Channel("/rover/sent", "rtcm3"), [b"\xd3"], times, times, np.zeros(1, np.int64))
+    asked = LoggedMessages(
         Channel("/rover/sent", "ubx"), [b"\xb5"], times + 11 * SECOND, times, np.ones(1, np.int64)
     )
     ages = {}
     for name, message in (("told", own), ("sent", status("rtk_fixed"))):
-        state = state_after(State(), [rows("/gnss/rover/status", GNSS_STATUS, message), sent, asked])
+        state = state_after(RecordingState(), [rows("/gnss/rover/status", GNSS_STATUS, message), sent, asked])
         ages[name] = view_of(state).receivers[0]
     assert ages["told"].correction_age_s == 2.5
     assert ages["told"].correction.level == "good"
@@ -205,14 +205,14 @@ def test_corrections_to_a_vehicle_are_known_by_their_message() -> None:
     names = ["GPS_RTCM_DATA", "TIMESYNC", "TIMESYNC"]
     frames = [encode(dialect, dialect.number(n), {}, sequence=1, system=245, component=191) for n in names]
     times = START + np.arange(3) * SECOND
-    sent = Messages(Channel("/vehicle/sent", "mavlink"), frames, times, times, np.arange(3))
+    sent = LoggedMessages(Channel("/vehicle/sent", "mavlink"), frames, times, times, np.arange(3))
     told_fix = rows("/gnss/vehicle/status", GNSS_STATUS, {**status("3d"), "link": "vehicle"})
-    row = view_of(state_after(State(), [told_fix, sent])).receivers[0]
+    row = view_of(state_after(RecordingState(), [told_fix, sent])).receivers[0]
     assert row.correction_age_s == 2.0
 
 
 def test_corrections_that_stop_are_told_once_and_their_return_too() -> None:
-    state = State()
+    state = RecordingState()
     for second in range(100):
         message = {**status("rtk_fixed"), "correction_age_s": max(0, second - 20) if second < 80 else 1}
         part = rows("/gnss/rover/status", GNSS_STATUS, message)
@@ -232,10 +232,10 @@ def test_pictures_without_a_place_are_where_the_rover_was_then() -> None:
     latitude = np.array([47.0, 47.001, 47.002])
     fixes = foxglove.location_fixes("rover/antenna", times, latitude, np.full(3, 8.0), np.zeros(3), nan, nan)
     channel = Channel("/gnss/rover/fix", "protobuf", foxglove.schema("foxglove.LocationFix"))
-    track = Messages(channel, fixes, times, times, np.arange(3))
+    track = LoggedMessages(channel, fixes, times, times, np.arange(3))
     mark = {"link": "rover", "source": "TIM-TM2", "edge": "rising"}
     edges = [{**mark, "sequence": 1}, {**mark, "edge": "falling", "sequence": 1}, {**mark, "sequence": 2}]
-    state = state_after(State(), [rows("/camera/exposure", EXPOSURE, *edges, every_s=0.75), track])
+    state = state_after(RecordingState(), [rows("/camera/exposure", EXPOSURE, *edges, every_s=0.75), track])
     (drawn,) = [layer for layer in layers(state) if layer.kind == "picture"]
     np.testing.assert_allclose(drawn.points, [[47.0, 8.0], [47.0015, 8.0]], atol=1e-12)
     assert view_of(state).cameras[0].time_marks == 2
@@ -245,7 +245,7 @@ def test_a_time_mark_that_the_receiver_skipped_is_named() -> None:
     """The receiver counts every edge; of two within one of its epochs it tells the last one only."""
     mark = {"link": "rover", "source": "TIM-TM2", "edge": "rising"}
     edges = [{**mark, "sequence": number} for number in (65533, 65534, 65535, 0, 1, 3, 4, 7)]
-    state = state_after(State(), [rows("/camera/exposure", EXPOSURE, *edges)])
+    state = state_after(RecordingState(), [rows("/camera/exposure", EXPOSURE, *edges)])
     row = view_of(state).cameras[0]
     assert (row.time_marks, row.time_marks_missed) == (8, 3)
     assert (row.state.text, row.state.level) == ("3 time marks not told: 2, 5-6", "bad")
@@ -257,7 +257,8 @@ def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None
     alarms = [{"kind": kind, "link": "rover", "text": kind} for kind in kinds]
     texts = [{"link": "vehicle", "severity": s, "text": f"severity {s}"} for s in (2, 3, 4, 6)]
     state = state_after(
-        State(), [raw("rover", [0.0]), rows("/alarm", ALARM, *alarms), rows("/health", HEALTH, *texts)]
+        RecordingState(),
+        [raw("rover", [0.0]), rows("/alarm", ALARM, *alarms), rows("/health", HEALTH, *texts)],
     )
     assert told(state, "bad") == ["says: severity 2", "lost", "silent", "disk_low", "clock_jump"]
     assert told(state, "warn") == ["says: severity 3", "source_changed"]
@@ -268,11 +269,11 @@ def test_alarms_of_the_recorder_and_texts_of_the_vehicle_are_passed_on() -> None
 
 
 def test_a_log_that_does_not_grow_is_told_and_its_growth_too() -> None:
-    state = State()
+    state = RecordingState()
     sizes = [100, 200, 300, 300, 300, 300, 300, 300, 400, 500]
     texts = []
     for second, size in enumerate(sizes):
-        look = Look(START + second * SECOND, "a.mcap", size, ended=False, free_bytes=10**12)
+        look = ComputerState(START + second * SECOND, "a.mcap", size, ended=False, free_bytes=10**12)
         state = looked(state, look)
         texts.append(view_of(state).recording.text)
     assert texts == ["recording"] * 7 + ["nothing written for 5 s"] + ["recording"] * 2
@@ -280,8 +281,8 @@ def test_a_log_that_does_not_grow_is_told_and_its_growth_too() -> None:
 
 
 def test_a_log_with_its_end_is_no_failure() -> None:
-    look = Look(START, "a.mcap", 100, ended=False, free_bytes=None)
-    state = looked(looked(State(last_ns=START), look), replace(look, ended=True))
+    look = ComputerState(START, "a.mcap", 100, ended=False, free_bytes=None)
+    state = looked(looked(RecordingState(last_ns=START), look), replace(look, ended=True))
     assert told(state, "note") == ["a.mcap has its end"]
     state = looked(state, replace(look, ended=True, time_ns=START + 60 * SECOND))
     assert told(state, "bad", "warn") == []
@@ -298,9 +299,11 @@ def test_a_log_with_its_end_is_no_failure() -> None:
     ],
 )
 def test_room_on_the_disk_is_told_in_hours_of_this_recording(free: int, level: str, text: str) -> None:
-    state = State()
+    state = RecordingState()
     for second in range(20):
-        look = Look(START + second * SECOND, "a.mcap", 100_000 * second, ended=False, free_bytes=free)
+        look = ComputerState(
+            START + second * SECOND, "a.mcap", 100_000 * second, ended=False, free_bytes=free
+        )
         state = looked(state, look)
     disk = view_of(state).disk
     assert disk.state.level == level
@@ -363,8 +366,8 @@ def test_a_log_of_another_program_never_ends_the_view(
     times, number = np.array([START], np.int64), np.zeros(1, np.int64)
     place = Channel("/gnss/rover/fix", "protobuf", foxglove.schema("foxglove.LocationFix"))
     channels = (place, Channel(topic, "ubx"))
-    parts += [Messages(channel, [payload], times, times, number) for channel in channels]
-    state = state_after(State(), [raw("rover", [0.0]), *parts])
+    parts += [LoggedMessages(channel, [payload], times, times, number) for channel in channels]
+    state = state_after(RecordingState(), [raw("rover", [0.0]), *parts])
     assert state.links["rover"].frames == 1
     json.dumps(view_of(state).as_json(), allow_nan=False)
     json.dumps([layer.points.tolist() for layer in layers(state)], allow_nan=False)
@@ -373,14 +376,17 @@ def test_a_log_of_another_program_never_ends_the_view(
 
 def test_what_cannot_be_read_is_told_once() -> None:
     odd = rows("/gnss/rover/status", GNSS_STATUS, {"link": "rover"}, {"link": "rover"})
-    state = state_after(state_after(State(), [odd]), [odd, raw("base", [0.0])])
+    state = state_after(state_after(RecordingState(), [odd]), [odd, raw("base", [0.0])])
     assert told(state, "warn") == ["messages on /gnss/rover/status cannot be read"]
     assert state.links["base"].frames == 1
 
 
 def test_a_battery_that_is_not_told_any_more_is_not_good() -> None:
     told = {"vehicle": Battery(15.8, 81, START)}
-    said = [view_of(State(last_ns=START + age_s * SECOND, batteries=told)).batteries[0] for age_s in (2, 12)]
+    said = [
+        view_of(RecordingState(last_ns=START + age_s * SECOND, batteries=told)).batteries[0]
+        for age_s in (2, 12)
+    ]
     assert [row.state for row in said] == [
         Word("15.8 V, 81 %", "good"),
         Word("15.8 V, 81 %, told 12 s ago", "bad"),
@@ -388,8 +394,8 @@ def test_a_battery_that_is_not_told_any_more_is_not_good() -> None:
 
 
 def test_a_dead_link_makes_the_head_red() -> None:
-    state = state_after(State(), [raw("rover", [0, 1, 2]), raw("base", [0, 1, 2])])
-    state = looked(state, Look(START + 3 * SECOND, "f.mcap", 10, ended=False, free_bytes=10**11))
+    state = state_after(RecordingState(), [raw("rover", [0, 1, 2]), raw("base", [0, 1, 2])])
+    state = looked(state, ComputerState(START + 3 * SECOND, "f.mcap", 10, ended=False, free_bytes=10**11))
     assert view_of(state).overall == Word("recording, all is well", "good")
     lost = {"kind": "lost", "link": "base", "text": "is lost: unplugged"}
     state = state_after(state, [rows("/alarm", ALARM, lost), raw("rover", [3])])

@@ -13,9 +13,9 @@ import pytest
 
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
-from acquire.monitor.state import State
+from acquire.monitor.state import RecordingState
 from acquire.monitor.tail import Tail, follow, tail_of
-from acquire.recording.files import Limits, LogFiles
+from acquire.recording.files import LogFiles, RotationLimits
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from tests.acquire.live import until
 
@@ -27,7 +27,7 @@ class Recorder:
     """Writes numbered messages as the recorder does, to files of its own."""
 
     def __init__(self, folder: Path, *, size: int = 0) -> None:
-        self.files = LogFiles([folder], lambda _: None, Limits(size=size), time.time_ns)
+        self.files = LogFiles([folder], lambda _: None, RotationLimits(size=size), time.time_ns)
         self.written = 0
 
     def write(self, count: int = 5, *, safe: bool = True) -> None:
@@ -96,7 +96,7 @@ def test_a_recorder_that_died_is_followed_by_the_next(tmp_path: Path) -> None:
     assert tail.flight == first.files.paths[0].name
 
 
-def _frames(state: State) -> int:
+def _frames(state: RecordingState) -> int:
     """Frames of the rover so far; its link appears with the first."""
     return state.links["rover"].frames if "rover" in state.links else 0
 
@@ -113,7 +113,7 @@ def test_flights_of_other_days_are_not_mixed(tmp_path: Path) -> None:
     os.utime(old, (yesterday, yesterday))
     (tmp_path / "other.mcap").write_bytes(old.read_bytes())
     (tmp_path / "flight-1.recovered.mcap").write_bytes(old.read_bytes())
-    states: list[State] = []
+    states: list[RecordingState] = []
     stop = threading.Event()
     thread = threading.Thread(target=follow, args=(Tail([tmp_path]), states.append, stop))
     thread.start()

@@ -10,42 +10,50 @@ import pytest
 from pyproj import Geod
 from rich.console import Console
 
-from acquire.monitor.exposures import Exposures, Trigger
-from acquire.monitor.state import Battery, Link, Look, Receiver, State, Track, raised
+from acquire.monitor.exposures import CountedPictures, Trigger
+from acquire.monitor.state import (
+    Battery,
+    ComputerState,
+    LinkState,
+    ReceiverState,
+    RecordingState,
+    Track,
+    raised,
+)
 from acquire.monitor.terminal import braille_map, metres, render, round_step
-from acquire.monitor.view_model import Layer, layers, view_of
+from acquire.monitor.view_model import MapLayer, layers, view_of
 
 SECOND = 1_000_000_000
 NOW = time.time_ns()
 
 
 @pytest.fixture
-def state() -> State:
+def state() -> RecordingState:
     """A field with troubles of every kind."""
     rate = tuple((NOW // SECOND - n, 20, 4000) for n in range(6, -1, -1))
-    heard = Link(1000, 50_000, 0, NOW - 100 * SECOND, NOW, rate, clock_offset_s=0.01)
-    lost = Link(900, 40_000, 120, NOW - 100 * SECOND, NOW - 9 * SECOND, (), 2, 5 * SECOND, "silent", NOW)
-    fixed = Receiver("rover", "rtk_fixed", 19, 0.014, None, NOW, "rtk_fixed", NOW)
-    none = Receiver("vehicle", "none", 4, None, None, NOW, "none", NOW)
+    heard = LinkState(1000, 50_000, 0, NOW - 100 * SECOND, NOW, rate, clock_offset_s=0.01)
+    lost = LinkState(900, 40_000, 120, NOW - 100 * SECOND, NOW - 9 * SECOND, (), 2, 5 * SECOND, "silent", NOW)
+    fixed = ReceiverState("rover", "rtk_fixed", 19, 0.014, None, NOW, "rtk_fixed", NOW)
+    none = ReceiverState("vehicle", "none", 4, None, None, NOW, "none", NOW)
     north = np.linspace(0, 0.002, 50)
     track = Track(np.column_stack([47.5 + north, np.full(50, 8.5)]), NOW + np.arange(50))
-    made = State(
+    made = RecordingState(
         flight="flight-20260501T090000Z.mcap",
         first_ns=NOW - 3725 * SECOND,
         last_ns=NOW,
         links={"vehicle": heard, "rover": heard, "base": lost},
         receivers={"rover": fixed, "vehicle": none},
-        exposures={"vehicle": Exposures(30, 27, missed=(Trigger(7, NOW, (47.501, 8.5)),))},
+        exposures={"vehicle": CountedPictures(30, 27, missed=(Trigger(7, NOW, (47.501, 8.5)),))},
         tracks={"vehicle/position": track},
         pictures={("vehicle", "feedback"): Track(track.points[::10], track.times_ns[::10])},
         batteries={"vehicle": Battery(15.8, 81, NOW)},
-        look=Look(NOW, "flight-20260501T090000Z.mcap", 10**6, ended=False, free_bytes=10**8),
+        look=ComputerState(NOW, "flight-20260501T090000Z.mcap", 10**6, ended=False, free_bytes=10**8),
         grown_ns=NOW,
     )
     return raised(made, "bad", "base", "is silent for more than 3 s", NOW)
 
 
-def text_of(state: State, width: int, height: int) -> list[str]:
+def text_of(state: RecordingState, width: int, height: int) -> list[str]:
     console = Console(width=width, height=height, file=io.StringIO(), record=True, force_terminal=True)
     console.print(render(view_of(state), layers(state), width, height))
     return console.export_text().splitlines()
@@ -64,7 +72,7 @@ WORDS = [
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40), (60, 20), (200, 60)])
-def test_what_matters_is_there_in_every_window(state: State, width: int, height: int) -> None:
+def test_what_matters_is_there_in_every_window(state: RecordingState, width: int, height: int) -> None:
     lines = text_of(state, width, height)
     shown = "\n".join(lines)
     for word in WORDS:
@@ -75,13 +83,13 @@ def test_what_matters_is_there_in_every_window(state: State, width: int, height:
 
 
 @pytest.mark.parametrize(("width", "height"), [(40, 12), (30, 8), (20, 5)])
-def test_a_tiny_window_is_cut_and_not_broken(state: State, width: int, height: int) -> None:
+def test_a_tiny_window_is_cut_and_not_broken(state: RecordingState, width: int, height: int) -> None:
     lines = text_of(state, width, height)
     assert max(map(len, lines)) <= width
     assert "RTK fixed" in "\n".join(lines)
 
 
-def test_levels_are_told_by_sign_as_well_as_by_colour(state: State) -> None:
+def test_levels_are_told_by_sign_as_well_as_by_colour(state: RecordingState) -> None:
     shown = "\n".join(text_of(state, 80, 24))
     assert "✓ RTK fixed" in shown
     assert "✕ no fix" in shown
@@ -89,7 +97,7 @@ def test_levels_are_told_by_sign_as_well_as_by_colour(state: State) -> None:
 
 
 def test_nothing_yet_is_said_in_words() -> None:
-    shown = "\n".join(text_of(State(), 80, 24))
+    shown = "\n".join(text_of(RecordingState(), 80, 24))
     for word in (
         "waiting for a recording",
         "no receiver has spoken yet",
@@ -107,7 +115,7 @@ def test_the_sketch_is_north_up_and_to_scale() -> None:
         longitude, latitude, _ = geod.fwd(*corners[-1], azimuth, 100)
         corners.append((longitude, latitude))
     points = np.array([[latitude, longitude] for longitude, latitude in [*corners, corners[0]]])
-    lines = braille_map([Layer("track", "a", points, "")], 40, 21).plain.splitlines()
+    lines = braille_map([MapLayer("track", "a", points, "")], 40, 21).plain.splitlines()
     inked = [
         (row, column)
         for row, line in enumerate(lines[:-1])

@@ -18,8 +18,8 @@ import pytest
 from acquire.importing.recovery import recover
 from acquire.log.records import MAGIC
 from acquire.log.replay import raw_frames
-from acquire.recording.configuration import Configuration
-from acquire.recording.files import Limits, LogFiles
+from acquire.recording.configuration import RecordingConfiguration
+from acquire.recording.files import LogFiles, RotationLimits
 from acquire.recording.link_session import link_sessions
 from acquire.recording.reader import MOST_AT_ONCE, Arrival, Inbox, read_link
 from acquire.recording.recorder import record, source_of_link
@@ -121,8 +121,10 @@ def test_what_was_written_before_it_was_framed_is_framed_by_recover(tmp_path: Pa
     stream = b"".join([*frames[:20], b"noise", *frames[20:]])
     cuts = [0, 30, 333, 334, 900, 1500, len(stream)]
     pieces = [Arrival("rover", n + 1, stream[a:b]) for n, (a, b) in enumerate(pairwise(cuts))]
-    chosen = Configuration.model_validate(configured({"name": "rover", "protocol": "ubx", "url": "file:x"}))
-    files = LogFiles([tmp_path], lambda _: None, Limits(), time.time_ns)
+    chosen = RecordingConfiguration.model_validate(
+        configured({"name": "rover", "protocol": "ubx", "url": "file:x"})
+    )
+    files = LogFiles([tmp_path], lambda _: None, RotationLimits(), time.time_ns)
     dialect = ardupilotmega()
     session = link_sessions(chosen, files, {"rover": Script([])}, {}, dialect)["rover"]
     session.take(pieces[:2])
@@ -165,7 +167,7 @@ def test_stopping_takes_two_seconds_whatever_the_ports_do(tmp_path: Path) -> Non
     ]
     links.append({"name": "far", "protocol": "rtcm3", "url": f"tcp://127.0.0.1:{full.port}"})
     links += [{"name": name, "protocol": "ubx", "url": "file:x"} for name in ("dead", "failing")]
-    chosen = Configuration.model_validate(configured(*links))
+    chosen = RecordingConfiguration.model_validate(configured(*links))
     for _ in range(8):
         opened = {link.name: source_of_link(link) for link in chosen.link if link.url != "file:x"}
         stop, told = threading.Event(), list[str]()

@@ -17,7 +17,7 @@ import pytest
 from pydantic import BaseModel
 
 from acquire.recording.alarms import ALARM
-from acquire.recording.configuration import Configuration, Site, read_configuration
+from acquire.recording.configuration import RecordingConfiguration, Site, read_configuration
 from acquire.recording.recorder import source_of_link
 from photocal.base.checked_toml import Table
 from tests.acquire.live import Process, free_port, is_bound, until
@@ -54,7 +54,7 @@ def test_the_whole_configuration_is_one_and_has_every_key(tmp_path: Path) -> Non
         for link in chosen.link:
             source_of_link(link, {"CASTER": "secret"})
     words = set(re.findall(r"\w+", whole))
-    assert keys(Configuration, set()) - words == set()
+    assert keys(RecordingConfiguration, set()) - words == set()
     assert set(Site.model_validate(chosen.site).model_extra or {}) == {"place", "operator"}
 
 

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as tables
 from pynmeagps import NMEAReader
 
 from acquire.recording.caster_position import CasterPosition, caster_positions
-from acquire.recording.configuration import Configuration
+from acquire.recording.configuration import RecordingConfiguration
 from acquire.recording.recorder import sources_of
 from drivers import nmea, rtcm3
 from drivers.frames import GNSS, Batch, StreamFramer, Wire
@@ -73,8 +73,8 @@ def test_a_caster_that_waits_for_a_position_gets_it_with_the_request(tmp_path: P
         rover = {"name": "rover", "protocol": "ubx", "url": "file:x"}
         listening = Script([])
         settings = configured(caster, rover)
-        positions = caster_positions(Configuration.model_validate(settings), ardupilotmega())
-        told_at_noon = sources_of(Configuration.model_validate(settings), positions, lambda: NOON_NS)
+        positions = caster_positions(RecordingConfiguration.model_validate(settings), ardupilotmega())
+        told_at_noon = sources_of(RecordingConfiguration.model_validate(settings), positions, lambda: NOON_NS)
         done, _ = run(
             settings,
             tmp_path,

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from acquire.recording.configuration import Configuration, read_configuration
+from acquire.recording.configuration import RecordingConfiguration, read_configuration
 from drivers import ubx
 from photocal.base.errors import ConfigurationError
 from tests.acquire.scripted import Script, configured, run
@@ -64,4 +64,4 @@ def test_links_that_cannot_be_meant(link: dict[str, Any], words: str, tmp_path: 
 def test_an_antenna_height_says_its_kind(tmp_path: Path) -> None:
     rover = {"name": "rover", "protocol": "ubx", "url": "file:x"}
     with pytest.raises(ValueError, match="slant"):
-        Configuration.model_validate({**configured(rover), "site": {"antenna_height_m": 1.6}})
+        RecordingConfiguration.model_validate({**configured(rover), "site": {"antenna_height_m": 1.6}})

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as tables
 
-from acquire.recording.configuration import Link
+from acquire.recording.configuration import LinkConfiguration
 from acquire.recording.recorder import source_of_link
 from acquire.recording.vehicle_dialogue import VehicleDialogue
 from acquire.simulate.hardware import on_pty, on_udp
@@ -166,7 +166,7 @@ def test_corrections_reach_the_rover_whole_and_the_vehicle_in_fragments(tmp_path
             {"name": "rover", "protocol": "ubx", "url": rover},
             {"name": "base", "protocol": "rtcm3", "url": "file:x", "corrections_to": ["rover", "vehicle"]},
         ]
-        sources = {x["name"]: _Heard(source_of_link(Link.model_validate(x))) for x in links[:2]}
+        sources = {x["name"]: _Heard(source_of_link(LinkConfiguration.model_validate(x))) for x in links[:2]}
         # The address of the vehicle is known, and the port of the rover is open.
         base = _After(said_by_base, list(sources.values()))
         done, told = run(

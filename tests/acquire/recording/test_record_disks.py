@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from acquire.importing.recovery import recover
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
-from acquire.recording.files import Limits, LogFiles, WholeWrites
+from acquire.recording.files import LogFiles, RotationLimits, WholeWrites
 from photocal.base.errors import OutputError
 from tests.acquire.live import until
 from tests.acquire.scripted import messages
@@ -66,7 +66,7 @@ def test_a_full_disk_sends_the_recording_to_the_spare_folder(tmp_path: Path) -> 
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
-    files = LogFiles([first, spare], _nothing, Limits(), time.time_ns, make)
+    files = LogFiles([first, spare], _nothing, RotationLimits(), time.time_ns, make)
     sent = _fill(files, 40)
     files.close()
     assert [path.parent for path in files.paths] == [first, spare]
@@ -79,7 +79,7 @@ def test_when_every_disk_is_full_what_was_written_is_safe(tmp_path: Path) -> Non
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
-    files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    files = LogFiles([tmp_path], _nothing, RotationLimits(), time.time_ns, make)
     sent = _fill(files, 40)
     with pytest.raises(OutputError, match="what was written is safe"):
         files.close()
@@ -94,7 +94,9 @@ def test_when_a_full_disk_has_room_again_nothing_is_lost(tmp_path: Path) -> None
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
-    files = LogFiles([tmp_path], _nothing, Limits(), lambda: clock["ns"], make, lambda: clock["ns"] / 1e9)
+    files = LogFiles(
+        [tmp_path], _nothing, RotationLimits(), lambda: clock["ns"], make, lambda: clock["ns"] / 1e9
+    )
     sent = _fill(files, 20)
     told = []
     for second in range(12):
@@ -124,7 +126,7 @@ def test_a_disk_that_fails_later_sends_the_recording_to_the_next_file(tmp_path: 
         made.append(path)
         return FailsOnce(io.FileIO(path, "xb"))
 
-    files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    files = LogFiles([tmp_path], _nothing, RotationLimits(), time.time_ns, make)
     sent = _fill(files, 1)
     told: list[tuple[str, str]] = []
 
@@ -148,13 +150,13 @@ def test_too_much_held_ends_the_recording(tmp_path: Path, monkeypatch: pytest.Mo
     def make(path: Path) -> WholeWrites:
         return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
 
-    files = LogFiles([tmp_path], _nothing, Limits(), time.time_ns, make)
+    files = LogFiles([tmp_path], _nothing, RotationLimits(), time.time_ns, make)
     with pytest.raises(OutputError, match="what was written is safe"):
         _fill(files, 40)
 
 
 def test_files_rotate_and_each_stands_for_itself(tmp_path: Path) -> None:
-    files = LogFiles([tmp_path], _nothing, Limits(size=4000), time.time_ns)
+    files = LogFiles([tmp_path], _nothing, RotationLimits(size=4000), time.time_ns)
     sent = _fill(files, 40)
     files.close()
     assert len(files.paths) >= 4

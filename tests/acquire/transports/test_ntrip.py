@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.recording.configuration import Link
+from acquire.recording.configuration import LinkConfiguration
 from acquire.recording.recorder import source_of_link
 from acquire.transports.ntrip import NtripSource, ntrip_address
 from acquire.transports.sources import LinkLostError
@@ -209,7 +209,7 @@ def test_addresses_that_cannot_be_meant(url: str) -> None:
 
 
 def test_the_password_comes_from_the_environment() -> None:
-    link = Link.model_validate(
+    link = LinkConfiguration.model_validate(
         {
             "name": "base",
             "protocol": "rtcm3",

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.adjustment.solution import Solution
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera, pixel_to_plane
@@ -53,7 +53,7 @@ def network(seen: list[Floats], own: Camera, turns: Any, shifts: Any, board: Flo
     plane = pixel_to_plane(SIZE, (1, 1), np.array(seen)[image, point])
     return Network(
         (own,),
-        Exposures(np.zeros(images, np.int64), pose, np.full((images, 6), np.inf)),
+        ExteriorOrientations(np.zeros(images, np.int64), pose, np.full((images, 6), np.inf)),
         Points(board, held, weight),
         Rays(image, point, plane, np.full(plane.shape, SIGMA)),
         tuple(map(str, range(images))),

@@ -12,7 +12,7 @@ from photocal.adjustment.observations import mounting_equations
 from photocal.adjustment.rig import pairs_of
 from photocal.adjustment.state import State, moved_exposures, start_state
 from photocal.analysis.systematic_errors.findings import of_heads
-from photocal.analysis.systematic_errors.refit import Fit, fit
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, fit
 from tests.photocal import rigs
 
 
@@ -80,7 +80,7 @@ def test_an_exposure_without_its_first_head_is_related_to_another() -> None:
     assert set(zip(first.tolist(), second.tolist(), strict=True)) == {(1, 2), (1, 0), (4, 3)}
 
 
-def moved_rays(seed: int, turn_rad: float) -> Fit:
+def moved_rays(seed: int, turn_rad: float) -> AdjustedNetwork:
     """A flight during which the aft head turns, adjusted as if it had not."""
     flown, network = rigs.flight(np.random.default_rng(seed), exposures=16, points=500)
     images = np.flatnonzero(network.exposures.camera == 4)[8:]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photocal.adjustment.mounting import NO_MOUNTING, STRIPS, Mounting, Positions
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.base.arrays import Floats, Integers
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.distortion import projected
@@ -96,7 +96,7 @@ def fly(flight: Flight, seed: int, **changed: float) -> Flown:
     start = poses + rng.normal(0.0, 1.0, poses.shape) * ([1e-3] * 3 + [0.05] * 3)
     network = Network(
         (known,),
-        Exposures(np.zeros(len(poses), dtype=np.int64), start, np.full(poses.shape, np.inf)),
+        ExteriorOrientations(np.zeros(len(poses), dtype=np.int64), start, np.full(poses.shape, np.inf)),
         Points(given, held, weight),
         Rays(
             image,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.base.arrays import Floats
 from photocal.geometry.camera import Camera, Model, camera
 from photocal.geometry.distortion import projected
@@ -88,7 +88,7 @@ def _imaged(own: Camera, centres: Floats, rotations: Floats, points: Floats, sig
     held, weight = point_weights(np.full(points.shape, sigma_m))
     network = Network(
         (own,),
-        Exposures(np.zeros(len(centres), dtype=np.int64), pose, np.full(pose.shape, np.inf)),
+        ExteriorOrientations(np.zeros(len(centres), dtype=np.int64), pose, np.full(pose.shape, np.inf)),
         Points(points, held, weight),
         Rays(image, point_of, exact, np.full(exact.shape, SIGMA)),
         tuple(f"i{i}" for i in range(len(centres))),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.analysis.correlation import cause, correlation_with, exterior_correlations
-from photocal.analysis.systematic_errors.refit import Fit, fit, lowest
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, fit, lowest
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS
@@ -17,12 +17,14 @@ from photocal.geometry.rotation import angles_from_matrix
 
 
 @pytest.fixture(scope="module")
-def published(dcs460_block: Path) -> Fit:
+def published(dcs460_block: Path) -> AdjustedNetwork:
     return fit(assemble(read_block(dcs460_block)).network)
 
 
 @pytest.mark.parametrize("name", ["c", "x0", "K1"])
-def test_an_adjustment_with_the_parameter_held_elsewhere_follows(published: Fit, name: str) -> None:
+def test_an_adjustment_with_the_parameter_held_elsewhere_follows(
+    published: AdjustedNetwork, name: str
+) -> None:
     """Held a standard deviation away, everything else moves by its covariance with it."""
     at, own = PARAMETERS.index(name), published.network.cameras[0]
     sigma = float(np.sqrt(published.solution.camera_covariance[0, at, at]))
@@ -40,14 +42,14 @@ def test_an_adjustment_with_the_parameter_held_elsewhere_follows(published: Fit,
     np.testing.assert_allclose(correlation_with(published, 0, at), change / spread, atol=0.01)
 
 
-def test_no_correlation_leaves_its_bounds(published: Fit) -> None:
+def test_no_correlation_leaves_its_bounds(published: AdjustedNetwork) -> None:
     for name in ("c", "x0", "K1"):
         r = correlation_with(published, 0, PARAMETERS.index(name))
         assert r.shape == (12, 6)
         assert np.all(np.abs(r) <= 1.0)
 
 
-def test_strong_ones_are_listed_with_their_cause(published: Fit) -> None:
+def test_strong_ones_are_listed_with_their_cause(published: AdjustedNetwork) -> None:
     found = exterior_correlations(published, 0, 0.5)
     assert found
     values = [abs(one.value) for one in found]
@@ -58,5 +60,5 @@ def test_strong_ones_are_listed_with_their_cause(published: Fit) -> None:
         assert 1 <= one.images <= 12
 
 
-def test_nothing_is_over_one(published: Fit) -> None:
+def test_nothing_is_over_one(published: AdjustedNetwork) -> None:
     assert exterior_correlations(published, 0, 1.01) == ()

@@ -11,7 +11,7 @@ import pytest
 
 from photocal.analysis.robust import jackknife
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.refit import Fit, fit, with_measurements
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, fit, with_measurements
 from photocal.analysis.systematic_errors.search import Search, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
@@ -25,18 +25,18 @@ SQUARE = (27.6 / 3060) / (18.4 / 2036)
 
 
 @pytest.fixture(scope="module")
-def published(dcs460_block: Path) -> Fit:
+def published(dcs460_block: Path) -> AdjustedNetwork:
     """The block on the published scaling."""
     return fit(assemble(read_block(dcs460_block)).network)
 
 
 @pytest.fixture(scope="module")
-def told_nothing(published: Fit) -> Search:
+def told_nothing(published: AdjustedNetwork) -> Search:
     return search(published)
 
 
 @pytest.fixture(scope="module")
-def square(published: Fit) -> Search:
+def square(published: AdjustedNetwork) -> Search:
     """The block with y multiplied by the ratio of the pitches, which makes the pixels square."""
     plane = published.network.rays.plane * np.array([1.0, SQUARE])
     return search(fit(with_measurements(published.network, plane), published.state))
@@ -58,7 +58,7 @@ def test_the_list_begins_with_the_y_scale(told_nothing: Search) -> None:
     assert sized(first).c == pytest.approx(0.028, abs=5e-4)
 
 
-def test_the_y_scale_agrees_with_a_second_method(published: Fit) -> None:
+def test_the_y_scale_agrees_with_a_second_method(published: AdjustedNetwork) -> None:
     """The engine's own affinity parameter, estimated with the others: measured x times 1 + B1."""
     own = published.network.cameras[0]
     estimated = own.estimated.copy()
@@ -122,7 +122,7 @@ def test_the_corrected_adjustment_is_the_one_of_square_pixels(
 
 @pytest.mark.parametrize("scaling", ["published_pixel", "square_pixel"])
 def test_leaving_out_each_photo(
-    dcs460: Callable[[str], Rows], published: Fit, square: Search, scaling: str
+    dcs460: Callable[[str], Rows], published: AdjustedNetwork, square: Search, scaling: str
 ) -> None:
     rows = [row for row in dcs460("verification_leave_one_out") if row["pixel_model"] == scaling]
     found = jackknife(published) if scaling == "published_pixel" else square.jackknife_first

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.state import start_state
 from photocal.analysis.method import METHODS, Shape, check_method, shape
 from photocal.base.arrays import Floats
@@ -34,7 +34,7 @@ def network_of(
     )
     return Network(
         (own,),
-        Exposures(np.zeros(images, dtype=np.int64), pose, np.full((images, 6), np.inf)),
+        ExteriorOrientations(np.zeros(images, dtype=np.int64), pose, np.full((images, 6), np.inf)),
         Points(points, held, weight),
         rays,
         tuple(str(i) for i in range(images)),

@@ -14,8 +14,8 @@ from photocal.adjustment.network import Network, Relations
 from photocal.analysis.outcome import analyse_network
 from photocal.analysis.systematic_errors import refit
 from photocal.analysis.systematic_errors.refit import (
+    AdjustedNetwork,
     Checks,
-    Fit,
     fit,
     lowest,
     without_images,
@@ -27,11 +27,11 @@ from tests.photocal.analysis.aerial import Flight, fly
 
 
 @pytest.fixture(scope="module")
-def flown() -> Fit:
+def flown() -> AdjustedNetwork:
     return fit(fly(Flight(50, 12_000), 3).network)
 
 
-def test_images_taken_out_of_the_minimum_are_images_never_flown(flown: Fit) -> None:
+def test_images_taken_out_of_the_minimum_are_images_never_flown(flown: AdjustedNetwork) -> None:
     """Camera parameters to 1e-3 of their standard deviations, for single images and for groups."""
     sigma = np.sqrt(np.diag(flown.solution.camera_covariance[0]))
     removals = Removals(flown.factored)
@@ -86,7 +86,7 @@ def test_images_are_taken_out_of_networks_of_any_kind(made: Callable[[], Network
 
 
 @pytest.mark.parametrize("name", ["K1", "K3", "P1"])
-def test_a_parameter_at_zero_is_a_parameter_never_estimated(flown: Fit, name: str) -> None:
+def test_a_parameter_at_zero_is_a_parameter_never_estimated(flown: AdjustedNetwork, name: str) -> None:
     at, own = PARAMETERS.index(name), flown.network.cameras[0]
     nearby = without_parameter(flown, 0, at)
     estimated, values = own.estimated.copy(), own.values.copy()
@@ -100,7 +100,7 @@ def test_a_parameter_at_zero_is_a_parameter_never_estimated(flown: Fit, name: st
     assert nearby.chi_squared == pytest.approx(anew.chi_squared, abs=1e-4)
 
 
-def test_an_analysis_is_that_of_the_long_way(flown: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_analysis_is_that_of_the_long_way(flown: AdjustedNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
     """Findings, jackknife and significance, when each image and parameter left out is adjusted anew."""
     checks = Checks(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from photocal.analysis.robust import apart, bootstrap, sandwich
-from photocal.analysis.systematic_errors.refit import Fit, fit
+from photocal.analysis.systematic_errors.refit import AdjustedNetwork, fit
 from tests.photocal.analysis.aerial import Flight, correlated, fly
 
 FLIGHT = Flight(24, 1500, sigma_px=0.5)
 
 
-def flown(seed: int, size_px: float) -> tuple[Fit, np.ndarray]:
+def flown(seed: int, size_px: float) -> tuple[AdjustedNetwork, np.ndarray]:
     """A flight whose images have smooth errors of their own, adjusted, and the errors of its camera."""
     truth = fly(FLIGHT, seed)
     found = fit(correlated(truth.network, size_px, np.random.default_rng(seed)))

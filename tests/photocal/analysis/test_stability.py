@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from photocal.analysis.estimates import from_sigmas
 from photocal.analysis.stability.camera_file import CameraFile, brown_from_pix4d, read_camera_file
-from photocal.analysis.stability.comparison import Pair, compare, follow, likeness, sentences
+from photocal.analysis.stability.comparison import CalibrationPair, compare, follow, likeness, sentences
 from photocal.analysis.stability.methods import (
+    IdealImage,
     Method,
-    Terrain,
-    View,
+    ResectionGround,
     figure,
     fitted_pose,
     methods,
@@ -42,7 +42,7 @@ def study() -> CameraFile:
 
 
 @pytest.fixture(scope="module")
-def pairs(study: CameraFile) -> tuple[Pair, ...]:
+def pairs(study: CameraFile) -> tuple[CalibrationPair, ...]:
     """The seven calibrations without their sigmas."""
     bare = tuple(replace(one, sigma=None) for one in study.calibrations)
     pixels = sensor_grid((4608, 3456), 100.0)
@@ -52,7 +52,7 @@ def pairs(study: CameraFile) -> tuple[Pair, ...]:
     return compare(bare, pixels, chosen, np.random.default_rng(1))
 
 
-def value(pairs: tuple[Pair, ...], first: str, second: str, method: str, definition: str) -> float:
+def value(pairs: tuple[CalibrationPair, ...], first: str, second: str, method: str, definition: str) -> float:
     (pair,) = [one for one in pairs if (one.first, one.second) == (first, second)]
     return next(f.value_px for f in pair.figures if (f.method, f.definition) == (method, definition))
 
@@ -75,7 +75,7 @@ def test_the_grid_is_the_study_s() -> None:
 )
 def test_printed_tables(
     canon: Callable[[str], Rows],
-    pairs: tuple[Pair, ...],
+    pairs: tuple[CalibrationPair, ...],
     table: str,
     method: str,
     definition: str,
@@ -104,14 +104,20 @@ def test_printed_tables(
     ],
 )
 def test_both_definitions_agree_with_a_second_computation(
-    canon: Callable[[str], Rows], pairs: tuple[Pair, ...], column: str, method: str, definition: str
+    canon: Callable[[str], Rows],
+    pairs: tuple[CalibrationPair, ...],
+    column: str,
+    method: str,
+    definition: str,
 ) -> None:
     for row in canon("derived_similarity_recomputed"):
         found = value(pairs, row["set_a"], row["set_b"], method, definition)
         assert found == pytest.approx(float(row[column]), abs=6e-5)
 
 
-def test_pair_1_2_does_not_follow_from_its_parameters(study: CameraFile, pairs: tuple[Pair, ...]) -> None:
+def test_pair_1_2_does_not_follow_from_its_parameters(
+    study: CameraFile, pairs: tuple[CalibrationPair, ...]
+) -> None:
     followed = follow(study.published, pairs)
     assert len(followed) == 84
     broken = [one for one in followed if not one.follows]
@@ -131,7 +137,12 @@ def test_pair_1_2_does_not_follow_from_its_parameters(study: CameraFile, pairs: 
     ],
 )
 def test_thresholds(
-    study: CameraFile, pairs: tuple[Pair, ...], method: str, definition: str, tight: str, loose: str
+    study: CameraFile,
+    pairs: tuple[CalibrationPair, ...],
+    method: str,
+    definition: str,
+    tight: str,
+    loose: str,
 ) -> None:
     by_limit: dict[float | None, list[str]] = {}
     for pair in pairs:
@@ -172,7 +183,7 @@ def simple(name: str = "a", **parameters: float) -> Camera:
 
 
 GRID = sensor_grid((4000, 3000), 250.0)
-CHOSEN = methods(len(GRID), (Terrain(height_m=250.0, relief_m=100.0),), 2, 5)
+CHOSEN = methods(len(GRID), (ResectionGround(height_m=250.0, relief_m=100.0),), 2, 5)
 
 
 def test_a_camera_is_like_itself() -> None:
@@ -187,7 +198,7 @@ def test_rotation_and_resection_do_not_see_a_turned_bundle(omega: float, phi: fl
     first = view(simple(), GRID)
     rays = np.column_stack([first.ideal, np.full(len(GRID), -first.c)])
     rays = rays @ matrix_from_angles(np.array([omega, phi, kappa])).T
-    second = View(-first.c * rays[:, :2] / rays[:, 2:], first.c)
+    second = IdealImage(-first.c * rays[:, :2] / rays[:, 2:], first.c)
     for method in CHOSEN:
         pose, _ = fitted_pose(method, method.misfits[0], first, second)
         left = float(figure(method, method.misfits[0](first, second, pose)))
@@ -198,7 +209,7 @@ def test_rotation_and_resection_do_not_see_a_turned_bundle(omega: float, phi: fl
 
 
 def test_only_resection_hides_a_different_principal_distance_over_flat_ground() -> None:
-    flat = methods(len(GRID), (Terrain(height_m=250.0, relief_m=0.0),), 1, 5)
+    flat = methods(len(GRID), (ResectionGround(height_m=250.0, relief_m=0.0),), 1, 5)
     (pair,) = compare((simple("a"), simple("b", c=3510.0)), GRID, flat, np.random.default_rng(1))
     found = {(f.method, f.definition): f.value_px for f in pair.figures}
     assert found["SPR", "relief 0 m"] < 1e-6

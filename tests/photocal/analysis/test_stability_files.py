@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from photocal.analysis.stability.camera_file import read_camera_file
 from photocal.analysis.stability.comparison import compare
-from photocal.analysis.stability.methods import Terrain, methods, sensor_grid
+from photocal.analysis.stability.methods import ResectionGround, methods, sensor_grid
 from photocal.analysis.stability.pictures import displacements
 from photocal.base.errors import (
     ConfigurationError,
@@ -26,7 +26,7 @@ from photocal.geometry.camera import camera
 
 STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph.toml"
 GRID = sensor_grid((4000, 3000), 250.0)
-CHOSEN = methods(len(GRID), (Terrain(height_m=250.0, relief_m=100.0),), 2, 5)
+CHOSEN = methods(len(GRID), (ResectionGround(height_m=250.0, relief_m=100.0),), 2, 5)
 ENTRY = '[[camera]]\nid = "{}"\nmodel = "brown-observed"\nunit = "px"\nsize_px = [400, 300]\n'
 GOOD = ENTRY.format("a") + "parameters = { c = 350.0 }\n" + ENTRY.format("b") + "parameters = { c = 351.0 }\n"
 

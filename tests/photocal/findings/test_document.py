@@ -19,7 +19,7 @@ from photocal.findings.document import (
     Remarks,
     Section,
     Statement,
-    Table,
+    TablePart,
     aligned,
     as_json,
     html,
@@ -104,7 +104,7 @@ def test_every_cell_of_a_column_begins_or_ends_at_one_place(rows: list[tuple[str
 
 
 def test_a_table_without_heads_begins_with_its_first_row() -> None:
-    given = Table("", (Column("", align="left"), Column("")), (("a", "1"), ("bb", "22")))
+    given = TablePart("", (Column("", align="left"), Column("")), (("a", "1"), ("bb", "22")))
     assert text([Section("", (given,))]) == "a    1\nbb  22"
 
 

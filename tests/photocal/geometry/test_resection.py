@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.network import Exposures, Network, Points, Rays, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, point_weights
 from photocal.geometry.camera import camera
 from photocal.geometry.resection import resection
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
@@ -87,7 +87,7 @@ def test_printed_resections_of_the_dcs460(photo: str) -> None:
     own = camera("dcs460", "brown-observed", "mm", (3060, 2036), (0.009, 0.009), {"c": 20.0})
     network = Network(
         (own,),
-        Exposures(np.zeros(1, np.int64), pose, np.full((1, 6), np.inf)),
+        ExteriorOrientations(np.zeros(1, np.int64), pose, np.full((1, 6), np.inf)),
         Points(xyz, held, weight),
         Rays(np.zeros(len(mine), np.int64), count, plane, np.full(plane.shape, 0.003)),
         (photo,),

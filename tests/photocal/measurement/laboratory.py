@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from photocal.adjustment.network import Exposures, Network, Points, Rays, Relations, point_weights
+from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.base.arrays import Floats
 from photocal.geometry.camera import Camera, camera, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import projected, undistorted
@@ -164,7 +164,7 @@ def observed(lab: Laboratory, seed: int, readings: int = 5) -> Network:
     poses = np.hstack([angles_from_matrix(lab.rotation), lab.centre])
     return Network(
         (lab.lens,),
-        Exposures(np.zeros(len(poses), np.int64), poses, np.full(poses.shape, np.inf)),
+        ExteriorOrientations(np.zeros(len(poses), np.int64), poses, np.full(poses.shape, np.inf)),
         Points(points + rng.normal(0, 0.005, points.shape), held, weight),
         Rays(
             index[order],

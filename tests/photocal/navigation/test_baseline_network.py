@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from photocal.base.errors import IllPosedError
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
-from photocal.navigation.baseline_network import Baseline, Mark, adjust_baselines
+from photocal.navigation.baseline_network import Baseline, GroundMark, adjust_baselines
 
 Floats = NDArray[np.float64]
 LAT, LON = -25.45, -49.23
@@ -22,7 +22,7 @@ COVARIANCE = AXES.T @ np.diag(SIGMA_ENU**2) @ AXES
 
 def network(
     rng: np.random.Generator, wrong: int | None, height_m: float = 0.1
-) -> tuple[list[Baseline], list[Mark], Floats]:
+) -> tuple[list[Baseline], list[GroundMark], Floats]:
     """Six marks over two kilometres and twelve baselines, one with a wrong antenna height."""
     centre = geocentric(np.array([LAT]), np.array([LON]), np.array([900.0]))[0]
     local = rng.uniform([-1000, -1000, -40], [1000, 1000, 40], (6, 3))
@@ -32,7 +32,7 @@ def network(
         error = rng.normal(0, 1, 3) * SIGMA_ENU
         error[2] += height_m if number == wrong else 0.0
         found.append(Baseline(f"s{number}", f"P{a}", f"P{b}", marks[b] - marks[a] + error @ AXES, COVARIANCE))
-    return found, [Mark("P0", marks[0], np.zeros((3, 3)))], marks
+    return found, [GroundMark("P0", marks[0], np.zeros((3, 3)))], marks
 
 
 def test_wrong_antenna_heights_are_found_and_the_rest_is_right() -> None:

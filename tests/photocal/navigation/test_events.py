@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquire.log.reader import Messages
+from acquire.log.reader import LoggedMessages
 from acquire.log.records import Channel, Schema
 from drivers.receiver import TimeMarks
 from drivers.ubx.decode import TIM_TM2, layout
@@ -142,11 +142,11 @@ class Row:
         ).encode()
 
 
-def exposure_messages(rows: list[Row], late_ns: int) -> list[Messages]:
+def exposure_messages(rows: list[Row], late_ns: int) -> list[LoggedMessages]:
     channel = Channel("/camera/exposure", "json", Schema("photocal.Exposure", "jsonschema", b"{}"), {})
     stamps = np.array([row.ns for row in rows], np.int64)
     payloads = [row.payload for row in rows]
-    return [Messages(channel, payloads, stamps + late_ns, stamps, np.arange(len(rows)))]
+    return [LoggedMessages(channel, payloads, stamps + late_ns, stamps, np.arange(len(rows)))]
 
 
 def test_events_of_autopilot_logs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.position_comparison import judge_positions
 from photocal.navigation.receiver_recording import ReceiverRecording
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime, HostTime
 from photocal.navigation.trajectory import Trajectory, interpolate
 from photocal.navigation.vehicle import VehicleTrack, path_of
@@ -81,7 +81,7 @@ def shots(path: Trajectory, late_s: float = 0.0) -> tuple[Exposures, Events]:
 
 def seen_by_images(noise_m: float = 0.02) -> Floats:
     """Projection centres in a frame of their own: turned, scaled, shifted, with noise."""
-    camera = at_camera(shots(trajectory())[0], Rig(LEVER, np.zeros(3), SIGMAS)).placed
+    camera = at_camera(shots(trajectory())[0], CameraOnBody(LEVER, np.zeros(3), SIGMAS)).placed
     place = (camera.xyz_m - CENTRE) @ AXES.T
     place = place + np.random.default_rng(5).normal(0, noise_m, place.shape)
     turn = enu_axes(40.0, 130.0)
@@ -89,7 +89,7 @@ def seen_by_images(noise_m: float = 0.02) -> Floats:
 
 
 def judged(late_s: float = 0.0, lever: Floats = LEVER) -> Finding:
-    rig = Rig(lever, np.full(3, 0.01), SIGMAS)
+    rig = CameraOnBody(lever, np.full(3, 0.01), SIGMAS)
     ours = at_camera(shots(trajectory(), late_s)[0], rig)
     return judge_positions("positions of the adjusted images", ours, seen_by_images(), rig, "similarity")
 
@@ -124,9 +124,9 @@ def test_swapped_axes_of_the_lever_arm() -> None:
 def test_a_wrong_sign_of_the_lever_arm_across() -> None:
     # Across the flight no time offset can stand for it.
     lever = np.array([0.1, 0.3, 0.35])
-    rig = Rig(lever * [1, -1, 1], np.full(3, 0.01), SIGMAS)
+    rig = CameraOnBody(lever * [1, -1, 1], np.full(3, 0.01), SIGMAS)
     ours = at_camera(shots(trajectory())[0], rig)
-    truth = at_camera(shots(trajectory())[0], Rig(lever, np.zeros(3), SIGMAS)).placed
+    truth = at_camera(shots(trajectory())[0], CameraOnBody(lever, np.zeros(3), SIGMAS)).placed
     place = (truth.xyz_m - CENTRE) @ AXES.T
     place = place + np.random.default_rng(6).normal(0, 0.02, place.shape)
     check = judge_positions("images", ours, np.asarray(place), rig, "similarity")
@@ -135,7 +135,7 @@ def test_a_wrong_sign_of_the_lever_arm_across() -> None:
 
 
 def test_false_alarms_are_rare() -> None:
-    rig = Rig(LEVER, np.full(3, 0.01), SIGMAS)
+    rig = CameraOnBody(LEVER, np.full(3, 0.01), SIGMAS)
     ours = at_camera(shots(trajectory())[0], rig)
     p = ours.placed
     place = (p.xyz_m - CENTRE) @ AXES.T
@@ -150,7 +150,7 @@ def test_false_alarms_are_rare() -> None:
 
 def test_positions_that_wander_are_no_lever_arm() -> None:
     """A receiver's own solution is off by a metre that comes and goes in half a minute."""
-    rig = Rig(LEVER, np.full(3, 0.01), SIGMAS)
+    rig = CameraOnBody(LEVER, np.full(3, 0.01), SIGMAS)
     ours = at_camera(shots(trajectory())[0], rig)
     p = ours.placed
     there = np.column_stack([p.lat_deg, p.lon_deg, p.height_m])
@@ -182,7 +182,7 @@ def evidence(path: Trajectory, late_s: float = 0.0, **changed: object) -> Eviden
     vehicle = VehicleTrack(path_of_vehicle, HostTime(late.ns), None)
     rover = ReceiverRecording("rover", geoid_m=[GEOID + 0.7])
     ppk = {"base": {"up_off_code_solution_m": 1.0}}
-    made = Evidence(Rig(), events, [], exposures, path, rover, vehicle, None, [], ppk)
+    made = Evidence(CameraOnBody(), events, [], exposures, path, rover, vehicle, None, [], ppk)
     return replace(made, **changed)  # type: ignore[arg-type]
 
 
@@ -238,7 +238,7 @@ def test_time_base_of_the_marks(off_s: float, expected: str) -> None:
 
 
 def test_what_cannot_be_seen_is_said() -> None:
-    made = evidence(trajectory(), trajectory=None, rig=Rig(LEVER, np.zeros(3), SIGMAS))
+    made = evidence(trajectory(), trajectory=None, rig=CameraOnBody(LEVER, np.zeros(3), SIGMAS))
     said = {check.code: check for check in check_exposures(made)}
     assert said["antenna-height"].severity == "untested"
     assert "control points" in english(said["antenna-height"])

@@ -22,9 +22,9 @@ from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
 from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.rig import Rig, rig_of_mounting
+from photocal.navigation.rig import CameraOnBody, rig_of_mounting
 from photocal.navigation.time import GpsTime, UtcTime
-from photocal.navigation.trajectory import Placed
+from photocal.navigation.trajectory import InterpolatedPositions
 from photocal.navigation.vehicle import decoded_attitude, decoded_positions, read_vehicle
 from tests.photocal.conftest import Answer
 from tests.photocal.navigation.conftest import ImportLog, Run
@@ -57,7 +57,7 @@ def stamp_images(folder: Path, utc_ns: list[int], late_s: float, model: str = "T
 def at_antenna(angles: Floats, covariance: Floats, angle_sigma: Floats) -> Exposures:
     n = len(angles)
     one = np.ones(n)
-    placed = Placed(
+    placed = InterpolatedPositions(
         np.ones(n, bool), one, ORIGIN[0] * one, ORIGIN[1] * one, ORIGIN[2] * one, np.zeros((n, 3)),
         np.broadcast_to(covariance, (n, 3, 3)), np.full(n, "fixed"),
     )  # fmt: skip
@@ -69,7 +69,7 @@ def at_antenna(angles: Floats, covariance: Floats, angle_sigma: Floats) -> Expos
 def test_lever_arm_by_hand() -> None:
     # Flying east (yaw 90 degrees), level: forward is east, right is south, down is down.
     level = np.radians([[0.0, 0.0, 90.0]])
-    rig = Rig(np.array([0.5, 0.2, 0.1]), np.zeros(3), np.zeros(3))
+    rig = CameraOnBody(np.array([0.5, 0.2, 0.1]), np.zeros(3), np.zeros(3))
     p = at_camera(at_antenna(level, np.eye(3) * 1e-4, np.zeros(3)), rig).placed
     moved = enu_offsets(p.lat_deg, p.lon_deg, p.height_m, ORIGIN)
     assert moved[0] == pytest.approx([-0.5, 0.2, 0.1], abs=1e-6)
@@ -86,9 +86,9 @@ def test_the_lever_arm_has_the_sign_of_blocks_and_projects() -> None:
 def test_lever_arm_needs_an_attitude() -> None:
     antenna = at_antenna(np.full((3, 3), np.nan), np.eye(3), np.zeros(3))
     with pytest.raises(ConfigurationError, match="no attitude"):
-        at_camera(antenna, Rig(np.ones(3), np.zeros(3), np.zeros(3)))
+        at_camera(antenna, CameraOnBody(np.ones(3), np.zeros(3), np.zeros(3)))
     with pytest.raises(ConfigurationError, match="standard deviations"):
-        Rig(np.ones(3))
+        CameraOnBody(np.ones(3))
 
 
 @pytest.mark.slow

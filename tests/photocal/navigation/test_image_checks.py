@@ -12,10 +12,10 @@ import pytest
 
 from photocal.measurement.features import FeatureSettings
 from photocal.measurement.match_images import MatchingPlan
-from photocal.navigation.exposure_run import Choices, place_exposures
+from photocal.navigation.exposure_run import ExposureChoices, place_exposures
 from photocal.navigation.image_checks import PairRotation, TieMatching, stored_turns
 from photocal.navigation.ppk_inputs import Sources
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from tests.photocal.conftest import Answer
 from tests.photocal.findings.english import english
 
@@ -79,10 +79,10 @@ def test_a_strip_stored_upside_down(shared: Path, tmp_path: Path) -> None:
     plan = MatchingPlan(tmp_path, 1, FeatureSettings(most=1500, longest_px=1000))
     # The strip and some images of both strips beside it.
     images = some_of(shared, range(20, 34), tmp_path)
-    choices = Choices(
+    choices = ExposureChoices(
         Sources(),
         images,
-        rig=Rig(angle_sigma=np.radians([1.0, 1.0, 2.0])),
+        rig=CameraOnBody(angle_sigma=np.radians([1.0, 1.0, 2.0])),
         ties=TieMatching(plan, silent),
     )
     checks = {own.code: own for own in place_exposures(choices, None, None).checks}
@@ -103,7 +103,7 @@ def test_a_strip_stored_upside_down(shared: Path, tmp_path: Path) -> None:
 def test_images_that_do_not_overlap_say_so(shared: Path, tmp_path: Path) -> None:
     folder = some_of(shared, (18, 35), tmp_path)
     ties = TieMatching(MatchingPlan(tmp_path / "cache", 1, FeatureSettings(500, 600)), silent)
-    run = place_exposures(Choices(Sources(), folder, ties=ties), None, None)
+    run = place_exposures(ExposureChoices(Sources(), folder, ties=ties), None, None)
     check = {own.code: own for own in run.checks}["image-rotations"]
     assert check.severity == "untested"
     assert english(check)

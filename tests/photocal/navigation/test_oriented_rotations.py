@@ -16,7 +16,7 @@ from photocal.geometry.oriented_images import oriented_images as as_images
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.navigation.attitude import from_angles
 from photocal.navigation.events import Events
-from photocal.navigation.exposure_run import Choices, place_exposures
+from photocal.navigation.exposure_run import ExposureChoices, place_exposures
 from photocal.navigation.exposures import Exposures, at_events, orientations
 from photocal.navigation.image_checks import (
     boresight_check,
@@ -25,9 +25,9 @@ from photocal.navigation.image_checks import (
     rotation_check,
 )
 from photocal.navigation.ppk_inputs import Sources
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Placed
+from photocal.navigation.trajectory import InterpolatedPositions
 from tests.photocal.findings.english import english
 
 Floats = NDArray[np.float64]
@@ -73,14 +73,14 @@ def flight(noise: Floats) -> tuple[Exposures, Floats]:
     lat, lon, height = geodetic(place @ enu_axes(ORIGIN[0], ORIGIN[1]) + centre)
     n, zero = 24, np.zeros(24)
     covariance = np.tile(np.eye(3) * 1e-4, (n, 1, 1))
-    placed = Placed(
+    placed = InterpolatedPositions(
         np.ones(n, bool), zero, lat, lon, height, np.zeros((n, 3)), covariance, np.full(n, "fixed")
     )
     time = GpsTime.from_week(np.full(n, 2370), 1000 + 2.0 * np.arange(n))
     events = Events("test", time, np.arange(n), zero)
     names = [(f"{k:02d}.JPG",) for k in range(n)]
     made = at_events(events, placed, recorded, zero, names, "ellipsoidal")
-    rotation = Rotation.from_rotvec(TURN).as_matrix() @ Rig().axes @ true.rotation
+    rotation = Rotation.from_rotvec(TURN).as_matrix() @ CameraOnBody().axes @ true.rotation
     return made, rotation
 
 
@@ -100,20 +100,20 @@ def test_a_boresight_is_found_whatever_the_frame_and_the_way_images_are_stored()
     exposures, rotation = flight(noise)
     stored = {**dict.fromkeys(range(12, 18), 2), 3: 1}
     oriented = block(exposures, rotation, stored)
-    pairs = compare_with_oriented(exposures, oriented, Rig(angle_sigma=SIGMAS))
+    pairs = compare_with_oriented(exposures, oriented, CameraOnBody(angle_sigma=SIGMAS))
     check = rotation_check(exposures, pairs, "the adjustment")
     assert [(entry["image"], entry["degrees"]) for entry in check.figures["stored_turned"]] == [
         (f"{k:02d}.JPG", 90 * turn) for k, turn in sorted(stored.items())
     ]
     # Relative rotations contain the noise of two attitudes, and little of the boresight.
     assert check.figures["median_deg"] < 1.5
-    found = boresight_check(exposures, oriented, Rig(angle_sigma=SIGMAS))
+    found = boresight_check(exposures, oriented, CameraOnBody(angle_sigma=SIGMAS))
     assert found.severity == "grave"
     value, sigma = np.array(found.figures["turn_deg"]), np.array(found.figures["sigma_deg"])
     assert (sigma < 0.4).all()
     assert (np.abs(value - np.degrees(TURN)) < 4 * np.maximum(sigma, 0.05)).all()
     # Once it is given nothing is left.
-    right = Rig(angle_sigma=SIGMAS, boresight=TURN, boresight_sigma=np.radians([0.1, 0.1, 0.1]))
+    right = CameraOnBody(angle_sigma=SIGMAS, boresight=TURN, boresight_sigma=np.radians([0.1, 0.1, 0.1]))
     again = boresight_check(exposures, oriented, right)
     assert again.severity == "passed", english(again)
 
@@ -132,7 +132,7 @@ def test_rotations_without_noise_agree(tmp_path: Path) -> None:
     oriented = oriented_images(tmp_path, [*exposures.first_images, "missing.JPG"])
     assert np.isnan(oriented.rotation[-1]).all()
     read = oriented.only(range(len(oriented) - 1))
-    rig = Rig(angle_sigma=SIGMAS, boresight=TURN)
+    rig = CameraOnBody(angle_sigma=SIGMAS, boresight=TURN)
     for pair in compare_with_oriented(exposures, read, rig):
         assert pair.quarter_turns == 0
         assert pair.angle_deg == pytest.approx(0.0, abs=1e-4)
@@ -144,9 +144,9 @@ def test_rotations_without_noise_agree(tmp_path: Path) -> None:
 def test_gimbal_angles_of_a_recorded_flight(shared: Path, tmp_path: Path) -> None:
     table = tmp_path / "images.csv"
     table.write_text(PEER.lstrip())
-    rig = Rig(angle_sigma=np.radians([1.0, 1.0, 2.0]))
+    rig = CameraOnBody(angle_sigma=np.radians([1.0, 1.0, 2.0]))
     images = shared / "data/uav-brighton-beach/images"
-    run = place_exposures(Choices(Sources(), images, rig=rig, oriented=table), None, None)
+    run = place_exposures(ExposureChoices(Sources(), images, rig=rig, oriented=table), None, None)
     found: dict[str, Finding] = {check.code: check for check in run.checks}
     rotations, boresight = found["image-rotations"], found["boresight"]
     assert len(rotations.figures["pairs"]) == 17

@@ -24,7 +24,7 @@ from photocal.navigation.attitude import (
 from photocal.navigation.events import Events
 from photocal.navigation.exposure_files import write_block_images, write_geo_txt
 from photocal.navigation.exposures import Exposures, at_camera, at_events, orientations
-from photocal.navigation.rig import Rig
+from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import interpolate
 from tests.photocal.navigation.test_interpolation import path_of
@@ -44,7 +44,7 @@ def body_to_enu(angles: Floats) -> Rotation:
     return Rotation.from_matrix(NED_TO_ENU) * Rotation.from_euler("ZYX", angles[..., ::-1])
 
 
-def exposure() -> tuple[Exposures, Rig]:
+def exposure() -> tuple[Exposures, CameraOnBody]:
     """One exposure a quarter of a second after an epoch, at the camera."""
     t = np.arange(40.0)
     path = path_of(np.outer(t, VELOCITY), np.tile(VELOCITY, (40, 1)), t, POSITION_SIGMA)
@@ -59,7 +59,7 @@ def exposure() -> tuple[Exposures, Rig]:
     own = attitude.covariance[0] - at_instants(track, event, np.zeros(3)).covariance[0]
     attitude.covariance[0] = own
     placed = interpolate(path, event, sigma, np.zeros((1, 3)))
-    rig = Rig(LEVER, LEVER_SIGMA, ANGLE_SIGMA, BORESIGHT, BORESIGHT_SIGMA)
+    rig = CameraOnBody(LEVER, LEVER_SIGMA, ANGLE_SIGMA, BORESIGHT, BORESIGHT_SIGMA)
     events = Events("test", event, np.arange(1), sigma)
     return at_camera(at_events(events, placed, attitude, sigma, [("a",)], "ellipsoidal"), rig), rig
 

@@ -14,7 +14,7 @@ from photocal.findings.finding import Finding
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.exposure_report import exposures_text
 from photocal.navigation.exposure_run import (
-    Choices,
+    ExposureChoices,
     ExposureRun,
     choices_of_project,
     place_exposures,
@@ -32,11 +32,11 @@ GEOID_M = 9.0
 class Flight:
     """A simulated flight, processed with a right project; the true orientations stand for a block's."""
 
-    choices: Choices
+    choices: ExposureChoices
     run: ExposureRun
     shutter_s: float
 
-    def again(self, choices: Choices) -> ExposureRun:
+    def again(self, choices: ExposureChoices) -> ExposureRun:
         """The exposures anew from the same trajectory, with other choices."""
         corrected = {**self.run.figures["ppk"]}
         del corrected["common"]

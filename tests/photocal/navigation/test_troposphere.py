@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from acquire.simulate.gnss.atmosphere import Atmosphere
-from acquire.simulate.gnss.geometry import Antenna, Place
+from acquire.simulate.gnss.geometry import Antenna, AntennaTrack
 from acquire.simulate.gnss.session import simulate
 from acquire.simulate.gnss.settings import ROVER, SkySettings
 from acquire.simulate.gnss.streams import base_ubx, rover_ubx
@@ -134,7 +134,7 @@ def zenith_delay_m(humidity: float, height_m: float) -> float:
     """As the simulator has it."""
     one = np.ones(1)
     sky = SkySettings(relative_humidity=humidity)
-    at = Place(one, one, np.radians(BASE_DEG[0]) * one, one, height_m * one)
+    at = AntennaTrack(one, one, np.radians(BASE_DEG[0]) * one, one, height_m * one)
     return float(Atmosphere(sky, np.zeros((0, 4)), 0.0).troposphere_m(at, np.pi / 2 * one)[0])
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from photocal.base.errors import ConfigurationError
 from photocal.planning.frame import (
-    Frame,
+    PlanningCamera,
     air_base,
     corner_precision,
     expected_altimetric_accuracy,
@@ -25,9 +25,9 @@ from photocal.planning.frame import (
 )
 from photocal.planning.summary import error_budget
 
-ELPH = Frame(4.38e-3, 0.0013368e-3, 4608, 3456)
-IXUS = Frame(4.382e-3, 1.54e-6, 4000, 3000)
-PHANTOM = Frame(8.8e-3, 2.41e-6, 5472, 3648)
+ELPH = PlanningCamera(4.38e-3, 0.0013368e-3, 4608, 3456)
+IXUS = PlanningCamera(4.382e-3, 1.54e-6, 4000, 3000)
+PHANTOM = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
 
 
 def test_canon_elph_scale_and_height() -> None:
@@ -69,7 +69,7 @@ def test_canon_elph_error_budget() -> None:
 
 
 def test_ixus220_height_resolution_and_footprint() -> None:
-    nominal = Frame(5.1e-3, 1.54e-6, 4000, 3000)
+    nominal = PlanningCamera(5.1e-3, 1.54e-6, 4000, 3000)
     assert flying_height(nominal.focal_m, scale_denominator(0.20, 1.54e-6)) == pytest.approx(662.3, abs=0.05)
     assert flying_height(IXUS.focal_m, scale_denominator(0.20, 1.54e-6)) == pytest.approx(569.09, abs=0.005)
     assert ground_sample_distance(711.0, IXUS) == pytest.approx(0.249872, abs=5e-7)
@@ -114,6 +114,6 @@ def test_exposure_interval_follows_the_ground_speed() -> None:
 
 def test_frames_and_budgets_that_cannot_be() -> None:
     with pytest.raises(ConfigurationError, match="positive"):
-        Frame(0.0, 1e-6, 100, 100)
+        PlanningCamera(0.0, 1e-6, 100, 100)
     with pytest.raises(ConfigurationError, match="standard error"):
         error_budget(-1.0)

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.cli import app
 from photocal.planning.area import area_from_corners
-from photocal.planning.flight import Flight, FlightRequest, plan_flight
-from photocal.planning.frame import Frame
+from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
+from photocal.planning.frame import PlanningCamera
 from photocal.planning.mission import (
     Home,
     mission_items,
@@ -33,17 +33,17 @@ FIELD = [
     (-51.29408, -28.8554),
     (-51.29339, -28.85368),
 ]
-PHANTOM = Frame(8.8e-3, 2.41e-6, 5472, 3648)
+PHANTOM = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
 HOME = Home(-28.8535, -51.2945, 700.0)
 
 
 @pytest.fixture(scope="module")
-def flight() -> Flight:
+def flight() -> PlannedFlight:
     request = FlightRequest(PHANTOM, 100.0, 0.7, 0.6, speed_m_s=8.0, second_height_m=140.0)
     return plan_flight(area_from_corners(list(FIELD), "field"), request)
 
 
-def test_figures_of_both_heights(flight: Flight) -> None:
+def test_figures_of_both_heights(flight: PlannedFlight) -> None:
     low, high = flight.levels
     assert low.gsd_m * 100 == pytest.approx(2.7386, abs=5e-5)
     assert high.gsd_m / low.gsd_m == pytest.approx(1.4)
@@ -54,7 +54,7 @@ def test_figures_of_both_heights(flight: Flight) -> None:
     assert {strip.height_m for strip in flight.strips} == {100.0, 140.0}
 
 
-def test_cross_strips_are_at_right_angles(flight: Flight) -> None:
+def test_cross_strips_are_at_right_angles(flight: PlannedFlight) -> None:
     def direction(height: float) -> float:
         strip = next(s for s in flight.strips if s.height_m == height)
         east, north = strip.exposures_m[-1] - strip.exposures_m[0]
@@ -63,7 +63,7 @@ def test_cross_strips_are_at_right_angles(flight: Flight) -> None:
     assert math.cos(direction(100.0) - direction(140.0)) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_strips_run_out_by_half_the_footprint_in_flying_direction(flight: Flight) -> None:
+def test_strips_run_out_by_half_the_footprint_in_flying_direction(flight: PlannedFlight) -> None:
     """The rows lie along the flight: half of 3648 px, on every strip that touches the area's end."""
     direction = np.array([math.sin(flight.azimuth_rad), math.cos(flight.azimuth_rad)])
     along = flight.corners_m @ direction
@@ -73,7 +73,7 @@ def test_strips_run_out_by_half_the_footprint_in_flying_direction(flight: Flight
         assert half - 1e-6 <= beyond <= half + flight.levels[0].base_m
 
 
-def test_text_mission_is_read_by_pymavlink(flight: Flight, tmp_path: Path) -> None:
+def test_text_mission_is_read_by_pymavlink(flight: PlannedFlight, tmp_path: Path) -> None:
     items = mission_items(flight, HOME, 705.0)
     path = tmp_path / "flight.waypoints"
     path.write_text(waypoint_file(items, HOME), encoding="utf-8")
@@ -95,7 +95,7 @@ def test_text_mission_is_read_by_pymavlink(flight: Flight, tmp_path: Path) -> No
     assert at_once == [1.0, 0.0] * len(flight.strips)
 
 
-def test_waypoints_lie_where_the_strips_end(flight: Flight) -> None:
+def test_waypoints_lie_where_the_strips_end(flight: PlannedFlight) -> None:
     items = [
         item for item in mission_items(flight, HOME, 705.0) if item.command == dialect.MAV_CMD_NAV_WAYPOINT
     ]
@@ -105,7 +105,7 @@ def test_waypoints_lie_where_the_strips_end(flight: Flight) -> None:
         assert geod.inv(start[5], start[4], end[5], end[4])[2] == pytest.approx(strip.length_m, abs=0.005)
 
 
-def test_plan_file_has_the_form_that_qgroundcontrol_documents(flight: Flight) -> None:
+def test_plan_file_has_the_form_that_qgroundcontrol_documents(flight: PlannedFlight) -> None:
     items = mission_items(flight, HOME, 705.0)
     plan = json.loads(json.dumps(qgroundcontrol_plan(items, HOME, 8.0, "px4", "quadrotor"), allow_nan=False))
     assert (plan["fileType"], plan["version"], plan["groundStation"]) == ("Plan", 1, "QGroundControl")
@@ -124,7 +124,7 @@ def test_plan_file_has_the_form_that_qgroundcontrol_documents(flight: Flight) ->
             assert item["AltitudeMode"] == 1
 
 
-def test_missions_that_cannot_be_flown(flight: Flight) -> None:
+def test_missions_that_cannot_be_flown(flight: PlannedFlight) -> None:
     with pytest.raises(ConfigurationError, match="above the take-off place"):
         mission_items(flight, HOME, 580.0)
     items = mission_items(flight, HOME, 705.0)
@@ -219,7 +219,7 @@ def test_wrong_options_leave_nothing_behind(area: Path, tmp_path: Path, options:
     assert not output.exists()
 
 
-def test_positions_of_exposures_keep_their_distance(flight: Flight) -> None:
+def test_positions_of_exposures_keep_their_distance(flight: PlannedFlight) -> None:
     strip = flight.strips[0]
     latitude, longitude = flight.plane.to_degrees(strip.exposures_m)
     steps = Geod(ellps="WGS84").inv(longitude[:-1], latitude[:-1], longitude[1:], latitude[1:])[2]

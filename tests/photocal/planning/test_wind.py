@@ -10,16 +10,16 @@ from pyproj import Geod
 
 from photocal.base.errors import ConfigurationError
 from photocal.planning.area import Area
-from photocal.planning.flight import Flight, FlightRequest, plan_flight
-from photocal.planning.frame import Frame
+from photocal.planning.flight import FlightRequest, PlannedFlight, plan_flight
+from photocal.planning.frame import PlanningCamera
 from photocal.planning.mission import Home
 from photocal.planning.wind import WIND_TEXT, at_speed, farthest_m, in_wind
 
 AREA = Area(np.array([-28.853, -28.853, -28.849, -28.849]), np.array([-51.294, -51.290, -51.290, -51.294]))
-FRAME = Frame(8.8e-3, 2.41e-6, 5472, 3648)
+FRAME = PlanningCamera(8.8e-3, 2.41e-6, 5472, 3648)
 
 
-def flight_of(azimuth_deg: float, border: float = 0.0) -> Flight:
+def flight_of(azimuth_deg: float, border: float = 0.0) -> PlannedFlight:
     return plan_flight(
         AREA,
         FlightRequest(
@@ -89,7 +89,7 @@ def test_a_border_is_covered_like_the_area() -> None:
     )
     width, length = flight.levels[0].footprint_m
 
-    def least(of: Flight) -> int:
+    def least(of: PlannedFlight) -> int:
         apart = grid[:, None] - np.vstack([strip.exposures_m for strip in of.strips])
         seen = (np.abs(apart @ along) <= length / 2 + 1e-6) & (np.abs(apart @ across) <= width / 2 + 1e-6)
         return int(seen.sum(axis=1).min())

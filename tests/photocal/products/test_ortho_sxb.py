@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 
 from photocal.exchange.formats import read_any_block
 from photocal.geometry.camera import plane_to_pixel
-from photocal.geometry.frames import Frame
+from photocal.geometry.frames import LocalFrame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import BILINEAR
 from photocal.products.oriented import oriented
@@ -73,8 +73,8 @@ def test_the_orthophoto_has_the_check_points_in_their_places(shared: Path, tmp_p
 
 
 def _same_as_peers(
-    tile: Tile, image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], one: OrientedImages, frame: Frame,
-    terrain: Terrain, grid: Grid,
+    tile: Tile, image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], one: OrientedImages,
+    frame: LocalFrame, terrain: Terrain, grid: Grid,
 ) -> None:  # fmt: skip
     """SciPy and OpenCV resample the image by the same map: equal to one grey level.
 

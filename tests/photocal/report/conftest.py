@@ -14,7 +14,7 @@ from photocal.findings.document import Document
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import read_particulars
-from photocal.report.stored_analysis import Run, read_run
+from photocal.report.stored_analysis import AnalysedRun, read_run
 
 DAY = dt.date(2026, 11, 21)
 
@@ -55,19 +55,19 @@ def published_folder(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.fixture(scope="session")
-def invented_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def invented_run(tmp_path_factory: pytest.TempPathFactory) -> AnalysedRun:
     """An invented run in pixels with check points, to read only."""
     return read_run(RUNS.invented(tmp_path_factory.mktemp("invented") / "run"))
 
 
 @pytest.fixture(scope="session")
-def published_run(published_folder: Path) -> Run:
+def published_run(published_folder: Path) -> AnalysedRun:
     """The published DCS460 calibration."""
     return read_run(published_folder)
 
 
 @pytest.fixture(scope="session", params=["en", "pt-BR"])
-def document(request: pytest.FixtureRequest, invented_run: Run) -> Document:
+def document(request: pytest.FixtureRequest, invented_run: AnalysedRun) -> Document:
     """The certificate of the invented run in each language."""
     particulars = read_particulars(None, DAY, client="Client <b>&</b> Sons", operator="Laboratório")
     return certificate(invented_run, particulars, catalogue(request.param))

@@ -18,7 +18,7 @@ from photocal.findings.document import (
     Remarks,
     Signature,
     Statement,
-    Table,
+    TablePart,
     html,
 )
 from photocal.findings.finding import Finding
@@ -28,7 +28,7 @@ from photocal.report.certificate_metadata import read_particulars
 from photocal.report.derived_figures import derived_figures
 from photocal.report.issue import record
 from photocal.report.ministry_rows import Context, entries, read_layout
-from photocal.report.stored_analysis import Run, read_run
+from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from tests.photocal.georeferencing.flights import Plan, fly
@@ -38,7 +38,7 @@ DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
 
 @pytest.fixture(scope="module")
-def analysed(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def analysed(tmp_path_factory: pytest.TempPathFactory) -> AnalysedRun:
     folder = tmp_path_factory.mktemp("analysed") / "run"
     adjust_block(DEMO, folder)
     analyse_run(folder, DEMO)
@@ -53,7 +53,7 @@ def words(document: Document) -> str:
         for piece in section.pieces:
             if isinstance(piece, Paragraph | Statement):
                 said.append(piece.text)
-            elif isinstance(piece, Table):
+            elif isinstance(piece, TablePart):
                 said += [cell for row in piece.rows for cell in row]
                 assert all(len(row) == len(piece.columns) for row in piece.rows), piece.caption
             elif isinstance(piece, Remarks):
@@ -80,7 +80,7 @@ def words(document: Document) -> str:
         ),
     ],
 )  # fmt: skip
-def test_what_was_found_is_printed(analysed: Run, language: str, expected: tuple[str, ...]) -> None:
+def test_what_was_found_is_printed(analysed: AnalysedRun, language: str, expected: tuple[str, ...]) -> None:
     document = certificate(analysed, read_particulars(None, DAY), catalogue(language))
     said = words(document)
     for text in expected[: 4 if language == "en" else None]:
@@ -90,13 +90,13 @@ def test_what_was_found_is_printed(analysed: Run, language: str, expected: tuple
     assert expected[0] in html(document)
 
 
-def test_without_analysis_it_is_said(analysed: Run) -> None:
-    bare = Run(analysed.result, analysed.files)
+def test_without_analysis_it_is_said(analysed: AnalysedRun) -> None:
+    bare = AnalysedRun(analysed.result, analysed.files)
     document = certificate(bare, read_particulars(None, DAY), catalogue("en"))
     assert "was not analysed" in words(document)
 
 
-def test_warnings_reach_every_form(analysed: Run) -> None:
+def test_warnings_reach_every_form(analysed: AnalysedRun) -> None:
     given, say = read_particulars(None, DAY), catalogue("en")
     fixed = {"percent": 62.0, "n_float": 9.0, "n_single": 0.0}
     told = (Finding("ppk-not-fixed", "doubtful", figures=fixed), Finding("one-height", "note"))
@@ -113,7 +113,7 @@ def test_warnings_reach_every_form(analysed: Run) -> None:
     json.dumps(plain, allow_nan=False)
 
 
-def test_a_limit_of_the_flight_is_no_warning(analysed: Run) -> None:
+def test_a_limit_of_the_flight_is_no_warning(analysed: AnalysedRun) -> None:
     given, say = read_particulars(None, DAY), catalogue("en")
     noted = certificate(analysed, given, say, (Finding("one-height", "note"),))
     assert noted.verdicts == certificate(analysed, given, say).verdicts

@@ -12,7 +12,7 @@ from photocal.findings.document import html
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module", params=["en", "pt-BR"])
 def page_file(
-    request: pytest.FixtureRequest, invented_run: Run, tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest, invented_run: AnalysedRun, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     document = certificate(invented_run, Metadata(date=dt.date(2026, 11, 21)), catalogue(request.param))
     path: Path = tmp_path_factory.mktemp("page") / "certificate.html"

@@ -22,12 +22,12 @@ from typer.testing import CliRunner
 
 from photocal.base.errors import InputMalformedError
 from photocal.cli import app
-from photocal.findings.document import Document, Figure, KeyValues, Table, html, pdf
+from photocal.findings.document import Document, KeyValues, PicturePart, TablePart, html, pdf
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
-from photocal.report.stored_analysis import Run, read_run
+from photocal.report.stored_analysis import AnalysedRun, read_run
 from tests.photocal.findings.test_findings import every_finding, fragments
 
 DAY = dt.date(2026, 11, 21)
@@ -93,14 +93,14 @@ def test_given_text_is_escaped(document: Document) -> None:
     assert "Client <b>&</b> Sons" in words(document)
 
 
-def test_same_run_gives_the_same_bytes(document: Document, invented_run: Run) -> None:
+def test_same_run_gives_the_same_bytes(document: Document, invented_run: AnalysedRun) -> None:
     particulars = read_particulars(None, DAY, client="Client <b>&</b> Sons", operator="Laboratório")
     again = certificate(invented_run, particulars, catalogue(document.language))
     assert html(again) == html(document)
     assert pdf(again, DAY) == pdf(document, DAY)
 
 
-def test_number_does_not_depend_on_language_but_on_content(invented_run: Run) -> None:
+def test_number_does_not_depend_on_language_but_on_content(invented_run: AnalysedRun) -> None:
     numbers = [
         certificate(invented_run, Metadata(date=DAY), catalogue(code)).number for code in ("en", "pt-BR")
     ]
@@ -110,7 +110,9 @@ def test_number_does_not_depend_on_language_but_on_content(invented_run: Run) ->
 
 
 def test_every_row_has_every_column(document: Document) -> None:
-    tables = [piece for section in document.sections for piece in section.pieces if isinstance(piece, Table)]
+    tables = [
+        piece for section in document.sections for piece in section.pieces if isinstance(piece, TablePart)
+    ]
     assert len(tables) >= 8
     for table in tables:
         assert all(len(row) == len(table.columns) for row in table.rows), table.caption
@@ -118,7 +120,7 @@ def test_every_row_has_every_column(document: Document) -> None:
 
 def test_pictures_are_sound(document: Document) -> None:
     figures = [
-        piece for section in document.sections for piece in section.pieces if isinstance(piece, Figure)
+        piece for section in document.sections for piece in section.pieces if isinstance(piece, PicturePart)
     ]
     assert [figure.name for figure in figures] == [
         "correlation-1",
@@ -165,7 +167,9 @@ def test_pictures_are_sound(document: Document) -> None:
         ),
     ],
 )
-def test_published_calibration_in_both_forms(published_run: Run, language: str, expected: list[str]) -> None:
+def test_published_calibration_in_both_forms(
+    published_run: AnalysedRun, language: str, expected: list[str]
+) -> None:
     document = certificate(published_run, Metadata(date=DAY), catalogue(language))
     page = " ".join(outline(html(document)).text)
     paper = words(document)
@@ -178,23 +182,25 @@ def test_published_calibration_in_both_forms(published_run: Run, language: str, 
 
 
 @pytest.mark.shared
-def test_table_rows_against_the_study(published_run: Run) -> None:
+def test_table_rows_against_the_study(published_run: AnalysedRun) -> None:
     """Values, standard deviations and t as the study prints them, to two digits of the standard deviation."""
     document = certificate(published_run, Metadata(date=DAY), catalogue("en"))
-    tables = [piece for section in document.sections for piece in section.pieces if isinstance(piece, Table)]
+    tables = [
+        piece for section in document.sections for piece in section.pieces if isinstance(piece, TablePart)
+    ]
     rows = {row[0]: row for table in tables if len(table.columns) == 7 for row in table.rows}
     assert rows["x₀"][2:] == ("−0.2201", "0.0060", "mm", "−36.4", "yes")
     assert rows["K₂"][2:] == ("2.91", "0.47", "10⁻⁷ mm⁻⁴", "6.2", "yes")
     assert rows["P₂"][2:] == ("1.04", "0.42", "10⁻⁵ mm⁻¹", "2.5", "yes")
 
 
-def test_a_parameter_that_is_noise_is_called_so(invented_run: Run) -> None:
+def test_a_parameter_that_is_noise_is_called_so(invented_run: AnalysedRun) -> None:
     """K2 of the invented run is half of its standard deviation."""
     text = html(certificate(invented_run, Metadata(date=DAY), catalogue("en")))
     assert "Not told from zero at the 95 % level: K₂." in text
 
 
-def test_factor_is_given_and_not_applied(invented_run: Run) -> None:
+def test_factor_is_given_and_not_applied(invented_run: AnalysedRun) -> None:
     text = html(certificate(invented_run, Metadata(date=DAY), catalogue("en")))
     assert "3412.50" in text
     assert "0.42" in text
@@ -214,7 +220,7 @@ def test_refuted_standard_deviations_are_said_on_top_and_scaled_beside(run_folde
     assert document.verdicts[0].title == "Usable with reservations"
     assert "1.50 times the stated" in document.verdicts[1].text
     assert all(one.tone != "good" for one in document.verdicts)
-    tables = [p for s in document.sections for p in s.pieces if isinstance(p, Table)]
+    tables = [p for s in document.sections for p in s.pieces if isinstance(p, TablePart)]
     orientation = next(t for t in tables if t.caption == "Interior orientation parameters")
     heads = [column.head for column in orientation.columns]
     row = next(row for row in orientation.rows if row[0] == "c")

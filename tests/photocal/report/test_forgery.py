@@ -19,7 +19,7 @@ from photocal.cli import app
 from photocal.report.issue import read_record
 from photocal.report.verification import pages_of, repeated
 from photocal.results.adjusted import adjust_block
-from photocal.results.origin import Source
+from photocal.results.origin import BlockSource
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 HTML, PDF, RECORD = "certificate.html", "certificate.pdf", "certificate.json"
@@ -49,7 +49,7 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             done("sign", folder / name)
         certified, where = read_record(folder / "signed")
         # The inputs are the same whenever this is asked: what is not them would be named before.
-        run = repeated(certified, where, Source(where / "inputs"))
+        run = repeated(certified, where, BlockSource(where / "inputs"))
         patch.setattr("photocal.report.verification.repeated", lambda *_: run)
         pages = dict[str, dict[str, bytes]]()
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.cli import app
-from photocal.findings.document import Figure, KeyValues, Table
+from photocal.findings.document import KeyValues, PicturePart, TablePart
 from photocal.findings.texts import catalogue
 from photocal.report.forms import FORMS, ROLLS_DEG, field_forms, planned_places
 
@@ -47,14 +47,14 @@ def test_a_station_sheet_for_each_point_and_a_row_in_the_list(plan: Path, langua
         say.fixed(-51.2938, 7),
     ]
     assert all(value == "" for _, value in known[4:])
-    assert any(isinstance(piece, Figure) for piece in sheets[0].pieces)
-    targets = next(piece for piece in sheets[3].pieces if isinstance(piece, Table))
+    assert any(isinstance(piece, PicturePart) for piece in sheets[0].pieces)
+    targets = next(piece for piece in sheets[3].pieces if isinstance(piece, TablePart))
     assert [row[0] for row in targets.rows] == ["CO01", "CH01"]
-    pictures = next(piece for piece in sheets[4].pieces if isinstance(piece, Table))
+    pictures = next(piece for piece in sheets[4].pieces if isinstance(piece, TablePart))
     assert len(pictures.rows) == 3 * len(ROLLS_DEG)
     for sheet in sheets:
         for piece in sheet.pieces:
-            if isinstance(piece, Table):
+            if isinstance(piece, TablePart):
                 assert {len(row) for row in piece.rows} == {len(piece.columns)}
 
 

@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
-from photocal.findings.document import Signature, Table
+from photocal.findings.document import Signature, TablePart
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import derived_figures
 from photocal.report.ministry_rows import Context, corners, entries, read_layout
-from photocal.report.stored_analysis import Run
+from photocal.report.stored_analysis import AnalysedRun
 
 DAY = dt.date(2026, 11, 21)
 EXAMPLE = Path(__file__).parents[3] / "configs" / "certificates" / "example_particulars.toml"
@@ -36,7 +36,7 @@ def fitting() -> Metadata:
     return Metadata.model_validate({**keys, "date": DAY})
 
 
-def context(run: Run, particulars: Metadata, language: str = "en") -> Context:
+def context(run: AnalysedRun, particulars: Metadata, language: str = "en") -> Context:
     camera = next(iter(run.result.cameras))
     return Context(run, particulars, derived_figures(run, camera, particulars), catalogue(language))
 
@@ -55,13 +55,13 @@ def test_keys_are_unique() -> None:
 
 
 @pytest.mark.parametrize("language", ["en", "pt-BR"])
-def test_all_rows_are_filled_from_complete_particulars(invented_run: Run, language: str) -> None:
+def test_all_rows_are_filled_from_complete_particulars(invented_run: AnalysedRun, language: str) -> None:
     filled = entries(read_layout(), context(invented_run, fitting(), language))
     assert [entry.row.key for entry in filled if entry.origin == "not_determined"] == []
     assert all(entry.value.strip() for entry in filled)
 
 
-def test_without_particulars_the_rest_is_marked(invented_run: Run) -> None:
+def test_without_particulars_the_rest_is_marked(invented_run: AnalysedRun) -> None:
     filled = {e.row.key: e for e in entries(read_layout(), context(invented_run, Metadata(date=DAY)))}
     assert len(filled) == 47
     for key in ("camera_model", "lens_serial", "lever_arm", "boresight", "responsible", "pixel_size", "iso"):
@@ -72,7 +72,7 @@ def test_without_particulars_the_rest_is_marked(invented_run: Run) -> None:
     assert filled["readings"].value == "28"
 
 
-def test_given_numbers_keep_their_digits(invented_run: Run) -> None:
+def test_given_numbers_keep_their_digits(invented_run: AnalysedRun) -> None:
     filled = {e.row.key: e.value for e in entries(read_layout(), context(invented_run, fitting()))}
     assert filled["exposure_time"] == "0.001"
     assert filled["pixel_size"] == "0.00241"
@@ -82,7 +82,7 @@ def test_given_numbers_keep_their_digits(invented_run: Run) -> None:
     assert {e.row.key: e.value for e in entries(read_layout(), portuguese)}["gsd"] == "2,93"
 
 
-def test_pictures_tell_exposure_where_nobody_typed_it(invented_run: Run, tmp_path: Path) -> None:
+def test_pictures_tell_exposure_where_nobody_typed_it(invented_run: AnalysedRun, tmp_path: Path) -> None:
     one = {"least": 0.625, "median": 0.625, "most": 0.625}
     counts = dict.fromkeys(("images", "strips", "tilt_over_3_deg", "tilt_over_5_deg", "smear_over_limit"), 0)
     figures: dict[str, Any] = {**counts, "gaps": [], "exposure_ms": one, "iso": None}
@@ -101,14 +101,14 @@ def test_pictures_tell_exposure_where_nobody_typed_it(invented_run: Run, tmp_pat
         read_particulars(given, DAY)
 
 
-def test_interior_orientation_in_millimetres(invented_run: Run) -> None:
+def test_interior_orientation_in_millimetres(invented_run: AnalysedRun) -> None:
     """3412.50 px of 2.41 um are 8.2241 mm; K1 = 1.2e-9 px^-2 is 2.066e-4 mm^-2."""
     filled = {e.row.key: e.value for e in entries(read_layout(), context(invented_run, fitting()))}
     assert filled["iop_table"].startswith("c 8.2241 ± 0.0010 mm")
     assert "K₁ (2.07 ± 0.34) × 10⁻⁴ mm⁻²" in filled["iop_table"]
 
 
-def test_corners_in_the_order_of_the_form(invented_run: Run) -> None:
+def test_corners_in_the_order_of_the_form(invented_run: AnalysedRun) -> None:
     """Upper left, then counter-clockwise; half of 4000 and 3000 times 2.41 um."""
     assert corners(context(invented_run, fitting())) == (
         ("1", "0", "0", "−4.8200", "3.6150"),
@@ -118,7 +118,7 @@ def test_corners_in_the_order_of_the_form(invented_run: Run) -> None:
     )
 
 
-def test_height_and_base_of_a_flown_block_are_computed(invented_run: Run) -> None:
+def test_height_and_base_of_a_flown_block_are_computed(invented_run: AnalysedRun) -> None:
     """Exposures stand 30 m apart in a row; the ground sampling distance follows from height and camera."""
     known = derived_figures(invented_run, "l1", Metadata(date=DAY, camera={"pixel_size_mm": 0.00241}))  # type: ignore[arg-type]
     assert known.base_m == pytest.approx(30.0, abs=0.01)
@@ -128,26 +128,26 @@ def test_height_and_base_of_a_flown_block_are_computed(invented_run: Run) -> Non
 
 
 @pytest.mark.shared
-def test_a_wall_is_no_flight(published_run: Run) -> None:
+def test_a_wall_is_no_flight(published_run: AnalysedRun) -> None:
     known = derived_figures(published_run, "dcs460", Metadata(date=DAY))
     assert (known.height_m, known.gsd_cm, known.base_m) == (None, None, None)
     assert known.pixel_mm == pytest.approx(0.00902847, abs=1e-8)
 
 
 @pytest.mark.shared
-def test_pixel_from_rounded_frame_sizes_is_doubted(published_run: Run) -> None:
+def test_pixel_from_rounded_frame_sizes_is_doubted(published_run: AnalysedRun) -> None:
     """27.6 mm / 3060 over 18.4 mm / 2036 is 0.99804: the error of the published calibration."""
     found = {f.code: f.figures for f in derived_figures(published_run, "dcs460", Metadata(date=DAY)).findings}
     assert found["pitch_not_square"]["percent"] == pytest.approx(0.196, abs=1e-3)
 
 
-def test_contradicting_particulars_stop_the_certificate(invented_run: Run) -> None:
+def test_contradicting_particulars_stop_the_certificate(invented_run: AnalysedRun) -> None:
     """The example's sensor is not that of the invented camera: nothing is printed."""
     with pytest.raises(InputMalformedError, match=r"9\.640 × 7\.230 mm; the sensor has 13\.20 mm"):
         certificate(invented_run, read_particulars(EXAMPLE, DAY), catalogue("en"))
 
 
-def test_full_certificate_has_all_sections(invented_run: Run) -> None:
+def test_full_certificate_has_all_sections(invented_run: AnalysedRun) -> None:
     document = certificate(invented_run, fitting(), catalogue("en"))
     titles = [section.title for section in document.sections]
     for title in (
@@ -161,7 +161,7 @@ def test_full_certificate_has_all_sections(invented_run: Run) -> None:
     pieces = [piece for section in document.sections for piece in section.pieces]
     signature = next(piece for piece in pieces if isinstance(piece, Signature))
     assert signature.lines == ("Maria Exemplo", "Engenheira cartógrafa", "CREA 000000")
-    form = next(p for p in pieces if isinstance(p, Table) and len(p.rows) == 47)
+    form = next(p for p in pieces if isinstance(p, TablePart) and len(p.rows) == 47)
     assert form.rows[0][2] == "Limits of items 2.q and 2.r kept"
 
 

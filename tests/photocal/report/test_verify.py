@@ -21,7 +21,7 @@ from photocal.report.issue import read_record
 from photocal.report.verification import as_certified, differences, record_of, repeated
 from photocal.results.adjusted import adjust_block
 from photocal.results.more_tables import Wanted
-from photocal.results.origin import Source
+from photocal.results.origin import BlockSource
 
 DEMO = Path(__file__).resolve().parents[3] / "photocal" / "demo" / "dcs460"
 
@@ -48,7 +48,8 @@ def again(issued: Path) -> dict[str, Any]:
     """The certificate made anew."""
     certified, folder = read_record(issued)
     return record_of(
-        as_certified(repeated(certified, folder, Source(issued / "inputs")), certified, folder), certified
+        as_certified(repeated(certified, folder, BlockSource(issued / "inputs")), certified, folder),
+        certified,
     )
 
 

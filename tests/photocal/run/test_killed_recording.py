@@ -18,7 +18,7 @@ from acquire.simulate.hardware import awaited, on_ports, record_settings
 from acquire.simulate.playback import FlightClock, PlayedFlight, read_flight
 from acquire.simulate.world.configuration import read_configuration
 from acquire.simulate.world.site import simulate_flight
-from acquire.simulate.world.streams import Wire
+from acquire.simulate.world.streams import RecordedWire
 from photocal.cli import app
 from tests.acquire.live import Recorder, await_frame, frames_in, free_port, until
 from tests.conftest import needs_engine
@@ -60,11 +60,11 @@ def without(flight: PlayedFlight, begin_s: float, end_s: float) -> PlayedFlight:
     for name, line in flight.lines.items():
         heard = (line.arrival_s <= begin_s) | (line.arrival_s > end_s)
         frames = tuple(frame for frame, keep in zip(line.frames, heard, strict=True) if keep)
-        lines[name] = Wire(line.arrival_s[heard], frames)
+        lines[name] = RecordedWire(line.arrival_s[heard], frames)
     return replace(flight, lines=lines)
 
 
-def last_before(line: Wire, time_s: float, count: int) -> tuple[bytes, ...]:
+def last_before(line: RecordedWire, time_s: float, count: int) -> tuple[bytes, ...]:
     end = int(np.searchsorted(line.arrival_s, time_s, side="right"))
     return line.frames[end - count : end]
 

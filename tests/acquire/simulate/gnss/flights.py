@@ -13,7 +13,7 @@ from acquire.simulate.gnss.geometry import Antenna
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import Faults, SkySettings
 from acquire.simulate.gnss.streams import Stream, base_rtcm, base_ubx, rover_ubx
-from acquire.simulate.gnss.time_marks import Events
+from acquire.simulate.gnss.time_marks import Pulses
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -94,10 +94,10 @@ def fly(
     )
 
 
-def pulses(session: Session, every_s: float = 2.0) -> Events:
+def pulses(session: Session, every_s: float = 2.0) -> Pulses:
     first, last = session.span_gps_ns
     rising = np.arange(first + 5 * SECOND, last - 5 * SECOND, round(every_s * 1e9)) + 123_456_789
-    return Events(rising, rising + 150_000_000)
+    return Pulses(rising, rising + 150_000_000)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Flight:
     """A session with its streams and the events on the rover's pin."""
 
     session: Session
-    events: Events
+    events: Pulses
     rover: Stream
     base_ubx: Stream
     base_rtcm: Stream

@@ -9,7 +9,7 @@ import pytest
 
 from acquire.simulate.gnss.atmosphere import Atmosphere
 from acquire.simulate.gnss.ephemeris import Field
-from acquire.simulate.gnss.geometry import Place
+from acquire.simulate.gnss.geometry import AntennaTrack
 from acquire.simulate.gnss.observations import correlated, thermal
 from acquire.simulate.gnss.settings import E5BQ, L1CA, L2CL, ReceiverModel, SkySettings
 from tests.acquire.simulate.gnss.flights import Floats, gps_ns
@@ -17,9 +17,9 @@ from tests.acquire.simulate.gnss.flights import Floats, gps_ns
 QUIET = SkySettings(ionosphere_scale=1.0, wave_m=0.0, wet_sigma_m=0.0)
 
 
-def antenna(count: int, height_m: float = 0.0, lat_deg: float = 45.0, lon: float = 0.0) -> Place:
+def antenna(count: int, height_m: float = 0.0, lat_deg: float = 45.0, lon: float = 0.0) -> AntennaTrack:
     full, nowhere = np.ones(count), np.zeros((count, 3))
-    return Place(nowhere, nowhere, np.radians(lat_deg) * full, lon * full, height_m * full)
+    return AntennaTrack(nowhere, nowhere, np.radians(lat_deg) * full, lon * full, height_m * full)
 
 
 def ionosphere_m(

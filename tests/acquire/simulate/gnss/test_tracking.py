@@ -12,7 +12,7 @@ from acquire.simulate.gnss.observations import run_clock, track
 from acquire.simulate.gnss.session import Session, simulate
 from acquire.simulate.gnss.settings import Faults, ReceiverModel, SkySettings
 from acquire.simulate.gnss.streams import base_rtcm, base_ubx, rover_ubx
-from acquire.simulate.gnss.time_marks import Events, messages
+from acquire.simulate.gnss.time_marks import Pulses, messages
 from photocal.base.errors import ConfigurationError
 from tests.acquire.simulate.gnss.flights import BASE_M, SECOND, START, fly, gps_ns, streams
 from tests.acquire.simulate.gnss.rtklib import to_rinex
@@ -193,7 +193,7 @@ def test_sessions_that_cannot_be_are_refused() -> None:
         fly(duration_s=0)
 
 
-def decoded(events: Events, start: int = START) -> list[tuple[int, int, int, int]]:
+def decoded(events: Pulses, start: int = START) -> list[tuple[int, int, int, int]]:
     """Week and milliseconds of the rising edge, count and flags, by the byte offsets of the description."""
     clock = run_clock(
         ReceiverModel(clock_bias_s=2e-4, clock_drift=0.0),
@@ -211,12 +211,12 @@ def decoded(events: Events, start: int = START) -> list[tuple[int, int, int, int
 def test_time_bases() -> None:
     edge = np.array([START + 5 * SECOND])
     tow = START // 1_000_000 % 604_800_000 + 5000
-    assert decoded(Events(edge, accuracy_s=0.0))[0][1] == tow
-    utc = decoded(Events(edge, time_base="utc", stamped_in="utc", accuracy_s=0.0))[0]
+    assert decoded(Pulses(edge, accuracy_s=0.0))[0][1] == tow
+    utc = decoded(Pulses(edge, time_base="utc", stamped_in="utc", accuracy_s=0.0))[0]
     assert (utc[1], utc[3] >> 3 & 3) == (tow - 18_000, 2)
-    wrong = decoded(Events(edge, stamped_in="utc", accuracy_s=0.0))[0]
+    wrong = decoded(Pulses(edge, stamped_in="utc", accuracy_s=0.0))[0]
     assert (wrong[1], wrong[3] >> 3 & 3) == (tow - 18_000, 1)
-    own = decoded(Events(edge, time_base="receiver", stamped_in="receiver", accuracy_s=0.0))[0]
+    own = decoded(Pulses(edge, time_base="receiver", stamped_in="receiver", accuracy_s=0.0))[0]
     assert own[3] >> 3 & 3 == 0
 
 
@@ -224,7 +224,7 @@ def test_edges_share_a_message_or_follow() -> None:
     """Both within one epoch: one message; else two with the same count; the counter goes round."""
     rising = START + np.array([3.01, 3.03, 6.15]) * SECOND
     falling = START + np.array([3.02, 3.04, 6.35]) * SECOND
-    found = decoded(Events(rising.astype(np.int64), falling.astype(np.int64), first_count=65_534))
+    found = decoded(Pulses(rising.astype(np.int64), falling.astype(np.int64), first_count=65_534))
     assert [(count, flags & 0x80 > 0, flags & 0x04 > 0) for _, _, count, flags in found] == [
         (65_535, True, True),
         (0, True, True),
@@ -236,5 +236,5 @@ def test_edges_share_a_message_or_follow() -> None:
 def test_edges_at_the_change_of_the_week() -> None:
     start = gps_ns(2025, 6, 14, 23, 59, 50)
     edges = start + np.array([9.9, 10.1]) * SECOND
-    found = decoded(Events(edges.astype(np.int64), accuracy_s=0.0), start)
+    found = decoded(Pulses(edges.astype(np.int64), accuracy_s=0.0), start)
     assert [(week, tow) for week, tow, *_ in found] == [(2370, 604_799_900), (2371, 100)]

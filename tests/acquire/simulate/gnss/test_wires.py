@@ -14,7 +14,7 @@ import pyubx2
 
 from acquire.simulate.gnss import navigation_messages
 from acquire.simulate.gnss.msm import lock_indicator
-from acquire.simulate.gnss.observations import Observations
+from acquire.simulate.gnss.observations import SatelliteObservations
 from acquire.simulate.gnss.settings import SkySettings
 from drivers.frames import GNSS, StreamFramer, Wire
 from drivers.ubx.decode import RXM_SFRBX
@@ -148,7 +148,7 @@ def test_msm_says_what_was_measured(kind: str, rtcm: Frames, flight: Flight) -> 
             assert part[420] == (not row["half_valid"])
 
 
-def by_name(observations: Observations, epoch: int, system: str) -> dict[tuple[int, int], Any]:
+def by_name(observations: SatelliteObservations, epoch: int, system: str) -> dict[tuple[int, int], Any]:
     """Rows of an epoch by satellite number and signal."""
     found = {}
     for row in observations.rows[observations.rows["epoch"] == epoch]:

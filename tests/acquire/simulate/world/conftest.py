@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from acquire.simulate.world.configuration import Configuration, read_configuration
+from acquire.simulate.world.configuration import FlightConfiguration, read_configuration
 from acquire.simulate.world.site import simulate_flight
 from acquire.simulate.world.world import World, make_world
 from tests.conftest import Once
@@ -16,7 +16,7 @@ from tests.conftest import Once
 DEMO = Path(__file__).resolve().parents[4] / "acquire" / "simulate" / "flights"
 
 
-def configured(name: str, **instead: Any) -> Configuration:
+def configured(name: str, **instead: Any) -> FlightConfiguration:
     """Read a demonstration with other keys at the top level."""
     return read_configuration(DEMO / f"{name}.toml", instead)
 

@@ -80,7 +80,7 @@ def test_rays_meet_the_ground(world: World) -> None:
 def test_rays_meet_what_stands_before_the_rest() -> None:
     """Steep hills, oblique rays: no place of a ray above where it ends lies under the ground."""
     rough = make_terrain(
-        configuration.Terrain(relief_m=12.0, longest_m=60.0), 150.0, np.random.default_rng(4)
+        configuration.TerrainKeys(relief_m=12.0, longest_m=60.0), 150.0, np.random.default_rng(4)
     )
     rng = np.random.default_rng(5)
     start = np.column_stack([rng.uniform(-40, 40, (400, 2)), np.full(400, 60.0)])
@@ -96,10 +96,10 @@ def test_rays_meet_what_stands_before_the_rest() -> None:
 
 
 def test_relief_is_as_asked_and_flat_ground_is_flat() -> None:
-    rough = make_terrain(configuration.Terrain(relief_m=5.0), 100.0, np.random.default_rng(3))
+    rough = make_terrain(configuration.TerrainKeys(relief_m=5.0), 100.0, np.random.default_rng(3))
     heights = rough.height(*np.meshgrid(np.arange(-100, 101, 2.0), np.arange(-100, 101, 2.0)))
     assert heights.std() == pytest.approx(5.0, rel=0.3)
-    flat = make_terrain(configuration.Terrain(relief_m=0.0), 100.0, np.random.default_rng(3))
+    flat = make_terrain(configuration.TerrainKeys(relief_m=0.0), 100.0, np.random.default_rng(3))
     assert np.abs(flat.coefficients).max() == 0
 
 

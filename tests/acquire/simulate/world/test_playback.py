@@ -16,11 +16,11 @@ import pytest
 from mcap.reader import make_reader
 from pymavlink.dialects.v20 import ardupilotmega
 
-from acquire.recording.configuration import Configuration, read_configuration
+from acquire.recording.configuration import RecordingConfiguration, read_configuration
 from acquire.recording.recorder import Recorded, record
 from acquire.simulate.hardware import awaited, on_ports, record_settings
 from acquire.simulate.playback import FlightClock, FlownAutopilot, PlayedFlight, read_flight
-from acquire.simulate.world.streams import Wire
+from acquire.simulate.world.streams import RecordedWire
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from tests.acquire.live import frames_in, until
 from tests.acquire.simulate.world.conftest import DEMO, Flight, flown
@@ -43,7 +43,9 @@ def recorded(
             given["link"][0]["vehicle"]["rates_hz"] = rates
 
         with ThreadPoolExecutor(1) as pool:
-            recording = pool.submit(record, Configuration.model_validate(given), folder, stop, told.append)
+            recording = pool.submit(
+                record, RecordingConfiguration.model_validate(given), folder, stop, told.append
+            )
             thinned = {ardupilotmega.MAVLINK_MSG_ID_ATTITUDE} if rates else set()
             try:
                 until(lambda: recording.done() or arrived(flight, folder / "log", thinned), "the end")
@@ -125,7 +127,7 @@ def test_a_recorder_that_was_stopped_is_started_again_in_flight(small: Flight, t
         with ThreadPoolExecutor(1) as pool:
             for enough in (lambda: clock.flight_s() > end / 3, lambda: arrived(flight, tmp_path / "log")):
                 stop = threading.Event()
-                settings = Configuration.model_validate(given)
+                settings = RecordingConfiguration.model_validate(given)
                 recording = pool.submit(record, settings, tmp_path, stop, lambda _: None)
                 try:
                     until(enough, "its part of the flight")
@@ -187,7 +189,7 @@ def test_damaged_frames_stay_as_they_are(small: Flight) -> None:
 def test_a_configuration_is_played_without_a_folder() -> None:
     flight = read_flight(DEMO / "small.toml")
     assert set(flight.lines) == {"vehicle", "rover", "base"}
-    assert all(isinstance(line, Wire) and line.end_s > 50 for line in flight.lines.values())
+    assert all(isinstance(line, RecordedWire) and line.end_s > 50 for line in flight.lines.values())
 
 
 def test_folders_that_cannot_be_played(small: Flight, tmp_path: Path) -> None:

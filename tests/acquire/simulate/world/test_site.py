@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from acquire.simulate.world.configuration import Fault
+from acquire.simulate.world.configuration import SimulatedFault
 from photocal.base.errors import ConfigurationError
 from tests.acquire.simulate.world.conftest import DEMO, Flight, configured, flown
 
@@ -167,25 +167,25 @@ def test_grid_coordinates_of_the_truth(small: Flight) -> None:
 @pytest.mark.parametrize(
     ("fault", "files"),
     [
-        (Fault.ANTENNA_HEIGHT, {"project.toml"}),
-        (Fault.BASE_OFF, {"project.toml", "base.ubx"}),
-        (Fault.EVENT_TIME_BASE, {"rover.ubx"}),
-        (Fault.LATE_SHUTTER, {"observations.csv"}),
-        (Fault.LEVER_ARM_AXIS, {"project.toml"}),
-        (Fault.CONTROL_DIGITS, {"control.csv"}),
-        (Fault.MISSING_IMAGES, {"observations.csv", "times.csv"}),
-        (Fault.TELEMETRY_GAP, {"vehicle.tlog"}),
-        (Fault.CYCLE_SLIPS, {"rover.ubx", "base.ubx"}),
+        (SimulatedFault.ANTENNA_HEIGHT, {"project.toml"}),
+        (SimulatedFault.BASE_OFF, {"project.toml", "base.ubx"}),
+        (SimulatedFault.EVENT_TIME_BASE, {"rover.ubx"}),
+        (SimulatedFault.LATE_SHUTTER, {"observations.csv"}),
+        (SimulatedFault.LEVER_ARM_AXIS, {"project.toml"}),
+        (SimulatedFault.CONTROL_DIGITS, {"control.csv"}),
+        (SimulatedFault.MISSING_IMAGES, {"observations.csv", "times.csv"}),
+        (SimulatedFault.TELEMETRY_GAP, {"vehicle.tlog"}),
+        (SimulatedFault.CYCLE_SLIPS, {"rover.ubx", "base.ubx"}),
     ],
 )
 def test_a_fault_changes_what_it_is_about_and_nothing_else(
-    fault: Fault, files: set[str], plain: Flight, tmp_path: Path
+    fault: SimulatedFault, files: set[str], plain: Flight, tmp_path: Path
 ) -> None:
     right, wrong = plain.folder, flown(tmp_path, level="observations", faults=[fault.value]).folder
     one, two = contents(right / "site"), contents(wrong / "site")
     assert {name for name in one if one[name] != two.get(name)} == files
     assert json.loads((wrong / "truth/truth.json").read_text())["faults"] == [fault.value]
-    if fault is Fault.CONTROL_DIGITS:
+    if fault is SimulatedFault.CONTROL_DIGITS:
         apart = numbers(right / "site/control.csv", "X", "Y", "Z") - numbers(
             wrong / "site/control.csv", "X", "Y", "Z"
         )
@@ -194,13 +194,13 @@ def test_a_fault_changes_what_it_is_about_and_nothing_else(
         name = json.loads((wrong / "truth/truth.json").read_text())["mistyped_control"]
         assert table(wrong / "site/control.csv")[row]["point"] == name
         assert table(wrong / "site/control.csv")[row]["role"] == "control"
-    if fault is Fault.MISSING_IMAGES:
+    if fault is SimulatedFault.MISSING_IMAGES:
         lost = {r["image"] for r in table(right / "site/times.csv")} - {
             r["image"] for r in table(wrong / "site/times.csv")
         }
         assert lost == set(json.loads((wrong / "truth/truth.json").read_text())["missing_images"])
         assert lost
-    if fault is Fault.LEVER_ARM_AXIS:
+    if fault is SimulatedFault.LEVER_ARM_AXIS:
         arms = [
             tomllib.loads((f / "site/project.toml").read_text())["rig"]["camera_to_antenna_m"]
             for f in (right, wrong)
@@ -227,7 +227,7 @@ def test_faults_have_sizes() -> None:
         "antenna_height_m": 0.3, "base_m": [1.0, 2.0, 3.0], "late_s": 0.017, "zoom": 1.01,
         "control_m": [0.0, 10.0, 0.0], "gap_s": 10.0,
     }  # fmt: skip
-    every = [fault.value for fault in Fault]
+    every = [fault.value for fault in SimulatedFault]
     right, wrong = (
         make_world(configured("survey", faults=faults, fault_sizes=sizes)) for faults in ([], every)
     )
@@ -292,7 +292,7 @@ def test_what_cannot_be_flown(section: str, keys: dict[str, Any], words: str, tm
 def test_the_help_names_every_fault() -> None:
     from acquire.commands.simulate import FAULTS
 
-    assert all(fault.value in FAULTS for fault in Fault)
+    assert all(fault.value in FAULTS for fault in SimulatedFault)
 
 
 def test_the_command(acquire: Acquire, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.adjust import adjust
-from photocal.adjustment.network import Exposures, Network, Rays, Relations
+from photocal.adjustment.network import ExteriorOrientations, Network, Rays, Relations
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.start.values import StartValues, start_values
 from photocal.block.folder import read_block
@@ -154,7 +154,7 @@ def test_flight_with_positions_only() -> None:
     observed = truth[:, 3:] + np.random.default_rng(1).normal(0, 0.05, (18, 3))
     network = replace(
         network,
-        exposures=Exposures(
+        exposures=ExteriorOrientations(
             network.exposures.camera, np.hstack([np.zeros((18, 3)), observed]), network.exposures.sigma
         ),
     )
