@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
+import logging
 import secrets
 import socket
 import threading
@@ -44,6 +46,10 @@ _TYPES = {
     "svg": "image/svg+xml",
 }
 _READING = ("GET", "HEAD")
+# A browser opens six connections; who opens a thousand, or never ends the head of a request, is no browser.
+MOST_CONNECTIONS, HEAD_S = 100, 10.0
+# How many connections are accepted before one of them is looked at, and how long an end may take.
+_BACKLOG, _END_S = 64, 3.0
 
 
 @dataclass(frozen=True)
@@ -68,7 +74,7 @@ class Address:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((ip, self.port))
-            listener.listen(64)
+            listener.listen(_BACKLOG)
         except OSError as refusal:
             listener.close()
             raise ConfigurationError(
@@ -218,8 +224,13 @@ def serving(app: ASGIApp, address: Address) -> Iterator[str]:
     token = None if address.loopback else secrets.token_urlsafe(TOKEN_BYTES)
     listener = address.listen()
     bound = Address(address.host, listener.getsockname()[1])
+    _silence("asyncio", "uvicorn")
     settings = uvicorn.Config(
         Guard(app, bound, token),
+        http=_limited(),
+        ws="none",
+        loop="asyncio",
+        backlog=_BACKLOG,
         log_config=None,
         log_level="critical",
         access_log=False,
@@ -237,8 +248,58 @@ def serving(app: ASGIApp, address: Address) -> Iterator[str]:
         yield f"http://{_shown(bound)}/" + (f"?token={token}" if token else "")
     finally:
         server.should_exit = True
-        thread.join()
+        thread.join(_END_S)
         listener.close()
+
+
+def _silence(*names: str) -> None:
+    """Keep loggers from standard error: a terminal that takes nothing would stop the server."""
+    for name in names:
+        logger = logging.getLogger(name)
+        logger.propagate = False
+        if not logger.handlers:
+            logger.addHandler(logging.NullHandler())
+
+
+def _limited() -> type[asyncio.Protocol]:
+    """Return the protocol of the server, kept to `MOST_CONNECTIONS` and `HEAD_S`."""
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class Limited(H11Protocol):
+        """Gives up who is one too many, and who does not end the head of a request, the first or a later one.
+
+        uvicorn limits the requests that are answered, not the connections that never ask.
+        """
+
+        _head: asyncio.TimerHandle | None = None
+
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            if len(self.connections) > MOST_CONNECTIONS:
+                transport.abort()
+            else:
+                self._await_head()
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            self._await_head()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            self._end_of_head()
+            super().connection_lost(exc)
+
+        def _await_head(self) -> None:
+            if self.cycle is not None and not self.cycle.response_complete:
+                self._end_of_head()
+            elif self._head is None and not self.transport.is_closing():
+                self._head = self.loop.call_later(HEAD_S, self.transport.abort)
+
+        def _end_of_head(self) -> None:
+            if self._head is not None:
+                self._head.cancel()
+                self._head = None
+
+    return Limited
 
 
 def _shown(bound: Address) -> Address:

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import http.client
+import os
+import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
@@ -15,7 +22,7 @@ from starlette.routing import Route
 
 from photocal.base.errors import ConfigurationError
 from photocal.base.web import Address, read_address, serving
-from tests.acquire.live import PATIENCE_S
+from tests.acquire.live import PATIENCE_S, until
 
 
 def _app() -> Starlette:
@@ -154,3 +161,94 @@ def test_addresses_say_whether_others_reach_them() -> None:
     assert read_address("[::1]:0").loopback
     assert not read_address("0.0.0.0:8740").loopback
     assert str(read_address("[::1]:87")) == "[::1]:87"
+
+
+def _refused(line: socket.socket, within_s: float) -> bool:
+    """Tell whether the server gives a connection up in time."""
+    line.settimeout(within_s)
+    try:
+        return line.recv(100) == b""
+    except TimeoutError:
+        return False
+    except ConnectionResetError:
+        return True
+
+
+def test_connections_that_never_ask_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("photocal.base.web.HEAD_S", 0.5)
+    with serving(_app(), Address("127.0.0.1", 0)) as url, ExitStack() as stack:
+        page = Page(url)
+        address = "127.0.0.1", page.port
+        silent, half, late = (stack.enter_context(socket.create_connection(address)) for _ in range(3))
+        half.sendall(b"GET / HTTP/1.1\r\nHost: 127")
+        request = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode()
+        late.sendall(request)
+        late.settimeout(PATIENCE_S)
+        answer = b""
+        # Head and body may come apart.
+        while b"secret GET" not in answer:
+            answer += late.recv(10_000)
+        late.sendall(request[:20])
+        assert all(_refused(line, PATIENCE_S) for line in (silent, half, late))
+        assert page.ask()[0] == 200
+
+
+def test_an_answer_that_takes_long_is_not_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("photocal.base.web.HEAD_S", 0.2)
+
+    async def slow(_: Request) -> PlainTextResponse:
+        await asyncio.sleep(1.0)
+        return PlainTextResponse("at last")
+
+    with serving(Starlette(routes=[Route("/", slow)]), Address("127.0.0.1", 0)) as url:
+        assert Page(url).ask()[:2] == (200, "at last")
+
+
+SERVER = """
+import resource, sys, time
+resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
+from photocal.base.operating_system import stopped_by_signals
+from photocal.base.web import Address, serving
+from tests.acquire.test_web import _app
+stop = stopped_by_signals()
+with serving(_app(), Address("127.0.0.1", 0)) as url:
+    print(url, flush=True)
+    stop.wait()
+"""
+
+
+def test_a_flood_of_connections_leaves_the_page_and_its_end_alone() -> None:
+    """More of them than the process may have open; standard error is a full pipe that nobody reads."""
+    ours, theirs = os.pipe()
+    os.set_blocking(theirs, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(theirs, b"x" * 512)
+    os.set_blocking(theirs, True)
+    command = [sys.executable, "-c", SERVER]
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, text=True) as process,
+        ExitStack() as stack,
+    ):
+        stack.callback(process.kill)
+        assert process.stdout is not None
+        page = Page(process.stdout.readline().strip())
+        lines = [stack.enter_context(socket.create_connection(("127.0.0.1", page.port))) for _ in range(400)]
+        # The first are kept for their ten seconds, who comes after them is given up at once.
+        assert sum(_refused(line, 0.001) for line in lines[-200:]) > 190
+        assert not any(_refused(line, 0.001) for line in lines[:90])
+        for line in lines[:50]:
+            line.close()
+        assert until(lambda: answers(page), "the page") is True
+        process.send_signal(signal.SIGINT)
+        assert process.wait(5.0) == 0
+    for end in (ours, theirs):
+        os.close(end)
+
+
+def answers(page: Page) -> bool:
+    """Tell whether the page is answered, not given up."""
+    try:
+        return page.ask()[0] == 200
+    except (OSError, http.client.HTTPException):
+        return False
