@@ -65,24 +65,26 @@ def analyse_run(
     done: Callable[[float], None] = lambda _: None,
     say: Catalogue | None = None,
     draws: int = 0,
+    read: Callable[[Path], Block] = read_any_block,
 ) -> Outcome:
     """Analyse a run and write `analysis.json` into its folder: it then goes into the certificate.
 
     block: block folder or set-up file; looked for where the run says, beside it and below the current folder
         when not given.
     draws: of the bootstrap over images.
+    read: how a block is read; a run of a project hands on the one that it has.
     done: gets the share of the work that was done since it was called last.
 
     raises PhotocalError: as reading, adjusting and writing do.
     """
     result = read_result(folder)
     source = block_of_run(folder, result, block, Path.cwd())
-    read = read_any_block(source.path)
-    assembly = network_of(read, result)
-    checks, start = checks_of(read, assembly), state_of(assembly, result)
+    given = read(source.path)
+    assembly = network_of(given, result)
+    checks, start = checks_of(given, assembly), state_of(assembly, result)
     outcome = analyse_network(assembly.network, checks, alpha, threshold, done, draws, start)
     outcome = replace(
-        outcome, exterior_difference=exterior_difference(read, result), result_sha256=digest(folder / RESULT)
+        outcome, exterior_difference=exterior_difference(given, result), result_sha256=digest(folder / RESULT)
     )
     with output_file(folder / ANALYSIS) as aside:
         write_json(aside, analysis_record(outcome, say or catalogue("en")))

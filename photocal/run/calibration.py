@@ -1,8 +1,11 @@
 """Stages `calibration`, `analysis`, `certificate`: the integrated adjustment, what it hides, its document."""
 
+from __future__ import annotations
+
 import datetime as dt
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from photocal.base.progress import Progress
 from photocal.project import Project
@@ -10,20 +13,23 @@ from photocal.report.keys import own_key
 from photocal.run.stage import RECORD, Stage
 from photocal.run.summary import gather, read_json
 
+if TYPE_CHECKING:
+    from photocal.run.reading import BlockReader
 
-def calibration_stage(block: Path) -> Stage:
+
+def calibration_stage(block: Path, read: BlockReader) -> Stage:
     """Describe the stage that adjusts everything together."""
 
     def make(folder: Path, show: Progress) -> None:
         from photocal.results.adjusted import adjust_block
 
         with show("calibration", None) as done:
-            adjust_block(block, folder, report=lambda _: done(1))
+            adjust_block(block, folder, report=lambda _: done(1), read=read)
 
     return Stage("calibration", "integrated adjustment with the camera", make, after=(block,))
 
 
-def analysis_stage(block: Path, calibration: Path) -> Stage:
+def analysis_stage(block: Path, calibration: Path, read: BlockReader) -> Stage:
     """Describe the stage that looks for hidden errors; its folder is the run with `analysis.json`."""
 
     def make(folder: Path, show: Progress) -> None:
@@ -33,7 +39,7 @@ def analysis_stage(block: Path, calibration: Path) -> Stage:
             calibration, folder, dirs_exist_ok=True, ignore=lambda *_: [RECORD], copy_function=shutil.copyfile
         )
         with show("analysis", 1.0) as done:
-            analyse_run(folder, block, done=done)
+            analyse_run(folder, block, done=done, read=read)
 
     return Stage("analysis", "hidden errors, significance, correlations", make, after=(block, calibration))
 

@@ -22,6 +22,7 @@ from photocal.run.measurements import measurements_stage
 from photocal.run.output_place import check_output
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
+from photocal.run.reading import block_reader
 from photocal.run.stage import Digests, Stage, StageResult, alone, made_in, update_stage, written
 from photocal.run.summary import gather, kind, summary
 
@@ -34,7 +35,7 @@ Task = tuple[Path, dt.date, str | None, str | None, bool]
 def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
     """List the stages of a project."""
     work = made_in(project.output)
-    block, calibration = work / "block", work / "calibration"
+    block, calibration, read = work / "block", work / "calibration", block_reader()
     given = project.contents.measurements
     if given is not None and given.block is not None:
         first: tuple[Stage, ...] = (given_block_stage(given.block),)
@@ -50,10 +51,10 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         )
     made = (
         *first,
-        calibration_stage(block),
+        calibration_stage(block, read),
         *((flown_stage(project, block, calibration),) if given is None or given.block is None else ()),
-        georeferencing_stage(project, block),
-        analysis_stage(block, calibration),
+        georeferencing_stage(project, block, read),
+        analysis_stage(block, calibration, read),
     )
     return (*made, certificate_stage(project, work, day, tuple(work / stage.name for stage in made)))
 

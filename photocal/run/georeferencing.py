@@ -14,28 +14,28 @@ if TYPE_CHECKING:
     from photocal.accuracy.standard import Question
     from photocal.block.model import Block
     from photocal.georeferencing.direct import Calibration
+    from photocal.run.reading import BlockReader
 
 FIGURES = "check.json"
 
 
-def georeferencing_stage(project: Project, block: Path) -> Stage:
+def georeferencing_stage(project: Project, block: Path, read: BlockReader) -> Stage:
     """Describe the stage, which follows the one whose folder is `block`."""
     standards = [name for name in project.contents.judgement.standards if name.endswith(".toml")]
     return Stage(
         "georeferencing",
         "three georeferencings at the check points",
-        lambda out, show: _make(project, block, out, show),
+        lambda out, show: _make(project, block, out, show, read),
         {f"standard {name}": Path(name) for name in standards},
         project.contents.judgement.model_dump(mode="json"),
         (block,),
     )
 
 
-def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
+def _make(project: Project, source: Path, folder: Path, show: Progress, read: BlockReader) -> None:
     from photocal.accuracy.maps import reference_system
     from photocal.accuracy.standard import SHIPPED, load_standard
     from photocal.base.geopackage import changed_utc
-    from photocal.block.folder import read_block
     from photocal.findings.texts import as_record
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
@@ -43,7 +43,7 @@ def _make(project: Project, source: Path, folder: Path, show: Progress) -> None:
     from photocal.measurement.oriented_ties import NOT_PLACED
 
     standards = tuple(load_standard(name) for name in project.contents.judgement.standards or SHIPPED)
-    block = with_shutters(read_block(source))
+    block = with_shutters(read(source))
     if block.datum != "control":
         # Nothing can be judged in a relative block; that is no failure.
         with_nothing = {"schema": SCHEMA, "block": block.name, "methods": {}, "refused": []}

@@ -25,6 +25,7 @@ from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from photocal.run.calibration import certificate_stage
 from photocal.run.georeferencing import georeferencing_stage
+from photocal.run.reading import block_reader
 from photocal.run.summary import gather
 from tests.photocal.conftest import Answer
 from tests.photocal.georeferencing.flights import Plan, fly
@@ -64,7 +65,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Project:
     analyse_run(work / "analysis", work / "block")
     (work / "georeferencing").mkdir()
     read = read_project(folder / "project.toml")
-    georeferencing_stage(read, work / "block").make(work / "georeferencing", quiet)
+    georeferencing_stage(read, work / "block", block_reader()).make(work / "georeferencing", quiet)
     return read
 
 

@@ -11,6 +11,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError, NotConvergedError
+from photocal.block.folder import read_block
+from photocal.block.model import Block
 from photocal.cli import app
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
@@ -65,9 +67,17 @@ def test_every_stage_is_made_and_told(shifted: tuple[Path, Result]) -> None:
     assert {one["standard"] for one in figures["classes"]} == {"pec-pcd"}
 
 
-def test_a_ready_block_is_adjusted_five_times_at_most(tmp_path: Path) -> None:
-    """Each adjustment says why; what is kept repeats what it said."""
-    path = project(tmp_path, Errors())
+def test_a_ready_block_is_read_once_and_adjusted_five_times_at_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each adjustment says why; what is kept repeats what it said, and reads nothing."""
+    path, taken = project(tmp_path, Errors()), []
+
+    def counted(folder: Path) -> Block:
+        taken.append(folder)
+        return read_block(folder)
+
+    monkeypatch.setattr("photocal.block.folder.read_block", counted)
     for kept in (False, True):
         figures = json.loads(run(str(path), "--json").stdout)
         assert all(one["kept"] is kept for one in figures["stages"])
@@ -75,6 +85,7 @@ def test_a_ready_block_is_adjusted_five_times_at_most(tmp_path: Path) -> None:
         assert 4 <= len(reasons) <= 5
         assert all(reasons)
         assert {"calibration of the block", "integrated georeferencing"} <= set(reasons)
+        assert len(taken) == 1
 
 
 def test_a_fault_is_named_and_reaches_the_certificate(shifted: tuple[Path, Result]) -> None:
