@@ -45,6 +45,7 @@ def gga(
     time = f"{second // 3600:02d}{second // 60 % 60:02d}{second % 60:02d}.{hundredths:02d}"
 
     def angle(value: float, degrees: int, sides: str) -> str:
+        """Write an angle (deg) as degrees and minutes, with the letter of its side."""
         whole, minutes = divmod(round(abs(value) * 60 * 10**7), 60 * 10**7)
         return f"{whole:0{degrees}d}{minutes / 10**7:010.7f},{sides[value < 0]}"
 

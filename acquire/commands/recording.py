@@ -204,6 +204,7 @@ def _in_terminal(
     with Live(console=console, screen=True, auto_refresh=False) as live:
 
         def show(state: RecordingState) -> None:
+            """Draw the state anew, and ring the bell at a new alarm."""
             nonlocal announced
             if not mute and any(a.number > announced and a.level == "bad" for a in state.alarms):
                 console.bell()

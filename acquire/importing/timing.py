@@ -58,6 +58,7 @@ def derived(batches: Iterable[Batch], clock: Clock, where: object) -> Timed:
     """Yield batches with the receiver's own UTC, since there is no time of receipt."""
 
     def timed() -> Timed:
+        """Give each batch with the UTC of its frames, once the first time of the device is known."""
         left, waiting = iter(batches), list[Batch]()
         for batch in left:
             waiting.append(batch)
@@ -87,6 +88,7 @@ def since_boot(batches: Iterable[Batch], definitions: Definitions, boot: BootTim
     """Yield batches of an autopilot's own log with the UTC of its records, since there is no receipt."""
 
     def timed() -> Timed:
+        """Give each batch with the times since boot as the records' own definitions state them."""
         for batch in batches:
             definitions.learn(batch)
             yield batch, boot.of(definitions.boot_ns(batch))

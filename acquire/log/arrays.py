@@ -49,6 +49,7 @@ def _protobuf(schema: Schema) -> Decode:
     kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
 
     def decode(payload: bytes) -> dict[str, Any]:
+        """Turn a message into a flat mapping of its fields."""
         message = kind.FromString(payload)
         return _flat(json_format.MessageToDict(message, preserving_proto_field_name=True))
 

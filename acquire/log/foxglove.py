@@ -24,6 +24,7 @@ def schema(name: str) -> Schema:
     files, seen = FileDescriptorSet(), set[str]()
 
     def add(file: Any) -> None:
+        """Add a file of definitions behind those that it needs."""
         # Each file stands behind those that it needs.
         if file.name not in seen:
             seen.add(file.name)

@@ -102,6 +102,7 @@ def record(
     chosen = configuration.recording
 
     def begin(writer: LogWriter) -> None:
+        """Write into a new file what describes the recording."""
         writer.metadata("software", {"name": "photocal acquire", "version": __version__})
         if texts := configuration.site.texts():
             writer.metadata("site", texts)

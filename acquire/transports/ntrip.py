@@ -156,6 +156,7 @@ class _Body:
         self.ended = False
 
     def take(self, data: bytes) -> bytes:
+        """Return the data of received bytes, without the frames of chunks."""
         if not self._chunked:
             return data
         data = self._pending + data

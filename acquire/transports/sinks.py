@@ -104,6 +104,7 @@ class _TcpSink:
         self._port: socket.socket | None = None
 
     def send(self, frame: bytes) -> None:
+        """Send a frame, to the first reader that connects."""
         if self._port is None:
             try:
                 self._port, _ = self._server.accept()
@@ -129,6 +130,7 @@ class _PtySink:
         self.read_by_someone = False
 
     def send(self, frame: bytes) -> None:
+        """Send a frame once somebody reads the pseudo terminal."""
         if not self.read_by_someone:
             _await_reader(self._descriptor)
             self.read_by_someone = True

@@ -114,6 +114,7 @@ def _fetch(_: Any, array: Any, place: Any) -> Any:
     """Ask the memory for the line of an element, counted through a contiguous array, that is soon needed."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """Emit the prefetch of an element's address."""
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
         byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
@@ -158,6 +159,7 @@ def each_piece(count: int, work: Callable[[int], None]) -> None:
     pieces = iter(range(count))
 
     def work_on() -> None:
+        """Work on the pieces of one thread."""
         for piece in pieces:
             work(piece)
 

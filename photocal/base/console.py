@@ -72,6 +72,7 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def called(**given: Any) -> None:
+        """Call the command with options gathered from the arguments."""
         for name, kind in taken.items():
             values = {field.name: given.pop(field.name) for field in fields(kind)}
             # typer knows lists, frozen options hold tuples.

@@ -134,6 +134,7 @@ class Guard:
             return
 
         async def guarded(message: Message) -> None:
+            """Send an answer with the headers that every page has."""
             if message["type"] == "http.response.start":
                 MutableHeaders(scope=message).update(_HEADERS)
             await send(message)
@@ -200,10 +201,12 @@ def packaged(package: str, files: Mapping[str, str]) -> list[Route]:
     """
 
     def route(path: str, name: str) -> Route:
+        """Return the route to one packaged file."""
         content = resources.files(package).joinpath(name).read_bytes()
         kind = _TYPES[name.rpartition(".")[2]]
 
         async def give(_: Request) -> Response:
+            """Answer with the file."""
             return Response(content, media_type=kind)
 
         return Route(path, give)
@@ -274,6 +277,7 @@ def _limited() -> type[asyncio.Protocol]:
         _head: asyncio.TimerHandle | None = None
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            """Take a connection while there are not too many."""
             super().connection_made(transport)
             if len(self.connections) > MOST_CONNECTIONS:
                 transport.abort()
@@ -281,10 +285,12 @@ def _limited() -> type[asyncio.Protocol]:
                 self._await_head()
 
         def data_received(self, data: bytes) -> None:
+            """Take bytes; a head that ends is no longer waited for."""
             super().data_received(data)
             self._await_head()
 
         def connection_lost(self, exc: Exception | None) -> None:
+            """Forget a connection."""
             self._end_of_head()
             super().connection_lost(exc)
 

@@ -168,7 +168,10 @@ def _together(
 
     @contextmanager
     def until_stopped(_: str, __: float | None) -> Iterator[Callable[[float], None]]:
+        """Show no progress, and end the work when it is to stop."""
+
         def done(_: float) -> None:
+            """End the work when it is to stop."""
             if stop.is_set():
                 raise _StoppedError
 

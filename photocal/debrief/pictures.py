@@ -65,6 +65,7 @@ def look(task: tuple[Path, MatchingPlan]) -> PictureQuality:
     path, plan = task
 
     def make() -> Arrays:
+        """Measure one picture: features, exposure, sharpness."""
         grey = as_eight_bit(read_grey(path))
         features = detect(grey, plan.features)
         few = grey[::4, ::4]

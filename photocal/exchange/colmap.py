@@ -118,6 +118,7 @@ class _Reader:
         self.path, self.content, self.at = path, path.read_bytes(), 0
 
     def take(self, layout: str) -> tuple[Any, ...]:
+        """Read values of a layout (as of `struct`); raises InputMalformedError where they are not finite."""
         size = struct.calcsize("<" + layout)
         self._require(size)
         values = struct.unpack_from("<" + layout, self.content, self.at)
@@ -127,6 +128,7 @@ class _Reader:
         return values
 
     def count(self, smallest: int) -> int:
+        """Read a number of entries, each of so many bytes at least."""
         count = int(self.take("Q")[0])
         if count * smallest > len(self.content) - self.at:
             raise InputMalformedError(
@@ -135,6 +137,7 @@ class _Reader:
         return count
 
     def name(self) -> str:
+        """Read a text that ends with a zero byte."""
         end = self.content.find(b"\0", self.at)
         if end < 0:
             self._require(len(self.content))
@@ -146,6 +149,7 @@ class _Reader:
             raise InputMalformedError("has a name that is not UTF-8", where=self.path) from failure
 
     def records(self, layout: np.dtype[np.void]) -> NDArray[np.void]:
+        """Read a counted table of records."""
         count = self.count(layout.itemsize)
         rows = np.frombuffer(self.content, layout, count, self.at)
         self.at += layout.itemsize * count

@@ -121,6 +121,7 @@ class _Tables:
         self.read: list[Path] = []
 
     def files(self, section: str) -> Iterator[tuple[Path, Element]]:
+        """Give the tables of a section of the set-up, each with its element."""
         for element in self.given.iterfind(f"{section}/file"):
             file = beside(self.path.parent, (element.text or "").strip(), self.path)
             if file not in self.read:
@@ -128,10 +129,12 @@ class _Tables:
             yield file, element
 
     def rows(self, section: str, allowed: tuple[str, ...]) -> Iterator[DbatRow]:
+        """Give the rows of all tables of a section."""
         for path, element in self.files(section):
             yield from read_rows(path, element.get("format", ""), allowed)
 
     def points(self, section: str, role: Role) -> Iterator[parts.PointEntry]:
+        """Give the points of a section in a role, as its filters choose them."""
         rules = [_rule(element, self.path) for element in self.given.iterfind(f"{section}/filter")]
         for row in self.rows(section, _CONTROL_FIELDS):
             name = row.name("id")
@@ -139,6 +142,7 @@ class _Tables:
                 yield parts.PointEntry(name, role, [row.value(axis) for axis in "xyz"], row.sigma())
 
     def marks(self) -> Iterator[tuple[DbatRow, float | None]]:
+        """Give the image observations with their standard deviations."""
         for path, element in self.files("image_pts"):
             common = element.get("sxy")
             sigma = None if common is None else number(common, self.path, "sxy")

@@ -44,6 +44,7 @@ def topocentric(origin: Origin) -> ToGeographic:
     axes = enu_axes(origin.latitude_deg, origin.longitude_deg)
 
     def turn(xyz: Floats) -> Floats:
+        """Return longitude, latitude (deg) and height (m) of local coordinates (n, 3)."""
         latitude, longitude, height = geodetic(xyz @ axes + middle)
         return np.column_stack([longitude, latitude, height])
 

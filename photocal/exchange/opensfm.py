@@ -58,6 +58,7 @@ def read_reconstruction(path: Path) -> Block:
     files = [path, tracks] if tracks.is_file() else [path]
 
     def made() -> Block:
+        """Make the block of the first reconstruction."""
         first = content[0]
         cameras = {name: _camera(name, keys, path) for name, keys in first["cameras"].items()}
         order = {name: k for k, name in enumerate(cameras)}

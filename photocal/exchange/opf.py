@@ -71,6 +71,7 @@ class _Resources:
     files: dict[str, Path]
 
     def load(self, kind: str) -> dict[str, Any]:
+        """Read the file of a kind that the project names."""
         if kind not in self.files:
             raise InputMalformedError(
                 f"names no {kind.replace('-', ' ')}", "export a calibrated project", where=self.path

@@ -73,6 +73,7 @@ class _Cursor:
         self.path, self.at = path, 0
 
     def next(self) -> Line:
+        """Give the next line; raises InputMalformedError at the end of the file."""
         if self.at >= len(self.lines):
             raise InputMalformedError(
                 "ends before its tables do", "was it written completely?", where=self.path
@@ -82,13 +83,16 @@ class _Cursor:
 
     @property
     def in_section(self) -> bool:
+        """Whether the section goes on."""
         return self.at < len(self.lines) and bool(self.lines[self.at].text.strip())
 
     def values(self, what: str, count: int) -> list[float]:
+        """Read so many numbers of the next line."""
         line = self.next()
         return numbers(line.text, line.place, what, count)
 
     def section(self) -> list[Line]:
+        """Give the lines up to the next empty one."""
         begin = self.at
         while self.next().text.strip():
             pass

@@ -77,11 +77,13 @@ def _of_parts(path: Path) -> tuple[Block, Chunk]:
     folder = path.with_suffix(".files")
 
     def part(place: Path) -> Element:
+        """Read the document inside an archive."""
         require_readable(place)
         with zipfile.ZipFile(place) as archive:
             return parse_xml(_member(archive, "doc.xml", place, MAX_XML_BYTES), place)
 
     def below(place: Path, element: Element | None) -> Path:
+        """Give the path that an element names, inside the project's folder alone."""
         name = "" if element is None else element.get("path", "")
         inside = (place.parent / name).resolve()
         if not name or folder.resolve() not in inside.parents:

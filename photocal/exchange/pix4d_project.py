@@ -328,6 +328,7 @@ def _in_order(names: Sequence[str]) -> Callable[[str], int]:
             left.setdefault(key, []).append(k)
 
     def image(title: str) -> int:
+        """Give the image of a title; of several each is taken once."""
         places = left.get(title.casefold()) or left.get(_stem(title)) or [-1]
         return places.pop(0) if len(places) > 1 else places[0]
 

@@ -229,6 +229,7 @@ def to_wgs84(given: Reconstruction) -> Callable[[Floats], Floats]:
     from pyproj.exceptions import ProjError
 
     def turn(xyz: Floats) -> Floats:
+        """Return coordinates (n, 3) of the other system."""
         x, y, z = frame.to_given(xyz).T
         return np.column_stack(transformer.transform(x, y, z, errcheck=True)).reshape(-1, 3)
 

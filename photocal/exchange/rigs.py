@@ -108,6 +108,7 @@ def of_opensfm(given: Block, path: Path, first: Mapping[str, Any]) -> Block:
     poses, assigned = path.with_name("rig_cameras.json"), path.with_name("rig_assignments.json")
 
     def sensors(content: Mapping[str, Any]) -> dict[str, Sensor]:
+        """Read rotation and translation of each sensor on its rig."""
         return {
             name: (
                 Rotation.from_rotvec(np.array(keys["rotation"], dtype=float).reshape(3)).as_matrix(),
@@ -117,11 +118,13 @@ def of_opensfm(given: Block, path: Path, first: Mapping[str, Any]) -> Block:
         }
 
     def beside() -> dict[str, tuple[str, str]]:
+        """Read which head and instance an image belongs to from the file beside."""
         content = read_json(assigned)
         instances = content if isinstance(content, dict) else dict(enumerate(content))
         return {str(image): (str(head), str(key)) for key, rows in instances.items() for image, head in rows}
 
     def inside() -> dict[str, tuple[str, str]]:
+        """Read the same from the reconstruction itself."""
         # Images by themselves are instances of one, too.
         return {
             str(image): (str(head), key)
@@ -162,6 +165,7 @@ def of_colmap(
         return given
 
     def configured() -> list[list[tuple[str, bool, Sensor]]]:
+        """Read the rigs as they were configured."""
         return [[_prefixed(camera, path) for camera in rig["cameras"]] for rig in read_json(path)]
 
     for k, listed in enumerate(structured(path, "a rig_config.json of COLMAP", configured)):

@@ -181,6 +181,7 @@ def told_conditions(facts: Sequence[ImageFacts]) -> dict[str, dict[str, str]]:
     """
 
     def both(name: str, form: str = "{}") -> str:
+        """Write the values of one fact of all pictures, each once."""
         values = {getattr(image, name) for image in facts}
         return ", ".join(sorted(form.format(value) for value in values if value and str(value) != "nan"))
 

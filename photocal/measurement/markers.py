@@ -169,6 +169,7 @@ def _find(task: tuple[Source, str]) -> Floats:
     source, dictionary_name = task
 
     def make() -> Arrays:
+        """Find the coded targets of one picture."""
         markers = find_markers(read_grey(source.path), dictionary_name)
         rows = [(m.identity, m.centre.column, m.centre.row, *m.centre.sigma) for m in markers]
         return {"targets": np.array(rows, dtype=float).reshape(-1, 5)}

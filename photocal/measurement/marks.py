@@ -246,6 +246,7 @@ def named_after(marks: Iterable[Mark], images: Iterable[str]) -> tuple[Mark, ...
         stems.setdefault(Path(name).stem.casefold(), []).append(name)
 
     def named(image: str) -> str:
+        """Give the picture that a table means, by name or by stem."""
         last = image.replace("\\", "/").rsplit("/", 1)[-1]
         alike = stems.get(last.casefold(), []) or stems.get(Path(last).stem.casefold(), [])
         return last if last in names else alike[0] if len(alike) == 1 else image

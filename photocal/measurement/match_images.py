@@ -73,6 +73,7 @@ def _detect_one(image: tuple[Path, str, MatchingPlan]) -> tuple[str, str]:
     path, key, plan = image
 
     def make() -> Arrays:
+        """Detect the features of one picture."""
         features = detect(as_eight_bit(read_grey(path)), plan.features)
         return {"pixels": features.pixels, "scale": features.scale, "descriptors": features.descriptors}
 
@@ -90,6 +91,7 @@ def _match_one(task: tuple[str, str, MatchingPlan]) -> Integers:
     key = combined_key(MATCHES, "match", first, second, plan.matches)
 
     def make() -> Arrays:
+        """Match the features of two pictures."""
         pairs = match(_features(plan, first, whole=True), _features(plan, second, whole=True), plan.matches)
         return {"pairs": pairs}
 

@@ -121,6 +121,7 @@ def predict(orientation: Orientation, xyz: Floats, sigma: Floats) -> Prediction:
     image = np.arange(count)
 
     def seen(moved: Floats, place: Floats, views: OrientedImages) -> Floats:
+        """Project a place with poses moved by small amounts."""
         return replace(views, values=moved).project(image, np.broadcast_to(place, (count, 3)))
 
     pixels = seen(poses, point, views)

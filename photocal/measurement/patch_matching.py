@@ -95,6 +95,7 @@ def refine(
         patches[(surface.image == k) & inside] = cut
 
     def jobs() -> Iterator[tuple[Source, _Rays, Floats32]]:
+        """Give the work of each image: its own rays and those of its partners."""
         # Image by image, while others are matched: all rays at once would need more memory than pictures do.
         for k, source in enumerate(sources):
             near = np.zeros(tracks.count, dtype=np.bool_)
@@ -218,6 +219,7 @@ def _cut_patches(task: tuple[Source, Floats]) -> Floats32:
     column, row = middle.astype(np.int64).T
 
     def make() -> Arrays:
+        """Cut the patches around some places of an image."""
         image = _smoothed(source)
         return {"patches": image[row[:, None, None] + side[None, :, None], column[:, None, None] + side]}
 
@@ -232,6 +234,7 @@ def _match_image(task: tuple[Source, _Rays, Floats32]) -> Tracks:
         return Tracks(rays.track, rays.image, rays.place, np.zeros(0))
 
     def make() -> Arrays:
+        """Match patches against an image."""
         return _matched(_smoothed(source), rays, patches)
 
     key = combined_key(

@@ -141,6 +141,7 @@ def measure_images(
         control.require_heights()
 
     def told(tracked: ImageTracks, given: ControlMarks) -> dict[str, Any]:
+        """Say for the record where the camera and the places come from."""
         sources = sorted({stated_camera("", facts).source for facts in tracked.facts})
         if control is None:
             _, origin = local_places(tracked.facts)

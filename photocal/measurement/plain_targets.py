@@ -157,6 +157,7 @@ def _find(task: tuple[Source, tuple[PredictedTarget, ...]]) -> Floats:
         return np.empty((0, 5))
 
     def make() -> Arrays:
+        """Measure the expected targets of one picture."""
         grey = measurable(read_grey(source.path))
         rows = [
             (k, centre.column, centre.row, *centre.sigma)

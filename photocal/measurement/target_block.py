@@ -58,6 +58,7 @@ def measure_board(paths: Sequence[Path], board: Board, name: str, progress: Prog
     """
 
     def measure(path: Path) -> TargetView:
+        """Measure the corners of the board in one picture."""
         facts, view = read_facts(path), find_board(read_grey(path), board)
         if view is None:
             raise InputNotFoundError("the board was not found", where=path)
@@ -103,6 +104,7 @@ def measure_field(
     dictionary(dictionary_name)
 
     def measure(path: Path) -> TargetView:
+        """Measure the corners of the coded targets in one picture."""
         markers = find_markers(read_grey(path), dictionary_name)
         # Two edges make a corner, each about as good as the centre that four of them make.
         sigma = np.array([2.0 * np.hypot(*m.centre.sigma) / np.sqrt(2.0) for m in markers])

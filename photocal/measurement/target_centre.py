@@ -185,6 +185,7 @@ class TargetImage:
         sharp = self.semi_axes[1] / (np.sqrt(2) * blur_px)
 
         def inside(distance: Floats) -> Floats:
+            """Return the share of light at distances (px) within a blurred edge."""
             return np.asarray(0.5 * (1 + erf(distance * sharp)))
 
         if self.kind == "hourglass":

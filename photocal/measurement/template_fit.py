@@ -80,9 +80,11 @@ def fit_template(window: Window, template: Template, start: Floats, sizes: Float
     across = np.column_stack([window.x, window.y])
 
     def lit(p: Floats) -> Floats:
+        """Return the template under uneven light."""
         return np.asarray(template(p[:-2], window.x, window.y) * (1 + across @ p[-2:]))
 
     def slopes(p: Floats) -> Floats:
+        """Return the derivatives of `lit` with respect to its parameters."""
         partials, light = _jacobian(window, template, p[:-2], sizes[:-2]), 1 + across @ p[-2:]
         even = template(p[:-2], window.x, window.y)
         return np.column_stack([partials * light[:, None], even[:, None] * across * _UNEVEN])

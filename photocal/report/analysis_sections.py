@@ -151,6 +151,7 @@ def _jackknife(record: Opinions, camera: Camera, say: Catalogue) -> TablePart:
     heads += [] if record.bootstrap is None else ["bootstrap"]
 
     def small(value: float) -> str:
+        """Write three digits, or that there is no number."""
         # Coefficients have any power of ten: three digits and the exponent, as Python writes them.
         return f"{value:.3g}".replace(".", say.mark) if math.isfinite(value) else say("word.none")
 
@@ -237,6 +238,7 @@ def _within(camera: Camera, analysis: Analysis, say: Catalogue) -> list[TablePar
     judged = analysis.cameras[camera.id]
 
     def change(amount: float, sigma: float) -> str:
+        """Write a change with its standard deviation."""
         return f"{Number(amount, say.mark):+.3g} ± {Number(sigma, say.mark):.2g}"
 
     rows = tuple(

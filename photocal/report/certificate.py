@@ -202,6 +202,7 @@ def _sections(
         correlated = [camera] if len(camera.free) > 1 else []
 
         def title(key: str, camera_id: str = camera_id) -> str:
+            """Write a title, with the camera where there are several."""
             return f"{say(key)}: {camera_id}" if several else say(key)
 
         sections += [
@@ -237,6 +238,7 @@ def _judgements(
     """Plausibility, acceptance and the ministry's form of each camera, and the equipment once."""
 
     def title(key: str, of: DerivedFigures) -> str:
+        """Write a title, with the camera where there are several."""
         return f"{say(key)}: {of.camera_id}" if len(known) > 1 else say(key)
 
     made = required_sections

@@ -194,6 +194,7 @@ def drawing(width: float, height: float) -> "Iterator[tuple[Figure, Callable[[],
         FigureCanvasSVG(figure)
 
         def out() -> str:
+            """Return the figure as SVG without what differs from one drawing to the next."""
             buffer = io.StringIO()
             figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
             return re.sub(r"^.*?(?=<svg)", "", buffer.getvalue(), count=1, flags=re.DOTALL).rstrip()
@@ -205,9 +206,11 @@ def difference_map(names: tuple[str, ...], place: Floats, d: Floats, say: Catalo
     """Draw the differences in plane as vectors at their points, those in height beside the names."""
 
     def height(dz: float) -> str:
+        """Write a height difference in mm with its sign."""
         return f"{'+' if dz > 0 else ''}{say.fixed(1e3 * dz, 0)}"
 
     def length(unit: float) -> str:
+        """Write the length of the scale in mm."""
         return f"{say.fixed(1e3 * unit, max(0, -math.floor(math.log10(1e3 * unit))))} mm"
 
     with drawing(WIDTH, 4.4) as (figure, out):

@@ -52,6 +52,7 @@ def _of_pictures(key: str, typed: str, scale: float, digits: int) -> Callable[[C
     """What a person typed, else what the pictures of the flight say."""
 
     def fill(c: Context) -> Filled:
+        """Give the value of the row and where it came from."""
         given, spread = getattr(c.particulars.campaign, typed), c.particulars.flown_spread.get(key)
         if given is not None or spread is None:
             return _number(given, digits, "given", c)
@@ -97,6 +98,7 @@ def _pixels(c: Context) -> Filled:
 
 def _image_side(axis: int) -> Callable[[Context], Filled]:
     def fill(c: Context) -> Filled:
+        """Give the value of the row and where it came from."""
         if c.facts.pixel_mm is None:
             return f"{c.camera.size_px[axis]} px", "computed"
         pixels, pitch = _sides(c)[axis]
@@ -109,6 +111,7 @@ def _mounting(key: str, unit: str, scale: float, names: str) -> Callable[[Contex
     """Offsets that were given, else those that the adjustment estimated; None for those that it held."""
 
     def fill(c: Context) -> Filled:
+        """Give the value of the row and where it came from."""
         system, mounting = c.particulars.gnss_ins, c.run.result.mounting or {}
         values, sigmas = getattr(system, f"{key}_{unit}"), getattr(system, f"{key}_sigma_{unit}")
         origin: Origin = "given"
@@ -177,6 +180,7 @@ def _correlation(c: Context) -> Filled:
 
 def _limit(*keys: str) -> Callable[[Context], Filled]:
     def fill(c: Context) -> Filled:
+        """Give the value of the row and where it came from."""
         chosen = [limit for limit in c.facts.limits if limit.key in keys]
         values, bounds = [limit.value for limit in chosen], [limit.limit for limit in chosen]
         if None in values or None in bounds:

@@ -128,6 +128,7 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
     source, kind_of, share_of = columns(say, "uncertainty", "source<", "type=", "share [%]")
 
     def row(key: str, kind: str, u: float | None) -> tuple[str, ...]:
+        """Write one contribution to the uncertainty with its share."""
         if u is None:
             return say(f"uncertainty.{key}"), kind, say("laboratory.not_stated"), ""
         share = 100.0 * u**2 / total**2 if total > 0.0 else 0.0

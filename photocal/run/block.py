@@ -27,6 +27,7 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
     distances, bent = project.control.distances, project.contents.project.refraction
 
     def make(folder: Path, _: Progress) -> None:
+        """Make the files of the stage."""
         from photocal.block.folder import read_block, read_relations
         from photocal.block.writer import write_block
         from photocal.measurement.block_files import RECORD
@@ -99,6 +100,7 @@ def given_block_stage(source: Path) -> Stage:
     """Describe the stage that takes a ready block folder over."""
 
     def make(folder: Path, _: Progress) -> None:
+        """Make the files of the stage."""
         if not (source / "block.toml").is_file():
             raise InputNotFoundError(
                 "has no block.toml", "name a block folder in [measurements]", where=source

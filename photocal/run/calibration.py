@@ -21,6 +21,7 @@ def calibration_stage(block: Path, read: BlockReader) -> Stage:
     """Describe the stage that adjusts everything together."""
 
     def make(folder: Path, show: Progress) -> None:
+        """Make the files of the stage."""
         from photocal.results.adjusted import adjust_block
 
         with show("calibration", None) as done:
@@ -33,6 +34,7 @@ def analysis_stage(block: Path, calibration: Path, read: BlockReader) -> Stage:
     """Describe the stage that looks for hidden errors; its folder is the run with `analysis.json`."""
 
     def make(folder: Path, show: Progress) -> None:
+        """Make the files of the stage."""
         from photocal.analysis.analyse_run import analyse_run
 
         shutil.copytree(
@@ -55,6 +57,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
     inputs = {} if keys.particulars is None else {"particulars": keys.particulars}
 
     def make(folder: Path, show: Progress) -> None:
+        """Make the files of the stage."""
         from photocal.measurement.image_facts import told_conditions
         from photocal.report.issue import issue
         from photocal.run.project_checks import facts_of_pictures

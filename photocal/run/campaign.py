@@ -201,6 +201,7 @@ def run_one(
     made: list[StageResult] = []
 
     def report(result: StageResult) -> None:
+        """Keep a stage's result and say it in a line."""
         made.append(result)
         say(f"{project.name}: {result.name}: " + ("kept" if result.kept else f"{result.seconds:.1f} s"))
         for line in result.foreign:

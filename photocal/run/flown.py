@@ -31,6 +31,7 @@ def flown_stage(project: Project, block: Path, calibration: Path) -> Stage:
     inputs = {name: path for name, path in named.items() if path is not None}
 
     def make(folder: Path, show: Progress) -> None:
+        """Make the files of the stage."""
         # Where too few points tell a ground, the adjustment says so.
         with show("flown block", None), suppress(IllPosedError):
             pictures, planned = inputs.get("images"), inputs.get("plan")

@@ -106,9 +106,11 @@ def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlFile | 
         return None
 
     def shown(control: ControlFile) -> int:
+        """Count the marks in pictures that are there."""
         return sum(mark.image in names for mark in named_after(control.marks, names))
 
     def checks(control: ControlFile) -> int:
+        """Count the check points."""
         return 0 if control.points is None else int(control.points.of_role("check").sum())
 
     best = max(seen.control, key=lambda control: (shown(control), checks(control)))

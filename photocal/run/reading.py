@@ -18,6 +18,7 @@ def block_reader() -> BlockReader:
 
     @functools.cache
     def read(folder: Path) -> Block:
+        """Read a folder, or give what was read of it."""
         from photocal.block.folder import read_block
 
         return read_block(folder)

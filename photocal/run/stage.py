@@ -322,9 +322,11 @@ def written(progress: Progress, file: Path) -> Progress:
 
     @contextmanager
     def shown(title: str, total: float | None) -> Iterator[Callable[[float], None]]:
+        """Show progress, and write it into the file."""
         began, done, last = time.monotonic(), 0.0, -math.inf
 
         def advance(amount: float) -> None:
+            """Count what was done."""
             nonlocal done, last
             tell(amount)
             done, now = done + amount, time.monotonic()

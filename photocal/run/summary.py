@@ -229,6 +229,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
     done, say = {result.name for result in made}, catalogue("en")
 
     def figures(stage: str, file: str) -> dict[str, Any] | None:
+        """Read the figures of a stage that is done."""
         return read_json(work / stage / file) if stage in done else None
 
     ppk, exposures = figures("ppk", "ppk.json"), figures("exposures", "exposures.json")

@@ -271,21 +271,29 @@ def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
     service = MarkingService(scene, store, cache)
 
     def telling(path: str, tell: Callable[[], dict[str, Any]]) -> Route:
+        """Return a route that answers with what a function tells."""
+
         async def give(_: Request) -> Response:
+            """Answer as JSON."""
             return JSONResponse(await run_in_threadpool(tell))
 
         return Route(path, give)
 
     def doing(path: str, do: Callable[[bytes], dict[str, Any]]) -> Route:
+        """Return a route that hands the body of a request to a function."""
+
         async def give(request: Request) -> Response:
+            """Answer as JSON."""
             return JSONResponse(await run_in_threadpool(do, await _body(request)))
 
         return Route(path, give, methods=["POST"])
 
     async def images(request: Request) -> Response:
+        """Answer with the images that may show a point."""
         return JSONResponse(await run_in_threadpool(service.images, request.query_params.get("point", "")))
 
     async def tile(request: Request) -> Response:
+        """Answer with a tile of an image."""
         asked = request.path_params
         address = TileAddress(asked["level"], asked["column"], asked["row"])
         made = await run_in_threadpool(service.tile, asked["image"], address)
