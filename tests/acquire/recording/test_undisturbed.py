@@ -26,8 +26,8 @@ from drivers import rtcm3
 from tests.acquire.live import Process, frames_in, free_port, is_bound, until
 from tests.acquire.recording.undisturbed import GoodLink, configured, kept_in, recording, stopped
 
-# A stop asks for half a second; what a machine that runs other tests adds is not the recorder's.
-STOP_S = 1.5
+# What waits for an output waits each time; a machine that is busy with other tests is slow now and then.
+STOP_S, ATTEMPTS = 0.5, 3
 
 
 @contextlib.contextmanager
@@ -71,27 +71,48 @@ def full_disk() -> Iterator[int]:
         yield file.fileno()
 
 
-@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 @pytest.mark.parametrize("output", [paused_terminal, full_pipe, closed_pipe, full_disk])
-def test_an_output_that_takes_nothing_costs_no_frame_and_no_stop(
+def test_an_output_that_takes_nothing_costs_no_frame_at_a_kill(
+    output: Callable[[], contextlib.AbstractContextManager[int]], tmp_path: Path
+) -> None:
+    path, port = with_a_mute_link(tmp_path)
+    with (
+        output() as end,
+        recording(path, "--json", stdout=end, stderr=end) as recorder,
+        GoodLink(port) as good,
+    ):
+        time.sleep(2.5)
+        assert recorder.poll() is None
+        recorder.kill()
+        assert good.lost(tmp_path, time.monotonic()) == 0
+
+
+@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("output", [paused_terminal, full_pipe, closed_pipe, full_disk])
+def test_a_stop_waits_for_no_output(
     output: Callable[[], contextlib.AbstractContextManager[int]], order: int, tmp_path: Path
 ) -> None:
-    mute = free_port()
-    path, port = configured(tmp_path, ("mute", "ubx", f"udp://127.0.0.1:{mute}", "silent_s = 0.3"))
-    with output() as end, recording(path, "--json", stdout=end, stderr=end) as recorder:
-        with GoodLink(port) as good:
-            time.sleep(2.0)
-            if order == signal.SIGKILL:
-                recorder.kill()
-                assert good.lost(tmp_path, time.monotonic()) == 0
-                return
-            assert recorder.poll() is None
-        took_s = stopped(recorder, order)
-    (log,) = (tmp_path / "logs").iterdir()
-    assert log.read_bytes().endswith(MAGIC)
-    assert {frame for _, frame in good.sent} == kept_in(tmp_path, "good")
-    assert recorder.returncode == 0
-    assert took_s < STOP_S
+    took_s: list[float] = []
+    while len(took_s) < ATTEMPTS and min(took_s, default=STOP_S) >= STOP_S:
+        folder = tmp_path / str(len(took_s))
+        folder.mkdir()
+        path, port = with_a_mute_link(folder)
+        with output() as end, recording(path, "--json", stdout=end, stderr=end) as recorder:
+            with GoodLink(port) as good:
+                time.sleep(1.0)
+                assert recorder.poll() is None
+            took_s.append(stopped(recorder, order))
+        (log,) = (folder / "logs").iterdir()
+        assert log.read_bytes().endswith(MAGIC)
+        assert {frame for _, frame in good.sent} == kept_in(folder, "good")
+        assert recorder.returncode == 0
+    assert min(took_s) < STOP_S, took_s
+
+
+def with_a_mute_link(folder: Path) -> tuple[Path, int]:
+    """Configure a link that raises an alarm soon."""
+    mute = f"udp://127.0.0.1:{free_port()}"
+    return configured(folder, ("mute", "ubx", mute, "silent_s = 0.3"))
 
 
 def corrections(base: int, every_s: float, ended: threading.Event) -> None:
