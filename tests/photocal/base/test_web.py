@@ -209,7 +209,7 @@ import resource, sys, time
 resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
 from photocal.base.operating_system import stopped_by_signals
 from photocal.base.web import Address, serving
-from tests.acquire.test_web import _app
+from tests.photocal.base.test_web import _app
 stop = stopped_by_signals()
 with serving(_app(), Address("127.0.0.1", 0)) as url:
     print(url, flush=True)
