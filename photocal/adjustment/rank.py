@@ -84,6 +84,9 @@ def require_determined(
     distance = np.linalg.norm(state.points - first, axis=1)
     spread = np.sqrt(np.trace(point_covariance, axis1=1, axis2=2))
     lost = np.flatnonzero(~(spread < LOST_POINT * distance))
+    if len(lost):
+        # Where rounding alone has let a singular system through, no weak datum excuses it.
+        explain_singular(problem, state, SINGULAR)
     if len(lost) and not only_the_datum_is_weak(problem, state):
         explain_singular(problem, state, SUSPECT)
         some = ", ".join(problem.network.point_names[j] for j in lost[:5])

@@ -69,7 +69,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class TestedFit:
+class FaultFit:
     """What the tests need of an adjustment; its covariances would fill the memory.
 
     c, sigma_c (cameras,): principal distances, with a sigma of 0 where they are held.
@@ -91,13 +91,13 @@ def _shared(first: Solution) -> Shared:
     return Shared(first.chi_squared, freedom, *cameras, common, first.common_covariance)
 
 
-def _fit(solution: Shared, estimates: dict[str, tuple[Estimate, ...]], moved: dict[str, float]) -> TestedFit:
+def _fit(solution: Shared, estimates: dict[str, tuple[Estimate, ...]], moved: dict[str, float]) -> FaultFit:
     c, sigma = solution.cameras[:, 0], np.sqrt(solution.camera_covariance[:, 0, 0])
-    return TestedFit(solution.chi_squared, solution.degrees_of_freedom, c, sigma, estimates, moved)
+    return FaultFit(solution.chi_squared, solution.degrees_of_freedom, c, sigma, estimates, moved)
 
 
 def compare(
-    name: str, before: TestedFit, after: TestedFit, unknowns: int, tests: int, stated: TestedFit | None = None
+    name: str, before: FaultFit, after: FaultFit, unknowns: int, tests: int, stated: FaultFit | None = None
 ) -> Hypothesis:
     """Test a fault.
 
@@ -115,7 +115,7 @@ def compare(
     return Hypothesis(name, gain, factor, unknowns, f, critical, f > critical, estimates, moved, on_c)
 
 
-def _moved_surely(before: TestedFit, after: TestedFit, stated: TestedFit) -> float:
+def _moved_surely(before: FaultFit, after: FaultFit, stated: FaultFit) -> float:
     """The largest change of a principal distance that is sure, in its standard deviations before.
 
     What was freed costs precision, and may move c by as much (Hausman 1978). Where smaller sigmas of
@@ -218,7 +218,7 @@ class SystematicErrors:
 def systematic_errors(given: Opened, done: Callable[[], None] = lambda: None) -> SystematicErrors:
     """Look for systematic errors of the georeference, the faults of a table."""
     table = given.table
-    sigmas, stated, of_c = list[GroupTest](), given.block.positions.stated(), list[TestedFit]()
+    sigmas, stated, of_c = list[GroupTest](), given.block.positions.stated(), list[FaultFit]()
     while True:
         first = given.first
         larger = np.maximum(stated, given.block.positions.stated())
@@ -263,7 +263,7 @@ class _Search:
         given: Opened,
         stated: Floats,
         done: Callable[[], None],
-        as_stated: TestedFit | None = None,
+        as_stated: FaultFit | None = None,
     ) -> None:
         self._given, self._stated, self._done = given, stated, done
         self.first = _fit(_shared(given.first), {}, {})
@@ -326,7 +326,7 @@ class _Search:
         return tuple(e for name in accepted for e in fit.estimates[name])
 
     def _tested(
-        self, name: str, others: tuple[str, ...], fit: Callable[[frozenset[str]], TestedFit] | None = None
+        self, name: str, others: tuple[str, ...], fit: Callable[[frozenset[str]], FaultFit] | None = None
     ) -> Hypothesis | None:
         """Test a group beside others; None when it cannot be freed."""
         fit = fit or self._adjusted
@@ -339,7 +339,7 @@ class _Search:
         unknowns = unknowns_of(self._given.block, self._faults[name], after.estimates[name])
         return compare(name, before, after, unknowns, len(self._faults), self._as_stated)
 
-    def _adjusted(self, groups: frozenset[str]) -> TestedFit:
+    def _adjusted(self, groups: frozenset[str]) -> FaultFit:
         if groups not in self._fits:
             chosen, freed = self._freed(groups)
             network = assemble(freed).network
@@ -350,7 +350,7 @@ class _Search:
             self._done()
         return self._fits[groups]
 
-    def _predicted(self, groups: frozenset[str]) -> TestedFit:
+    def _predicted(self, groups: frozenset[str]) -> FaultFit:
         """What an adjustment would give, to first order at the minimum without any group."""
         chosen, freed = self._freed(groups)
         whole = self._split if len(freed.cameras) > len(self._given.block.cameras) else self._given.whole
@@ -362,7 +362,7 @@ class _Search:
             freed = with_freed(freed, cause, self._change)
         return chosen, freed
 
-    def _of(self, chosen: list[Fault], freed: Block, solution: Shared) -> TestedFit:
+    def _of(self, chosen: list[Fault], freed: Block, solution: Shared) -> FaultFit:
         block = self._given.block
         estimates = {cause.code: estimates_of(block, freed, solution, cause) for cause in chosen}
         moved = {cause.code: positions_moved(block, solution, cause, self._stated) for cause in chosen}

@@ -19,7 +19,7 @@ import contextlib, json, socket, sys, threading, time
 from pathlib import Path
 from typer.testing import CliRunner
 from acquire.cli import app
-from acquire.recording.configuration import Configuration
+from acquire.recording.configuration import RecordingConfiguration
 from acquire.recording.recorder import record
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mavlink.decode import encode
@@ -50,7 +50,7 @@ def recorded(name, speak):
         {"name": "rover", "protocol": "ubx", "url": f"tcp://127.0.0.1:{tcp}", "silent_s": 600},
     ]
     recording = {"output": str(folder / name), "least_free_mb": 0}
-    chosen = Configuration.model_validate({"recording": recording, "link": links})
+    chosen = RecordingConfiguration.model_validate({"recording": recording, "link": links})
     stop, done = threading.Event(), []
     thread = threading.Thread(target=lambda: done.append(record(chosen, folder, stop, lambda _: None)))
     thread.start()

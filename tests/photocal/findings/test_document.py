@@ -81,7 +81,13 @@ def test_pages(tmp_path: Path) -> None:
 def test_json() -> None:
     content = json.loads(json.dumps(as_json(DOCUMENT), allow_nan=False))
     pieces = content["sections"][0]["pieces"]
-    assert [piece["kind"] for piece in pieces] == ["Paragraph", "Table", "Remarks", "KeyValues", "Statement"]
+    assert [piece["kind"] for piece in pieces] == [
+        "Paragraph",
+        "TablePart",
+        "Remarks",
+        "KeyValues",
+        "Statement",
+    ]
     assert pieces[1]["number"] == 1
     assert pieces[1]["rows"][0] == ["a–b", "12.345", "short"]
     assert pieces[2]["texts"] == ["The first line was measured twice.", "The second was not."]

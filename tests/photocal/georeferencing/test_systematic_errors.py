@@ -18,10 +18,10 @@ from photocal.georeferencing.findings import named, separation_findings
 from photocal.georeferencing.freed_groups import Estimate, Separation, opened, separation
 from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.systematic import (
+    FaultFit,
     Hypothesis,
     SystematicError,
     SystematicErrors,
-    TestedFit,
     compare,
     systematic_errors,
 )
@@ -146,8 +146,8 @@ def test_strips_that_jump_are_an_error_beyond_what_is_stated_of_each_position(
 def test_c_is_judged_as_it_was_stated_where_smaller_sigmas_of_positions_agree() -> None:
     """A rendered flight: heights 11 mm stated, 6.8 mm wrong, 2.5 mm of it within strips; c 8.8235."""
 
-    def adjusted(chi_squared: float, freedom: int, c: float, sigma: float) -> TestedFit:
-        return TestedFit(
+    def adjusted(chi_squared: float, freedom: int, c: float, sigma: float) -> FaultFit:
+        return FaultFit(
             chi_squared, freedom, np.array([c]), np.array([sigma]), {"strips": ()}, {"strips": 1.07}
         )
 
