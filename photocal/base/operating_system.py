@@ -31,7 +31,8 @@ if sys.platform == "win32":
             return False
         return True
 
-    def _windows_memory() -> int | None:
+    def available_memory() -> int | None:
+        """Bytes of memory that programs may still take; None where the system does not tell."""
         import ctypes
 
         # MEMORYSTATUSEX: its length, the load in per cent, then seven sizes; the second is what is free.
@@ -113,6 +114,28 @@ else:
         """Count the bytes of a pseudo terminal that its reader has not taken."""
         return int.from_bytes(fcntl.ioctl(theirs, termios.FIONREAD, bytes(4)), sys.byteorder)
 
+    def available_memory() -> int | None:
+        """Bytes that programs may still take; else those of the computer, or None."""
+        try:
+            told = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text("ascii").splitlines())
+            free = 1024 * int(told["MemAvailable"].split()[0])
+        except (OSError, ValueError, KeyError):
+            names = getattr(os, "sysconf_names", {})
+            known = "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names
+            return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if known else None
+        return min(free, _of_container())
+
+    def _of_container(folder: Path = Path("/sys/fs/cgroup")) -> int:
+        """What a container leaves of its limit (caches give way); beyond all without a limit."""
+        try:
+            limit, used = (
+                int((folder / name).read_text("ascii")) for name in ("memory.max", "memory.current")
+            )
+            parts = dict(line.split() for line in (folder / "memory.stat").read_text("ascii").splitlines())
+            return limit - used + int(parts.get("inactive_file", 0))
+        except (OSError, ValueError):
+            return sys.maxsize
+
 
 def private_folder(folder: Path) -> Path:
     """Make a folder that only this user can open; one of somebody else is refused.
@@ -145,30 +168,6 @@ def replace(aside: Path, final: Path) -> None:
                 raise
             time.sleep(_REPLACE_WAIT_S)
     sync_folder(final.parent)
-
-
-def available_memory() -> int | None:
-    """Bytes of memory that programs may still take; where no system tells, those of the computer, or None."""
-    if sys.platform == "win32":
-        return _windows_memory()
-    try:
-        told = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text("ascii").splitlines())
-        free = 1024 * int(told["MemAvailable"].split()[0])
-    except (OSError, ValueError, KeyError):
-        names = getattr(os, "sysconf_names", {})
-        known = "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if known else None
-    return min(free, _of_container())
-
-
-def _of_container(folder: Path = Path("/sys/fs/cgroup")) -> int:
-    """What a container leaves of its limit; caches of files give way. A number beyond all without a limit."""
-    try:
-        limit, used = (int((folder / name).read_text("ascii")) for name in ("memory.max", "memory.current"))
-        parts = dict(line.split() for line in (folder / "memory.stat").read_text("ascii").splitlines())
-        return limit - used + int(parts.get("inactive_file", 0))
-    except (OSError, ValueError):
-        return sys.maxsize
 
 
 def cache_folder() -> Path:
