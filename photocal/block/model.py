@@ -102,13 +102,6 @@ class Images:
         }
         return Images(**columns)
 
-    def weighted(self, axis: int, sigma_m: float) -> Self:
-        """Give observed coordinates of one axis (0 to 2) another sigma, m; free ones stay free."""
-        changed = self.sigma.copy()
-        column = changed[:, 3 + axis]
-        column[np.isfinite(column)] = sigma_m
-        return replace(self, sigma=changed)
-
     @staticmethod
     def observed(images: OrientedImages) -> "Images":
         """Take oriented images as observed with their sigmas; free where these are not known."""
