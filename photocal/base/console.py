@@ -105,6 +105,7 @@ def _parameters(kind: type[Any]) -> list[inspect.Parameter]:
 
 
 AsJson = Annotated[bool, option("Print the figures as JSON.", "--json")]
+Details = Annotated[bool, option("Print all tests, figures and findings, not only the verdict.", "--details")]
 Address = Annotated[str, option("HOST:PORT of the page. Beyond this computer the page demands a token.")]
 
 

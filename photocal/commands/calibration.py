@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 from photocal.analysis.options import AnalysisOptions, PublishedOptions
-from photocal.base.console import AsJson, answer, argument, option, progress, spread
+from photocal.base.console import AsJson, Details, answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
 from photocal.report.options import CertificateOptions
 
@@ -84,9 +84,10 @@ def analyse(
     published: PublishedOptions,
     language: Annotated[str, option("Language: en or pt-BR.")] = "en",
     *,
+    details: Details = False,
     as_json: AsJson = False,
 ) -> None:
-    """Analyse a calibration: hidden errors worst first, significance, correlations, method.
+    """Analyse a calibration: a verdict, hidden errors worst first, significance, correlations, method.
 
     The block of the run is adjusted again, with one thing changed at a time. It is looked for where the run
     says, beside the run and below the current folder, and recognised by its hashes. The answer is also
@@ -102,9 +103,12 @@ def analyse(
     from photocal.analysis.analyse_run import analyse_run, analysis_record
     from photocal.findings.document import text
     from photocal.findings.texts import catalogue
-    from photocal.report.analysis_sections import analysed
+    from photocal.findings.verdict import verdict_json, verdict_section
+    from photocal.report.analysis_sections import analysed, calibrated
     from photocal.report.analysis_sections import published as of_published
+    from photocal.report.certificate import overall
     from photocal.report.stored_analysis import read_run
+    from photocal.run.summary import told_beside
 
     say = catalogue(language)
     if run.is_file():
@@ -121,7 +125,13 @@ def analyse(
     levels = analysis.alpha, analysis.correlation
     with progress("adjusting again", 1.0) as advance:
         outcome = analyse_run(run, analysis.block, *levels, advance, say, analysis.bootstrap)
-    answer(as_json, lambda: analysis_record(outcome, say), lambda: text(analysed(read_run(run), say)))
+    made = read_run(run)
+    given = overall(made, (), told_beside(run))
+    answer(
+        as_json,
+        lambda: {**analysis_record(outcome, say), "verdict": verdict_json(given, say)},
+        lambda: text([verdict_section(given, say), *(analysed if details else calibrated)(made, say)]),
+    )
 
 
 @spread

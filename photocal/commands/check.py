@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from photocal.accuracy.options import JudgementOptions, MapOptions
-from photocal.base.console import AsJson, answer, argument, option, progress, spread
+from photocal.base.console import AsJson, Details, answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
 from photocal.base.options import Option, Options
 from photocal.georeferencing.options import RepetitionOptions
@@ -87,12 +87,14 @@ def judge_block(
     crs: str | None,
     *,
     on_the_job: bool,
+    details: bool,
 ) -> Judged:
     """Georeference a block three ways and judge it."""
     from photocal.accuracy.maps import reference_system
     from photocal.exchange.formats import read_any_block
     from photocal.findings.finding import Finding
     from photocal.findings.texts import catalogue, finding_json, finding_text, plain
+    from photocal.findings.verdict import verdict_json
     from photocal.georeferencing.comparison import check_block
     from photocal.georeferencing.methods import METHODS, with_shutters
     from photocal.georeferencing.output import to_json, to_text
@@ -106,13 +108,13 @@ def judge_block(
         # A flight is its own calibration; a block folder states what it wants to be judged with.
         read = with_shutters(read)
         result = check_block(read, standards, question, noise, lambda _: advance(1), on_the_job=on_the_job)
-    content, text = to_json(result), to_text(result)
+    content, say = to_json(result), catalogue("en")
     # A project has one verdict, however its block is named: that over all its stages.
-    say, of_project = catalogue("en"), on_the_job or is_stage(source)
+    of_project = on_the_job or is_stage(source)
     final = project_verdict(source.parent) if of_project else None
+    text = to_text(result, final, details=details)
     if final is not None:
-        own_verdict, content["verdict"] = content["verdict"]["text"], finding_json(final, say)
-        text = text.replace(own_verdict, content["verdict"]["text"])
+        content["verdict"] = verdict_json(final, say)
     elif of_project and outdated(source.parent):
         note = Finding("certificate-outdated", "note")
         content["findings"].append(finding_json(note, say))
@@ -122,7 +124,7 @@ def judge_block(
         from photocal.georeferencing.output import write_check
 
         system = system or reference_system(None if read.frame == "local" else read.frame)
-        write_check(result, content, output, system, changed_utc(source))
+        write_check(result, content, output, system, changed_utc(source), final)
     return content, _with_place(text, output)
 
 
@@ -212,6 +214,7 @@ def check(
     judgement: JudgementOptions,
     maps: MapOptions,
     repetition: RepetitionOptions,
+    details: Details = False,
     as_json: AsJson = False,
 ) -> None:
     """Judge a block or a product at its check points: statistics, tests and accuracy classes.
@@ -234,7 +237,7 @@ def check(
     if other.experiment is not None:
         judged = judge_experiment(other.experiment, output)
     elif block is not None:
-        judged = _of_block(block, output, judgement, maps, repetition)
+        judged = _of_block(block, output, judgement, maps, repetition, details=details)
     elif repetition.control_numbers is not None:
         raise ConfigurationError("--control-numbers needs a block", "name a block or project")
     elif other.discrepancies is not None:
@@ -256,6 +259,8 @@ def _of_block(
     judgement: JudgementOptions,
     maps: MapOptions,
     repetition: RepetitionOptions,
+    *,
+    details: bool,
 ) -> Judged:
     question, on_the_job = judgement.question(), block.suffix == ".toml"
     if on_the_job:
@@ -267,4 +272,6 @@ def _of_block(
     if repetition.control_numbers is not None:
         return judge_numbers(block, repetition.control_numbers, output)
     noise = repetition.noise()
-    return judge_block(block, output, standards, question, noise, maps.crs, on_the_job=on_the_job)
+    return judge_block(
+        block, output, standards, question, noise, maps.crs, on_the_job=on_the_job, details=details
+    )

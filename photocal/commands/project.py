@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from photocal.base.console import AsJson, answer, argument, option, printable, progress
+from photocal.base.console import AsJson, Details, answer, argument, option, printable, progress
 
 if TYPE_CHECKING:
     from photocal.debrief.verdict import Debrief
@@ -68,6 +68,7 @@ def run(
     ] = False,
     workers: Annotated[int, option("Projects at a time.", min=1)] = 1,
     cluster: Annotated[str | None, option("Dask scheduler that runs the projects: tcp://HOST:PORT.")] = None,
+    details: Details = False,
     as_json: AsJson = False,
 ) -> None:
     """Process a flight: PPK, exposures, image points, calibration, check points, analysis, certificate.
@@ -90,7 +91,7 @@ def run(
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,
-        lambda: "\n\n".join(summary_text(figure) for figure in figures),
+        lambda: "\n\n".join(summary_text(figure, details=details) for figure in figures),
     )
 
 

@@ -133,7 +133,8 @@ def verify(
         return
     from photocal.base.arrays import as_plain
     from photocal.block.model import digest
-    from photocal.findings.texts import catalogue, finding_json, finding_text
+    from photocal.findings.texts import catalogue
+    from photocal.findings.verdict import headline, verdict_json
     from photocal.report.issue import NAME, read_record
     from photocal.report.journal import against_journal, read_journal
     from photocal.report.keys import known_keys, revoked_keys
@@ -172,7 +173,7 @@ def verify(
     if judged is not None:
         # What was never told of the flight's processing cannot be missed: nothing is called clean here.
         clean = "nothing was found in what can be repeated; the rest stands below"
-        sentence = clean if judged.severity == "passed" else printable(finding_text(judged, say))
+        sentence = clean if judged.outcome.severity == "passed" else printable(headline(judged, say))
     untold = () if findings is None else findings.untold
     taken = [*stated_by_issuer(certified), *(() if findings is None else findings.taken)]
     answer(
@@ -181,7 +182,7 @@ def verify(
             "number": certified["number"],
             "verified": not problems,
             "reproducible": reproducible,
-            "verdict": None if judged is None else {**finding_json(judged, say), "text": sentence},
+            "verdict": None if judged is None else {**verdict_json(judged, say), "text": sentence},
             "not_told": list(untold),
             "not_repeated": taken,
             "authentic": authentic,

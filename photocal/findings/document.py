@@ -19,6 +19,7 @@ Tone = Literal["good", "bad", "note"]
 HTML_TEMPLATE = "document.html.j2"
 HTML_STYLE = "document.css"
 TEMPLATE = "document.typ"
+_PARAGRAPH = TextWrapper(118)
 _WRAPPED = TextWrapper(118, initial_indent="* ", subsequent_indent="  ")
 
 
@@ -31,11 +32,12 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence that stands out: a verdict, a warning, or a remark."""
+    """What stands out: a verdict, a warning, or a remark; lines: its reasons, one below the other."""
 
     tone: Tone
     title: str
     text: str
+    lines: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,8 @@ def _lines(piece: Piece) -> str:
         case Remarks(texts):
             return "\n".join(map(_WRAPPED.fill, texts))
         case Statement():
-            return f"{piece.title}: {piece.text}"
+            head = f"{piece.title}: {piece.text}" if piece.title else piece.text
+            return "\n".join([_PARAGRAPH.fill(head), *map(_WRAPPED.fill, piece.lines)])
         case Signature(lines):
             return "\n".join(lines)
         case PicturePart():

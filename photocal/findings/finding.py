@@ -1,9 +1,11 @@
 """One thing that a check found: what, how grave, about what, with its figures; catalogues have the words."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
+
+from photocal.base import policy
 
 # Refused: the figure cannot be right. Grave: what the client uses is wrong. Doubtful: it contradicts
 # another, or an error is large. Consequence: it follows from others that say what is wrong. Note: the reader
@@ -85,18 +87,6 @@ def of_global_test(
         return untested("global-factor", "sigmas-from-residuals", figures)
     if accepted or abs(factor - 1.0) <= FACTOR:
         return Finding("global-factor", "passed", figures=figures)
-    return Finding("global-factor", "doubtful", figures=figures, remedy="scale-sigmas")
-
-
-def verdict(findings: Iterable[Finding]) -> Finding:
-    """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
-    listed = tuple({(f.code, f.subject, f.cause): f for f in findings}.values())
-    grave = [f for f in listed if f.severity in ("refused", "grave")]
-    doubtful = [f for f in listed if f.severity in ("doubtful", "consequence") and f not in grave]
-    decided = tuple(dict.fromkeys(f.code for f in grave or doubtful))
-    figures = {"n": float(len(grave or doubtful)), "codes": decided, "limit": FACTOR}
-    if grave:
-        return Finding("not-usable", "grave", figures=figures)
-    if doubtful:
-        return Finding("usable-with-reservations", "doubtful", figures=figures)
-    return Finding("usable", "passed", figures=figures)
+    # Beyond that the standard deviations say nothing of what is behind the misfit.
+    severity: Severity = "grave" if factor > policy.WORTH_A_WORD else "doubtful"
+    return Finding("global-factor", severity, figures=figures, remedy="scale-sigmas")

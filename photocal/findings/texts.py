@@ -20,7 +20,7 @@ from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
 # Their sections may add to each other, their keys are all different.
-CATALOGUES = ("findings", "report", "analysis")
+CATALOGUES = ("findings", "report", "analysis", "verdict")
 
 
 @dataclass(frozen=True)
@@ -105,36 +105,70 @@ def plain(parameter: str) -> str:
     return parameter
 
 
+# What a person who asks whether a block is usable need not read: statistics, and that something is small.
+_DETAILS = frozenset(("up_to", "small", "as_adjusted", "once_corrected", "unseen", "by_redundancy", "by_rms"))
+
+
 def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = symbol) -> str:
-    """Say a finding in words.
+    """Say a finding in words: what was found, and what to do.
 
     raises InputMalformedError: when a figure is missing that the words need: the finding was stored by
         another version.
     """
-    figures = {key: _figure(key, value, say, name) for key, value in finding.figures.items()}
-    key = f"subject.{finding.subject}"
-    figures["subject"] = (
-        say(key) if key in say.messages else _TERM.sub(lambda term: name(term[0]), printable(finding.subject))
-    )
+    return f"{sentence(finding, say, name)} {remedy_text(finding, say, name)}".rstrip()
+
+
+def sentence(
+    finding: Finding, say: Catalogue, name: Callable[[str], str] = symbol, *, brief: bool = False
+) -> str:
+    """Say what was found; errors as of `finding_text`.
+
+    brief: without the statistics that stand behind it.
+    """
+    figures = _figures(finding, say, name)
+    head = _head(finding)
+    if brief and f"brief.{finding.code}" in say.messages:
+        head = f"brief.{finding.code}"
+    told = [c for c in finding.clauses if not (brief and (c in _DETAILS or head.startswith("brief.")))]
     try:
-        text = say(_head(finding), **figures)
-        text += "".join(say(f"clause.{clause}", **figures) for clause in finding.clauses)
+        text = say(head, **figures)
+        text += "".join(say(f"clause.{clause}", **figures) for clause in told)
         if finding.cause and finding.severity != "untested":
             text += say("join.cause") + say(f"cause.{finding.cause}", **figures)
-        text = text if text.endswith((".", "?")) else f"{text}."
-        remedy, advice = "", f"remedy.{finding.remedy or finding.code}"
-        if finding.severity not in ("passed", "untested") and (finding.remedy or advice in say.messages):
-            remedy = say(advice, **figures)
     except KeyError as missing:
-        raise InputMalformedError(
-            f"finding {finding.code} lacks {missing}: it was stored by another version of photocal",
-            "run `photocal analyse` again, or `photocal run` for a project",
-        ) from None
+        raise _of_another_version(finding, missing) from None
+    text = text if text.endswith((".", "?")) else f"{text}."
     # Symbols and names keep their case at the head of a sentence; words do not.
-    first = say.messages[_head(finding)].partition("}")[0]
-    if first[1:] in TERMS or (first == "{subject" and key in say.messages):
+    first = say.messages[head].partition("}")[0]
+    if first[1:] in TERMS or (first == "{subject" and f"subject.{finding.subject}" in say.messages):
         text = text[0].upper() + text[1:]
-    return f"{text} {remedy}".rstrip()
+    return text
+
+
+def remedy_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = symbol) -> str:
+    """Say what to do about a finding; empty where nothing can be done, errors as of `finding_text`."""
+    advice = f"remedy.{finding.remedy or finding.code}"
+    if finding.severity in ("passed", "untested") or not (finding.remedy or advice in say.messages):
+        return ""
+    try:
+        return say(advice, **_figures(finding, say, name))
+    except KeyError as missing:
+        raise _of_another_version(finding, missing) from None
+
+
+def _figures(finding: Finding, say: Catalogue, name: Callable[[str], str]) -> dict[str, object]:
+    """The figures of a finding in words, and its subject."""
+    figures = {key: _figure(key, value, say, name) for key, value in finding.figures.items()}
+    key = f"subject.{finding.subject}"
+    of_camera = _TERM.sub(lambda term: name(term[0]), printable(finding.subject))
+    return {**figures, "subject": say(key) if key in say.messages else of_camera}
+
+
+def _of_another_version(finding: Finding, missing: KeyError) -> InputMalformedError:
+    return InputMalformedError(
+        f"finding {finding.code} lacks {missing}: it was stored by another version of photocal",
+        "run `photocal analyse` again, or `photocal run` for a project",
+    )
 
 
 def finding_json(finding: Finding, say: Catalogue) -> dict[str, Any]:

@@ -18,8 +18,9 @@ from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.base.geopackage import ReferenceSystem
 from photocal.findings.document import Paragraph, Piece, Remarks, Section, TablePart, markdown, table, text
-from photocal.findings.finding import verdict
-from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text
+from photocal.findings.finding import Finding
+from photocal.findings.texts import Catalogue, catalogue, finding_json
+from photocal.findings.verdict import Known, Verdict, judge, verdict_json, verdict_section
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import CRITICAL_W, Differences
 from photocal.georeferencing.findings import block_findings, estimate_text
@@ -105,7 +106,7 @@ def to_json(check: BlockCheck, say: Catalogue | None = None) -> dict[str, Any]:
         "systematic_errors": check.systematic and _systematic(check.systematic),
         "separation": apart and picked(apart, "names", "sigma", "correlation", not_separated="groups"),
         "mistyped": [picked(one, "point", "slips", d_m="d", sigma_m="sigma") for one in check.mistyped],
-        "verdict": finding_json(verdict(findings), say),
+        "verdict": verdict_json(block_verdict(check, findings), say),
         "findings": [finding_json(finding, say) for finding in findings],
     }
     return {key: as_plain(part) for key, part in content.items()}
@@ -183,26 +184,41 @@ def _hypothesis(hypothesis: Hypothesis) -> dict[str, Any]:
     return {**as_plain(hypothesis), "name": _name(hypothesis.name)}
 
 
-def sections(check: BlockCheck) -> list[Section]:
-    """Say what is known of a block: figures in m."""
+def block_verdict(check: BlockCheck, findings: tuple[Finding, ...]) -> Verdict:
+    """Judge a block by what its check found."""
+    block = check.block
+    calibrated = any(camera.estimated.any() for camera in block.cameras)
+    return judge(findings, Known(len(block.images.names), block.datum != "free", calibrated))
+
+
+def sections(check: BlockCheck, given: Verdict | None = None, *, details: bool = True) -> list[Section]:
+    """Say what is known of a block: figures in m.
+
+    given: the verdict of the project that the block belongs to; else that of the check alone.
+    details: points, tests and findings in full, beside the verdict and the figures of the methods.
+    """
     heads = ["method", "points", "n", "RMSE X", "Y", "Z", "sigma X", "Y", "Z", "error/sigma"]
     rows = [_row(judged, group) for judged in check.judged for group in judged.differences]
     labels = Remarks(tuple(map(_label, check.judged)))
     intro = Paragraph(f"Differences are {SIGN}, in metres; sigma is predicted, a priori.")
     found, points = block_findings(check), [piece for judged in check.judged for piece in _points(judged)]
     listed = [
+        verdict_section(given or block_verdict(check, found), catalogue("en")),
         Section("", (intro, table("", heads, rows), labels)),
         Section("Bias and classes", tuple(_standards(check))),
-        Section("Ground points", tuple(points)),
-        Section("Orientations and systematic errors", tuple(_errors(check))),
-        Section("Findings", (remarks(found), Paragraph(finding_text(verdict(found), catalogue("en"))))),
     ]
+    if details:
+        listed += [
+            Section("Ground points", tuple(points)),
+            Section("Orientations and systematic errors", tuple(_errors(check))),
+            Section("Findings", (remarks(found),)),
+        ]
     return [section for section in listed if section.pieces]
 
 
-def to_text(check: BlockCheck) -> str:
-    """Write a block's check for people."""
-    return f"{check.block.name}\n{text(sections(check))}"
+def to_text(check: BlockCheck, given: Verdict | None = None, *, details: bool = True) -> str:
+    """Write a block's check for people; parameters as of `sections`."""
+    return f"{check.block.name}\n{text(sections(check, given, details=details))}"
 
 
 def _errors(check: BlockCheck) -> list[Piece]:
@@ -285,17 +301,23 @@ def _points(judged: Judged) -> list[Piece]:
 
 
 def write_check(
-    check: BlockCheck, content: dict[str, Any], folder: Path, system: ReferenceSystem, changed_utc: str
+    check: BlockCheck,
+    content: dict[str, Any],
+    folder: Path,
+    system: ReferenceSystem,
+    changed_utc: str,
+    given: Verdict | None = None,
 ) -> tuple[str, ...]:
     """Write the results of a check.
 
     system: of the block's coordinates, for the GeoPackage.
+    given: as of `sections`.
     raises OutputError: when the folder cannot be written; nothing is then left half-written.
     """
     texts = {
         "ground_points.csv": _ground_points(content["methods"]),
         "images.csv": _images(check),
-        "report.md": markdown(_TITLE.format(check.block.name), sections(check)),
+        "report.md": markdown(_TITLE.format(check.block.name), sections(check, given)),
     }
     if check.systematic is not None:
         texts["systematic_errors.csv"] = _systematic_csv(check.systematic)

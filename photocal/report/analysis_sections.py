@@ -10,8 +10,8 @@ from photocal.analysis.estimates import FTest
 from photocal.analysis.outcome import Analysis, CameraAnalysis, Effect, Opinions
 from photocal.analysis.published import PublishedSet
 from photocal.base.arrays import Floats
-from photocal.findings.digits import Number, symbol
-from photocal.findings.document import Column, Paragraph, Piece, Section, Statement, TablePart, columns
+from photocal.findings.digits import Number, power_of_ten, symbol
+from photocal.findings.document import Column, Paragraph, Piece, Section, TablePart, columns
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text, need_words
 from photocal.geometry.camera import Camera
@@ -194,6 +194,23 @@ def method_check(analysis: Analysis, say: Catalogue) -> Section:
     return Section(say("analysis.method"), tuple(pieces))
 
 
+def calibrated(run: AnalysedRun, say: Catalogue) -> list[Section]:
+    """Values of each camera with the standard deviations that are stated."""
+    listed = []
+    for name, camera in run.result.cameras.items():
+        rows = []
+        for key in camera.free:
+            sigma, whose = run.stated(name, key)
+            value, unit = (
+                say.measured(camera.value(key), sigma),
+                camera.unit if key in ("c", "x0", "y0") else "",
+            )
+            rows.append((symbol(key), value.value, value.sigma, power_of_ten(value.exponent, unit), whose))
+        heads = columns(say, "analysis", "parameter<", "estimate", "formal", "unit<", "of<")
+        listed.append(Section(name, (TablePart("", heads, tuple(rows)),) if rows else ()))
+    return listed
+
+
 def analysed(run: AnalysedRun, say: Catalogue) -> list[Section]:
     """Everything that is known of a run by its analysis."""
     sections, analysis = [hidden_errors(run, say)], run.analysis
@@ -280,14 +297,6 @@ def _loadings(components: Components, say: Catalogue) -> TablePart:
     )
     texts = tuple((label, *(say.fixed(v, digits) for v in values)) for label, values, digits in rows)
     return TablePart(say("analysis.components"), heads, texts)
-
-
-def warned(findings: Iterable[Finding], title: str, text: str, say: Catalogue) -> list[Statement]:
-    """Say at the head of a document that there are findings which are not small, if there are."""
-    large = [finding for finding in findings if not finding.small]
-    if not large:
-        return []
-    return [Statement("bad", say(title), say(text, count=len(large), first=finding_text(large[0], say)))]
 
 
 def warning_sections(findings: tuple[Finding, ...], say: Catalogue) -> list[Section]:

@@ -6,8 +6,9 @@ import math
 from photocal.base.errors import InputMalformedError
 from photocal.findings.digits import relation
 from photocal.findings.document import Document, Highlight, KeyValues, Piece, Section, Statement, Tone
-from photocal.findings.finding import Finding, of_global_test, verdict
+from photocal.findings.finding import Finding, of_global_test
 from photocal.findings.texts import Catalogue, finding_text, identity
+from photocal.findings.verdict import Known, Verdict, judge, verdict_text
 from photocal.report import analysis_sections, block_sections, camera_sections, required_sections
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures
@@ -16,8 +17,6 @@ from photocal.report.ministry_rows import Context
 from photocal.report.sensor import sensor_residuals
 from photocal.report.stored_analysis import AnalysedRun
 
-# Findings of the plausibility that a reader must see first.
-WEAK = "weak_principal_distance"
 WORDS = ("table", "figure", "page", "of", "contents")
 
 
@@ -138,12 +137,18 @@ def _checks(run: AnalysedRun, say: Catalogue) -> Highlight:
     return Highlight(label, text, say("highlight.checks_remark", **axes, n=checks.n))
 
 
-def overall(run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...]) -> Finding:
+def overall(run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...]) -> Verdict:
     """Give the one verdict over everything that processing, adjustment and analysis found."""
+    result = run.result
     analysed = run.analysis.findings if run.analysis is not None else ()
     plausible = (finding for of in known for finding in of.findings)
-    diverged = () if run.result.converged else (Finding("not-converged", "grave"),)
-    return verdict((*diverged, *warnings, _tested(run, warnings), *plausible, *analysed))
+    diverged = () if result.converged else (Finding("not-converged", "grave"),)
+    about = Known(
+        len(result.images),
+        result.block.datum != "free",
+        any(camera.free for camera in result.cameras.values()),
+    )
+    return judge((*diverged, *warnings, _tested(run, warnings), *plausible, *analysed), about)
 
 
 def _tested(run: AnalysedRun, warnings: tuple[Finding, ...]) -> Finding:
@@ -157,27 +162,16 @@ def _tested(run: AnalysedRun, warnings: tuple[Finding, ...]) -> Finding:
 def _verdicts(
     run: AnalysedRun, known: tuple[DerivedFigures, ...], warnings: tuple[Finding, ...], say: Catalogue
 ) -> tuple[Statement, ...]:
-    """The verdict first, then what it rests on; nothing is green where it is not."""
-    result, final = run.result, overall(run, known, warnings)
+    """The verdict with its reasons first, then what limits it; nothing is green where it is not."""
+    given = overall(run, known, warnings)
+    final = given.outcome
     tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
-    head = Statement(tone, say(f"verdict.{final.code}"), finding_text(final, say))
-    verdicts = [head, *analysis_sections.warned(warnings, "warnings.verdict_title", "warnings.verdict", say)]
-    if not result.converged:
-        text = say("verdict.diverged", iterations=result.iterations)
-        verdicts.append(Statement("bad", say("verdict.diverged_title"), text))
-    test = _tested(run, warnings)
-    if test.severity != "passed":
-        verdicts.append(Statement("note", say("verdict.test_title"), finding_text(test, say)))
-    judged = (of for of in known if keeps(of.limits) != "not_determined")
-    verdicts += [required_sections.acceptance_statement(of, final, say) for of in judged]
-    weak = [f for of in known for f in of.findings if f.code.startswith(WEAK)]
-    verdicts += [Statement("bad", say("verdict.weak_title"), finding_text(f, say)) for f in weak]
-    if run.analysis is not None:
-        hidden = run.analysis.findings
-        verdicts += analysis_sections.warned(hidden, "analysis.verdict_title", "analysis.verdict", say)
-    if result.checks.n == 0:
+    paragraph, *lines = verdict_text(given, say)
+    verdicts = [Statement(tone, say(f"verdict.{final.code}"), paragraph, tuple(lines))]
+    if run.result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
-    return tuple(verdicts)
+    acceptable = (of for of in known if keeps(of.limits) != "not_determined")
+    return (*verdicts, *(required_sections.acceptance_statement(of, final, say) for of in acceptable))
 
 
 def _sections(
@@ -224,7 +218,7 @@ def _sections(
         block_sections.exterior_orientation(say("eop.section"), run, say),
         block_sections.check_points(say("checks.section"), run, say),
         block_sections.global_test(say("test.section"), run, say),
-        *_judgements(run, particulars, known, overall(run, known, warnings), say),
+        *_judgements(run, particulars, known, overall(run, known, warnings).outcome, say),
         required_sections.laboratory(say("laboratory.section"), particulars, number, say),
         *required_sections.radiometry(say("radiometry.section"), particulars, say),
         block_sections.inputs(say("inputs.section"), run, say),

@@ -19,6 +19,7 @@ from photocal.block.model import InputFile
 from photocal.findings.document import Document, html, pdf
 from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
+from photocal.findings.verdict import verdict_json
 from photocal.report.certificate import certificate, certificate_number, overall
 from photocal.report.certificate_metadata import Metadata, read_particulars
 from photocal.report.derived_figures import DerivedFigures, derived_figures, verdict
@@ -83,7 +84,7 @@ def record(
     return {
         "schema": SCHEMA,
         "number": certificate_number(run, particulars, warnings),
-        "verdict": finding_json(overall(run, known, warnings), say),
+        "verdict": verdict_json(overall(run, known, warnings), say),
         "date": particulars.date.isoformat(),
         "language": say.language,
         "particulars": particulars.model_dump(mode="json", exclude={"date"}),

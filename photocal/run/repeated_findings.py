@@ -11,6 +11,7 @@ from photocal.base.errors import PhotocalError
 from photocal.exchange.formats import read_any_block
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text, plain
+from photocal.findings.verdict import Verdict
 from photocal.report.certificate import overall
 from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import derived_figures
@@ -33,7 +34,7 @@ class RepeatedFindings:
     taken: stages of which nothing can be repeated, with the codes that the issuer tells of them.
     """
 
-    verdict: Finding
+    verdict: Verdict
     false: tuple[str, ...]
     untold: tuple[str, ...]
     taken: tuple[str, ...]

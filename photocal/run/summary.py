@@ -11,9 +11,10 @@ from photocal.base import policy
 from photocal.base.arrays import as_plain
 from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
-from photocal.findings.finding import Finding, of_global_test, verdict
+from photocal.findings.finding import Finding, of_global_test
 from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.findings.texts import catalogue, finding_json, findings_of
+from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json
 from photocal.geometry.camera import PARAMETERS
 from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.folder import RESULT, read_result
@@ -66,7 +67,7 @@ def flown_beside(run: Path) -> dict[str, Any] | None:
     return read_json(run.resolve().parent / "flown" / "flown.json") if is_stage(run) else None
 
 
-def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding | None:
+def project_verdict(work: Path, stages: Container[str] | None = None) -> Verdict | None:
     """Give the one verdict over a project: that of its certificate, else over what its stages found.
 
     returns: none before the block, as it is now, was adjusted.
@@ -75,7 +76,7 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding
         return None
     certified = read_json(work / "certificate" / "certificate.json")
     if certified is not None and (stages is None or "certificate" in stages):
-        return findings_of([certified["verdict"]], work / "certificate")[0]
+        return read_verdict(certified["verdict"], work / "certificate")
     run = work / "calibration"
     if not (run / RESULT).is_file():
         return None
@@ -83,7 +84,9 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Finding
     estimated = any(finding.code == "sigmas-from-residuals" for finding in findings)
     accepted = None if result.global_test is None else result.global_test.accepted
     figures = result.chi_squared, result.degrees_of_freedom
-    return verdict((*findings, of_global_test(*figures, accepted, estimated=estimated)))
+    calibrated = any(camera.free for camera in result.cameras.values())
+    known = Known(len(result.images), result.block.datum != "free", calibrated)
+    return judge((*findings, of_global_test(*figures, accepted, estimated=estimated)), known)
 
 
 def outdated(work: Path) -> bool:
@@ -258,7 +261,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         # Judgement of the integrated method, which is the product.
         "classes": None if check is None else judged["standards"] if judged else [],
         "warnings": [{"kind": kind(finding), **finding_json(finding, say)} for finding in gather(work, done)],
-        "verdict": None if final is None else finding_json(final, say),
+        "verdict": None if final is None else verdict_json(final, say),
         "certificate": str(work / "certificate") if "certificate" in done else None,
     }
 
@@ -323,8 +326,11 @@ def _predicted(points: list[dict[str, Any]]) -> dict[str, float | None]:
     }
 
 
-def summary_text(figures: dict[str, Any]) -> str:
-    """Write a summary for people."""
+def summary_text(figures: dict[str, Any], *, details: bool = False) -> str:
+    """Write a summary for people.
+
+    details: all warnings and notes in full, beside the verdict.
+    """
     kept = sum(stage["kept"] for stage in figures["stages"])
     seconds = sum(stage["seconds"] for stage in figures["stages"] if not stage["kept"])
     made = len(figures["stages"]) - kept
@@ -347,16 +353,24 @@ def summary_text(figures: dict[str, Any]) -> str:
         lines += [
             _line("class" if k == 0 else "", text) for k, text in enumerate(_class_texts(figures["classes"]))
         ]
-    lines += _warning_lines(figures["warnings"], figures["verdict"])
-    if figures["verdict"] is not None:
-        lines.append(_line("verdict", figures["verdict"]["text"].partition(": ")[2]))
+    # Before the block is adjusted there is no verdict, and whatever was found stands for itself.
+    if details or figures["verdict"] is None:
+        lines += _warning_lines(figures["warnings"], figures["verdict"])
     if figures["certificate"] is not None:
         lines.append(_line("certificate", figures["certificate"]))
-    # Whoever reads one line reads the last.
-    first = next((warning for warning in figures["warnings"] if warning["kind"] == "warning"), None)
-    if first is not None:
-        lines.append(_line("look at first", f"{first['code']}: {first['text']}"))
+    # Whoever reads one paragraph reads the last.
+    if figures["verdict"] is not None:
+        lines += _verdict_lines(figures["verdict"], sum(w["kind"] == "note" for w in figures["warnings"]))
     return "\n".join(lines)
+
+
+def _verdict_lines(final: dict[str, Any], notes: int) -> Iterator[str]:
+    """The verdict as it stands everywhere, and how many notes there are beside it."""
+    says = [final["paragraph"], *(f"* {line}" for line in final["said"])]
+    if notes:
+        says.append(catalogue("en")("judgement.notes", n=notes))
+    for k, text in enumerate(says):
+        yield _line("verdict" if k == 0 else "", text)
 
 
 def _line(word: str, text: str) -> str:

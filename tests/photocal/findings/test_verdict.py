@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import pytest
 
-from photocal.findings.finding import Finding, Severity, of_global_test, verdict
+from photocal.findings.finding import Finding, Severity, Size, of_global_test
 from photocal.findings.texts import catalogue, finding_text
+from photocal.findings.verdict import (
+    MOST_LINES,
+    Known,
+    headline,
+    judge,
+    line_text,
+    neighbours,
+    read_verdict,
+    verdict_json,
+    verdict_text,
+)
 
 
 @pytest.mark.parametrize(
@@ -20,12 +31,12 @@ from photocal.findings.texts import catalogue, finding_text
     ],
 )
 def test_the_gravest_decides(severities: tuple[Severity, ...], code: str) -> None:
-    assert verdict(Finding("time-offset", one) for one in severities).code == code
+    assert judge(Finding("time-offset", one) for one in severities).outcome.code == code
 
 
 def test_what_several_stages_tell_is_counted_once() -> None:
     told = Finding("rolling-shutter", "grave", "cam"), Finding("rolling-shutter", "grave", "cam")
-    assert verdict(told).figures["n"] == 1.0
+    assert judge(told).outcome.figures["n"] == 1.0
 
 
 def test_a_factor_of_five_per_cent_is_no_finding() -> None:
@@ -42,8 +53,98 @@ def test_sigmas_of_the_same_residuals_test_nothing() -> None:
     finding = of_global_test(4.0 * 1000, 1000, accepted=False, estimated=True)
     assert finding.severity == "untested"
     assert "no global test is claimed" in finding_text(finding, catalogue("en"))
-    assert verdict([finding]).code == "usable"
+    assert judge([finding]).outcome.code == "usable"
 
 
 def test_without_redundancy_nothing_is_tested() -> None:
     assert of_global_test(0.0, 0, accepted=None).severity == "untested"
+
+
+EN = catalogue("en")
+
+
+def image(name: str, times: float, severity: Severity = "doubtful") -> Finding:
+    figures = {"name": name, "relative": times, "px": 0.3 * times}
+    return Finding("image", severity, name, figures, ("amount",), Size(times, "1", px=0.3 * times))
+
+
+def test_a_factor_above_one_and_a_half_is_not_usable() -> None:
+    """However the cause is called: the standard deviations say nothing then."""
+    dof = 1000
+    assert of_global_test(1.49**2 * dof, dof, accepted=False).severity == "doubtful"
+    assert judge([of_global_test(1.51**2 * dof, dof, accepted=False)]).outcome.code == "not-usable"
+    assert judge([of_global_test(30_973.0 * dof, dof, accepted=False)]).block == "no"
+
+
+def test_alike_findings_are_one_line_with_their_neighbours() -> None:
+    names = [f"DJI_20260314_{k:04d}" for k in (3, 572, 573, 574, 575, 580, 654)]
+    given = [image(name, 1.2 + 0.05 * k) for k, name in enumerate(names)]
+    (line,) = judge(given, Known(images=581)).lines
+    text = line_text(line, EN)
+    assert "7 of 581 images scatter 1.2 to 1.5 times" in text
+    assert "the worst DJI_20260314_0654" in text
+    assert "DJI_20260314_0572 … DJI_20260314_0575" in text
+    assert "0580 …" not in text
+
+
+def test_neighbours_are_three_that_follow_each_other() -> None:
+    assert neighbours(["a7", "a8", "b9", "a10", "c"]) == []
+    assert neighbours(["img_099.jpg", "img_101.jpg", "img_100.jpg"]) == ["img_099.jpg … img_101.jpg"]
+
+
+def test_seven_lines_and_how_many_more() -> None:
+    given = [Finding("unknown-frame", "doubtful", str(k), cause=f"c{k}") for k in range(3)]
+    codes = ("lever-arm", "boresight", "time-offset", "datum-shift", "strip-shifts", "no-control", "smear")
+    given += [Finding(code, "grave") for code in codes]
+    made = judge(given)
+    assert len(made.lines) == MOST_LINES
+    assert made.beyond == 3
+    # What is grave comes first.
+    assert all(line.worst.severity == "grave" for line in made.lines)
+
+
+def test_what_only_a_carried_camera_feels_does_not_touch_the_block() -> None:
+    figures = {"camera": "cam", "bias": 0.02, "unit": "mm", "share": 1e-3}
+    made = judge([Finding("c-bias", "doubtful", "cam", figures, ("only_carried",))])
+    assert (made.block, made.camera) == ("yes", "reserved")
+    points = {"method": "direct", "points": ("p1",)}
+    made = judge([Finding("check-outside-prediction", "doubtful", "direct", points)])
+    assert (made.block, made.camera) == ("reserved", "yes")
+    assert judge([Finding("lever-arm", "grave")]).camera == "no"
+
+
+def test_a_free_block_is_calibrated_and_not_placed() -> None:
+    made = judge([], Known(placed=False))
+    assert (made.block, made.camera) == ("not-placed", "yes")
+    assert "not georeferenced" in headline(made, EN)
+    assert judge([], Known(calibrated=False)).camera == "held"
+
+
+def test_effects_are_in_units_that_can_be_read() -> None:
+    def effect(metres: float | None, px: float | None = None) -> str:
+        finding = Finding("lever-arm", "grave", size=Size(1.0, "m", ground_m=metres, px=px))
+        return line_text(judge([finding]).lines[0], EN)
+
+    assert "Effect: 1.2 cm on the ground." in effect(0.0123)
+    assert "Effect: 1.50 m on the ground." in effect(1.5)
+    assert "Effect: < 0.1 cm on the ground." in effect(1e-9)
+    assert "Effect: 0.85 px in the image." in effect(None, 0.849)
+    assert "Effect" not in effect(None)
+
+
+@pytest.mark.parametrize("language", ["en", "pt-BR"])
+def test_each_verdict_is_said_in_both_languages_and_read_back(language: str) -> None:
+    say = catalogue(language)
+    given = [image("a1", 1.3), image("a2", 1.6), Finding("lever-arm", "grave")]
+    made = judge(given, Known(12))
+    stored = verdict_json(made, say)
+    assert read_verdict(stored, "here") == made
+    assert [stored["paragraph"], *stored["said"]] == verdict_text(made, say)
+    assert stored["code"] == "not-usable"
+
+
+def test_older_verdicts_have_an_outcome_alone() -> None:
+    old = {"code": "usable", "severity": "passed", "subject": "", "figures": {"n": 0.0}, "clauses": []}
+    old |= {"size": None, "cause": "", "remedy": "", "stage": "", "text": "Verdict: usable"}
+    assert read_verdict(old, "here").block == "unknown"
+    assert headline(read_verdict(old, "here"), EN) == "No action is needed."

@@ -1,0 +1,271 @@
+"""One verdict over all findings: two answers, what to do, and at most seven lines that say why.
+
+The same words stand on the screen, in reports, on a certificate and in JSON.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any, Literal
+
+from photocal.base.arrays import as_plain
+from photocal.base.codec import from_plain
+from photocal.base.console import printable
+from photocal.base.errors import InputMalformedError
+from photocal.findings.document import Paragraph, Remarks, Section
+from photocal.findings.finding import FACTOR, Finding, Size
+from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text, sentence
+
+# May a block be mapped with, may a camera be carried to other flights. Not placed: the datum is inner
+# constraints. Held: nothing of the camera was estimated.
+Answer = Literal["yes", "reserved", "no", "not-placed", "held", "unknown"]
+# Whoever reads more than that reads nothing.
+MOST_LINES = 7
+_ORDER = ("refused", "grave", "doubtful", "consequence")
+# What concerns only a camera that is carried elsewhere: this block absorbed it.
+_OF_CAMERA = frozenset((
+    "c-on-positions", "c-changed", "c-bias",
+    "jackknife", "significance", "not_significant",
+    "only_its_prior", "weak_principal_distance", "weak_principal_distance_shape",
+    "focal_length_differs", "px_printed_as_mm", "pitch_contradicts_sensor",
+    "pitch_contradicts_focal_length", "pitch_not_square", "distortion_folds_outside",
+    "camera-held", "c-refuted-by-rays", "maker-tag",
+    "correlation_malformed", "correlation_not_positive", "correlation_sign_lost",
+    "not_a_number",
+))  # fmt: skip
+# What concerns only coordinates: no camera parameter follows from it.
+_OF_BLOCK = frozenset((
+    "check-outside-prediction", "check-as-control", "check-at-control",
+    "no-check-points", "no-image", "one-image-only",
+    "image-left-out", "unknown-mark", "unknown-target",
+    "mark-off", "targets-not-sought", "target-ambiguous",
+    "target-too-small", "no-target-found", "no-coordinates",
+    "events-without-image", "images-without-event", "images-ambiguous",
+    "exposure-not-placed", "block-not-placed", "heights-on-positions",
+    "heights-above-take-off", "positions-in-line", "outliers",
+    "bias", "class-differs", "target-missed",
+    "survey-too-coarse", "survey-accuracy-missing", "systematic",
+    "beyond-target", "boresight", "lever-arm-axes",
+    "vehicle-antenna", "vehicle-mount", "image-rotations",
+    "gsd_contradicts_height", "base_contradicts_overlap", "single-check-point",
+    "small-sample",
+))  # fmt: skip
+_NUMBERED = re.compile(r"(.*?)(\d+)(\D*)$")
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a verdict has to know beside the findings.
+
+    images: of the block; 0 where that is not known.
+    placed: whether the block has a datum, by control or positions.
+    calibrated: whether anything of a camera was estimated.
+    """
+
+    images: int = 0
+    placed: bool = True
+    calibrated: bool = True
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a verdict: the worst of findings that are alike.
+
+    subjects: of all of them, the worst first; empty for a single one.
+    sizes: the least and the largest of their figures.
+    images: of the block; 0 where that is not known.
+    """
+
+    worst: Finding
+    subjects: tuple[str, ...] = ()
+    sizes: tuple[float, float] = (0.0, 0.0)
+    images: int = 0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What may be done with a block and with its camera, and why.
+
+    outcome: "usable", "usable-with-reservations" or "not-usable", with the codes that decided it.
+    block, camera: whether it may be mapped with the block, and the camera be carried to other flights.
+    lines: the findings that decide, the worst first, `MOST_LINES` at most.
+    beyond, notes: how many further lines there would be, and notes.
+    """
+
+    outcome: Finding
+    block: Answer = "unknown"
+    camera: Answer = "unknown"
+    lines: tuple[Line, ...] = ()
+    beyond: int = 0
+    notes: int = 0
+
+
+def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
+    """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
+    listed = tuple({(f.code, f.subject, f.cause): f for f in findings}.values())
+    deciding = sorted((f for f in listed if f.severity in _ORDER), key=lambda f: _ORDER.index(f.severity))
+    grave = [f for f in deciding if f.severity in ("refused", "grave")]
+    decided = tuple(dict.fromkeys(f.code for f in grave or deciding))
+    figures = {"n": float(len(grave or deciding)), "codes": decided, "limit": FACTOR}
+    if grave:
+        outcome = Finding("not-usable", "grave", figures=figures)
+    elif deciding:
+        outcome = Finding("usable-with-reservations", "doubtful", figures=figures)
+    else:
+        outcome = Finding("usable", "passed", figures=figures)
+    lines = _lines(deciding, known)
+    return Verdict(
+        outcome,
+        _answer(deciding, _OF_CAMERA) if known.placed else "not-placed",
+        _answer(deciding, _OF_BLOCK) if known.calibrated else "held",
+        lines[:MOST_LINES],
+        max(0, len(lines) - MOST_LINES),
+        sum(f.severity == "note" for f in listed),
+    )
+
+
+def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:
+    """What the findings say to one of the two questions, without those that concern the other alone."""
+    bearing = [f for f in deciding if f.code not in elsewhere]
+    if any(f.severity in ("refused", "grave") for f in bearing):
+        return "no"
+    return "reserved" if bearing else "yes"
+
+
+def _lines(deciding: Sequence[Finding], known: Known) -> tuple[Line, ...]:
+    """Findings of one code and one cause are one line, in the place of the worst."""
+    groups: dict[tuple[str, str], list[Finding]] = {}
+    for finding in deciding:
+        groups.setdefault((finding.code, finding.cause), []).append(finding)
+    return tuple(_line(alike, known.images) for alike in groups.values())
+
+
+def _line(alike: Sequence[Finding], images: int) -> Line:
+    first, *others = sorted(alike, key=lambda f: (_ORDER.index(f.severity), -_effect(f.size)))
+    if not others:
+        return Line(first)
+    sizes = [f.size.figure for f in alike if f.size is not None]
+    ends = (min(sizes), max(sizes)) if sizes else (0.0, 0.0)
+    return Line(first, tuple(f.subject for f in (first, *others)), ends, images)
+
+
+def _effect(size: Size | None) -> float:
+    return 0.0 if size is None else abs(size.ground_m or size.px or size.figure)
+
+
+def headline(verdict: Verdict, say: Catalogue) -> str:
+    """Say in one paragraph whether the block may be mapped with, the camera be carried, and what to do."""
+    answers = [say(f"judgement.block_{verdict.block}")] if verdict.block != "unknown" else []
+    answers += [say(f"judgement.camera_{verdict.camera}")] if verdict.camera != "unknown" else []
+    remedy = next((text for line in verdict.lines if (text := remedy_text(line.worst, say))), "")
+    if remedy:
+        answers.append(say("judgement.first", remedy=remedy))
+    elif not verdict.lines:
+        answers.append(say("judgement.nothing"))
+    return " ".join(answers)
+
+
+def line_text(line: Line, say: Catalogue) -> str:
+    """Say one line: what, its effect in the user's unit, what to do."""
+    text = _grouped(line, say) if line.subjects else sentence(line.worst, say, plain, brief=True)
+    effect = _effect_text(line.worst.size, say)
+    return " ".join(filter(None, (text, effect, remedy_text(line.worst, say))))
+
+
+def _grouped(line: Line, say: Catalogue) -> str:
+    key = f"grouped.{line.worst.code}"
+    if key not in say.messages:
+        text = sentence(line.worst, say, plain, brief=True)
+        return f"{text} {say('grouped.also', names=shortened(line.subjects[1:]))}"
+    text = say(
+        key,
+        n=len(line.subjects),
+        all=line.images or len(line.subjects),
+        least=say.fixed(line.sizes[0], 1),
+        most=say.fixed(line.sizes[1], 1),
+        worst=printable(line.worst.subject),
+        names=shortened(line.subjects),
+    )
+    runs = neighbours(line.subjects)
+    return f"{text} {say('grouped.neighbours', runs=say('join.and').join(runs))}" if runs else text
+
+
+def shortened(names: Sequence[str], most: int = 5) -> str:
+    """Write the first few of many names, and how many more there are."""
+    listed = ", ".join(map(printable, names[:most]))
+    return listed if len(names) <= most else f"{listed}, +{len(names) - most}"
+
+
+def neighbours(names: Sequence[str], least: int = 3) -> list[str]:
+    """Find runs of at least so many names whose numbers follow each other, "a_0572 to a_0576"."""
+    numbered = []
+    for name in names:
+        match = _NUMBERED.match(name)
+        if match:
+            numbered.append((match[1], match[3], int(match[2]), name))
+    runs = []
+    for _, run in groupby(enumerate(sorted(numbered)), key=lambda each: (*each[1][:2], each[1][2] - each[0])):
+        found = [name for _, (_, _, _, name) in run]
+        if len(found) >= least:
+            runs.append(printable(f"{found[0]} … {found[-1]}"))
+    return runs
+
+
+def _effect_text(size: Size | None, say: Catalogue) -> str:
+    """What an error does: on the ground, or in the image; nothing where that is not known."""
+    if size is None:
+        return ""
+    if size.ground_m:
+        return say("judgement.on_ground", amount=_length(abs(size.ground_m), say))
+    if size.px:
+        return say("judgement.in_image", px=say.significant(abs(size.px), 2))
+    return ""
+
+
+def _length(metres: float, say: Catalogue) -> str:
+    """A length as a surveyor writes it: metres, centimetres, or less than a millimetre."""
+    if metres >= 1.0:
+        return f"{say.significant(metres, 3)} m"
+    if metres >= 0.001:
+        return f"{say.significant(100.0 * metres, 2)} cm"
+    return f"< {say.fixed(0.1, 1)} cm"
+
+
+def verdict_text(verdict: Verdict, say: Catalogue) -> list[str]:
+    """Say all of a verdict: the paragraph, then its lines."""
+    lines = [line_text(line, say) for line in verdict.lines]
+    if verdict.beyond:
+        lines.append(say("judgement.beyond", n=verdict.beyond))
+    return [headline(verdict, say), *lines]
+
+
+def verdict_section(verdict: Verdict, say: Catalogue) -> Section:
+    """Set a verdict as the first part of a report."""
+    paragraph, *lines = verdict_text(verdict, say)
+    pieces = (Paragraph(paragraph), Remarks(tuple(lines))) if lines else (Paragraph(paragraph),)
+    return Section(say("judgement.section"), pieces)
+
+
+def verdict_json(verdict: Verdict, say: Catalogue) -> dict[str, Any]:
+    """Give a verdict as a JSON value: its outcome as a finding, the answers, and all of it in words."""
+    stored = {key: part for key, part in as_plain(verdict).items() if key != "outcome"}
+    paragraph, *said = verdict_text(verdict, say)
+    return {**finding_json(verdict.outcome, say), **stored, "paragraph": paragraph, "said": said}
+
+
+def read_verdict(content: Mapping[str, Any], where: object) -> Verdict:
+    """Read back what `verdict_json` gave; of older files the outcome alone.
+
+    raises InputMalformedError: when it was stored by another version.
+    """
+    try:
+        outcome = from_plain(Finding, content)
+        if "block" not in content:
+            return Verdict(outcome)
+        made: Verdict = from_plain(Verdict, {**content, "outcome": dict(content)})
+    except ValueError as refusal:
+        raise InputMalformedError(
+            f"its verdict was stored by another version of photocal ({refusal})", "make it again", where=where
+        ) from None
+    return made
