@@ -138,7 +138,7 @@ def test_each_verdict_is_said_in_both_languages_and_read_back(language: str) -> 
     given = [image("a1", 1.3), image("a2", 1.6), Finding("lever-arm", "grave")]
     made = judge(given, Known(12))
     stored = verdict_json(made, say)
-    assert read_verdict(stored, "here") == made
+    assert verdict_json(read_verdict(stored, "here"), say) == stored
     assert [stored["paragraph"], *stored["said"]] == verdict_text(made, say)
     assert stored["code"] == "not-usable"
 

@@ -103,13 +103,13 @@ def test_one_verdict_everywhere(shifted: tuple[Path, Result]) -> None:
     path, said = shifted
     work = path.parent / "work"
     certified = json.loads((work / "certificate" / "certificate.json").read_text(encoding="utf-8"))
-    sentence = certified["verdict"]["text"]
-    assert sentence == json.loads(said.stdout)["verdict"]["text"]
+    sentence = certified["verdict"]["paragraph"]
+    assert sentence == json.loads(said.stdout)["verdict"]["paragraph"]
     assert sentence in (work / "certificate" / "certificate.html").read_text(encoding="utf-8")
     for place in (path, work / "block"):
         assert sentence in CliRunner().invoke(app, ["check", str(place)]).stdout
         answer = CliRunner().invoke(app, ["check", str(place), "--json"]).stdout
-        assert json.loads(answer)["verdict"]["text"] == sentence
+        assert json.loads(answer)["verdict"]["paragraph"] == sentence
 
 
 def test_a_check_after_the_block_changed_does_not_repeat_the_old_certificate(
