@@ -134,7 +134,7 @@ def verify(
     from photocal.base.arrays import as_plain
     from photocal.block.model import digest
     from photocal.findings.texts import catalogue
-    from photocal.findings.verdict import headline, verdict_json
+    from photocal.findings.verdict import verdict_json
     from photocal.report.issue import NAME, read_record
     from photocal.report.journal import against_journal, read_journal
     from photocal.report.keys import known_keys, revoked_keys
@@ -169,11 +169,12 @@ def verify(
         problems.append(f"not authentic: {signed}")
     authentic = signed.trust == "trusted"
     say = catalogue("en")
-    judged, sentence = (None if findings is None else findings.verdict), ""
-    if judged is not None:
+    judged = None if findings is None else verdict_json(findings.verdict, say)
+    if judged is not None and judged["severity"] == "passed":
         # What was never told of the flight's processing cannot be missed: nothing is called clean here.
         clean = "nothing was found in what can be repeated; the rest stands below"
-        sentence = clean if judged.outcome.severity == "passed" else printable(headline(judged, say))
+        judged |= {"text": clean, "paragraph": clean}
+    sentence = "" if judged is None else printable(judged["paragraph"])
     untold = () if findings is None else findings.untold
     taken = [*stated_by_issuer(certified), *(() if findings is None else findings.taken)]
     answer(
@@ -182,7 +183,7 @@ def verify(
             "number": certified["number"],
             "verified": not problems,
             "reproducible": reproducible,
-            "verdict": None if judged is None else {**verdict_json(judged, say), "text": sentence},
+            "verdict": judged,
             "not_told": list(untold),
             "not_repeated": taken,
             "authentic": authentic,

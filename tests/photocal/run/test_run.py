@@ -148,7 +148,7 @@ def test_nothing_is_made_twice(shifted: tuple[Path, Result]) -> None:
     again = run(str(path))
     assert "0 stages made" in again.stdout
     assert "5 kept" in again.stdout
-    for word in ("camera  ", "lever arm", "boresight", "time offset", "check points", "warnings"):
+    for word in ("camera  ", "lever arm", "boresight", "time offset", "check points", "verdict"):
         assert word in again.stdout
 
 
