@@ -45,6 +45,9 @@ ALIKE_FIELDS = 0.9
 
 # --- How large is worth a word ----------------------------------------------------------------------------
 
+# An error on the ground is harmful from this share of the root mean square error that was asked for on: with
+# it and as much of chance the target is still met. Where nothing was asked for, from one pixel on.
+HARM_SHARE = 0.5
 # Standard deviations that are wrong by a smaller share are no finding, however sure it is; beyond the
 # second they are no longer small; beyond the third causes are judged with those that residuals agree with,
 # too.
