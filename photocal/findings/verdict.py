@@ -51,6 +51,11 @@ _OF_BLOCK = frozenset((
     "gsd_contradicts_height", "base_contradicts_overlap", "single-check-point",
     "small-sample",
 ))  # fmt: skip
+# What shows that something is wrong, and goes with it: behind whatever may be its cause.
+_SHOWS = frozenset((
+    "c-bias", "significance", "global-factor", "global-test", "prediction-too-good", "method-refused",
+    "check-outside-prediction", "control-outside-prediction",
+))  # fmt: skip
 _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)$")
 
 
@@ -104,7 +109,7 @@ class Verdict:
 def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
     """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
     listed = tuple({(f.code, f.subject, f.cause): f for f in findings}.values())
-    deciding = sorted((f for f in listed if f.severity in _ORDER), key=lambda f: _ORDER.index(f.severity))
+    deciding = sorted((f for f in listed if f.severity in _ORDER), key=_place)
     grave = [f for f in deciding if f.severity in ("refused", "grave")]
     decided = tuple(dict.fromkeys(f.code for f in grave or deciding))
     figures = {"n": float(len(grave or deciding)), "codes": decided, "limit": FACTOR}
@@ -123,6 +128,10 @@ def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
         max(0, len(lines) - MOST_LINES),
         sum(f.severity == "note" for f in listed),
     )
+
+
+def _place(finding: Finding) -> tuple[bool, int]:
+    return finding.code in _SHOWS, _ORDER.index(finding.severity)
 
 
 def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:

@@ -103,6 +103,13 @@ def test_seven_lines_and_how_many_more() -> None:
     assert all(line.worst.severity == "grave" for line in made.lines)
 
 
+def test_a_cause_stands_before_what_it_does() -> None:
+    figures = {"camera": "cam", "bias": 0.05, "unit": "mm", "share": 1e-3}
+    given = [Finding("c-bias", "grave", "cam", figures), Finding("lever-arm", "doubtful")]
+    assert [line.worst.code for line in judge(given).lines] == ["lever-arm", "c-bias"]
+    assert "Measure the lever arm again" in headline(judge(given), EN)
+
+
 def test_what_only_a_carried_camera_feels_does_not_touch_the_block() -> None:
     figures = {"camera": "cam", "bias": 0.02, "unit": "mm", "share": 1e-3}
     made = judge([Finding("c-bias", "doubtful", "cam", figures, ("only_carried",))])
