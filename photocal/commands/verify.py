@@ -11,6 +11,7 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError, NotSig
 
 if TYPE_CHECKING:
     from photocal.report.signing import Authenticity
+    from photocal.report.timestamp import Stamped
     from photocal.report.verification import Difference
     from photocal.run.repeated_findings import RepeatedFindings
 
@@ -62,11 +63,16 @@ def keys(
 def sign(
     certificate: Annotated[Path, argument("Folder of a certificate, or its certificate.json.")],
     passphrase: Annotated[str, option("Of the key, if it has one.", envvar="PHOTOCAL_PASSPHRASE")] = "",
+    time_stamp: Annotated[
+        str | None,
+        option("Time stamping authority (RFC 3161) that gets the digest of the signature.", metavar="URL"),
+    ] = None,
     as_json: Annotated[bool, option("Print what was signed as JSON.", "--json")] = False,
 ) -> None:
     """Sign a certificate with the key of `photocal keys`: each file of its folder, as it lies there.
 
     The signature, `signature.json` beside them, is noted in a journal whose entries depend on each other.
+    With a time stamp (`signature.tsr`) an independent authority says that it existed then.
 
     Example: `photocal sign certificate`
     """
@@ -76,18 +82,23 @@ def sign(
     from photocal.report.keys import quoted
     from photocal.report.signing import SIGNATURE
     from photocal.report.signing import sign as signed
+    from photocal.report.timestamp import STAMP, stamp
 
     certified, folder = read_record(certificate)
+    # The stamp of an earlier signature is none of this one.
+    (folder / STAMP).unlink(missing_ok=True)
     made = signed(folder, certified["number"], dt.datetime.now(dt.UTC), passphrase)
     key, file = made.key, str(folder / SIGNATURE)
     if made.told:
         typer.echo(printable(f"warning: {made.told}"), err=True)
+    when = None if time_stamp is None else stamp(folder / SIGNATURE, time_stamp)
+    content = {"number": certified["number"], "fingerprint": key.fingerprint, "file": file}
     answer(
         as_json,
-        lambda: {"number": certified["number"], "fingerprint": key.fingerprint, "file": file},
+        lambda: {**content, "time_stamp": None if when is None else when.time.isoformat()},
         lambda: (
             f"certificate {printable(certified['number'])} signed with the key {key.fingerprint} by "
-            f"{quoted(key.name)}: {file}"
+            f"{quoted(key.name)}: {file}" + ("" if when is None else f"\n{when}")
         ),
     )
 
@@ -109,6 +120,9 @@ def verify(
     ] = False,
     revoked: Annotated[
         Path | None, option("List of revoked keys, `FINGERPRINT YYYY-MM-DD REASON` each, beside your own.")
+    ] = None,
+    authorities: Annotated[
+        Path | None, option("Root certificates (PEM) of the time stamping authorities that you trust.")
     ] = None,
     issued: Annotated[
         Path | None, option("Journal of the issuer that must have this certificate.", "--journal")
@@ -162,6 +176,8 @@ def verify(
     problems += signed.problems
     if signed.trust in ("changed", "revoked"):
         problems.append(f"{SIGNATURE}: {signed}")
+    when, wrong = _stamped(folder, authorities)
+    problems += wrong
     if issued is not None:
         number, noted = certified["number"], signed.noted
         problems += against_journal(read_journal(issued), number, digest(folder / NAME), noted)
@@ -188,6 +204,7 @@ def verify(
             "not_repeated": taken,
             "authentic": authentic,
             "signature": {"trust": signed.trust, "name": signed.name, "fingerprint": signed.fingerprint},
+            "time_stamp": None if when is None else {**as_plain(when), "time": when.time.isoformat()},
             "changed_inputs": changed,
             "changed_files": files,
             "differences": as_plain(differences),
@@ -205,6 +222,7 @@ def verify(
                 "taken from the issuer, not repeated:",
                 *(f"  {printable(line)}" for line in taken),
                 f"{'authentic' if authentic else 'not authentic'}: {printable(str(signed))}",
+                *([] if when is None else [str(when)]),
             ]
         ),
     )
@@ -215,6 +233,19 @@ def verify(
             where=certificate,
         )
     _refuse_unknown(signed, certificate)
+
+
+def _stamped(folder: Path, authorities: Path | None) -> "tuple[Stamped | None, list[str]]":
+    """The time stamp of a certificate's signature, and what is wrong with it."""
+    from photocal.report.signing import SIGNATURE
+    from photocal.report.timestamp import STAMP, stamped
+
+    if not (folder / SIGNATURE).is_file():
+        return None, [f"{STAMP} stands without a signature"] if (folder / STAMP).exists() else []
+    try:
+        return stamped(folder / SIGNATURE, authorities), []
+    except InputMalformedError as refusal:
+        return None, [f"{STAMP} {refusal.what}"]
 
 
 def _refuse_unknown(signed: "Authenticity", certificate: Path) -> None:

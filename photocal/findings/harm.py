@@ -38,7 +38,7 @@ def harmful_from(pixel_on_ground_m: float, target_m: float | None) -> float:
 
 
 def on_ground(finding: Finding, asked: Asked) -> float | None:
-    """Give how far an error moves points: those of this block, or those of one that its values are carried to.
+    """Give how far an error moves points: of this block, or of one that its values are carried to.
 
     returns: m; None where the finding does not say it.
     """

@@ -106,7 +106,9 @@ def plain(parameter: str) -> str:
 
 
 # What a person who asks whether a block is usable need not read: statistics, and that something is small.
-_DETAILS = frozenset(("up_to", "small", "as_adjusted", "once_corrected", "unseen", "by_redundancy", "by_rms", "shifts_c"))
+_DETAILS = frozenset(
+    ("up_to", "small", "as_adjusted", "once_corrected", "unseen", "by_redundancy", "by_rms", "shifts_c")
+)
 
 
 def finding_text(finding: Finding, say: Catalogue, name: Callable[[str], str] = symbol) -> str:

@@ -27,6 +27,7 @@ from photocal.report.keys import (
     read_object,
     revoked_keys,
 )
+from photocal.report.timestamp import STAMP
 
 SIGNATURE = "signature.json"
 SCHEMA = "photocal.signature/1"
@@ -105,13 +106,13 @@ def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> S
 
 
 def manifest(folder: Path) -> dict[str, str]:
-    """Give the digests of all files of a folder but its signature; of a link only that it is one."""
+    """Give the digests of all files but the signature and its time stamp; of a link only that it is one."""
     files = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_symlink():
             files[name] = _LINK
-        elif path.is_file() and name != SIGNATURE:
+        elif path.is_file() and name not in (SIGNATURE, STAMP):
             files[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return files
 

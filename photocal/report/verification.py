@@ -19,6 +19,7 @@ from photocal.report.certificate_metadata import Metadata, given_particulars
 from photocal.report.issue import FORMS, NAME, certified_result, plain_record, printed
 from photocal.report.signing import SIGNATURE
 from photocal.report.stored_analysis import AnalysedRun, read_run
+from photocal.report.timestamp import STAMP
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import RESULT
 from photocal.results.more_tables import Wanted
@@ -61,7 +62,7 @@ def changed_files(certificate: dict[str, Any], folder: Path) -> list[str]:
     Nothing is read beyond the folder: links are named, not followed. The inputs are for `changed_inputs`.
     """
     carried = (f"{CARRIED}/{entry['path']}" for entry in certificate["result"]["inputs"])
-    expected = {NAME, SIGNATURE, *PAGES, *carried}
+    expected = {NAME, SIGNATURE, STAMP, *PAGES, *carried}
     folders = {parent.as_posix() for name in expected for parent in PurePosixPath(name).parents}
     named = []
     for path in sorted(folder.rglob("*")):
