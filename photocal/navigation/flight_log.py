@@ -1,6 +1,7 @@
 """One flight in one or several logs that follow each other (rotated or resumed recordings), read once."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from acquire.log.reader import LoggedMessages, LogReader
@@ -16,7 +17,8 @@ class FlightLog:
     """The messages of a flight that bear on positions, attitudes and exposures.
 
     The logs are opened and read when a message is first asked for, and never again: raw frames, event lists,
-    exposures, positions and attitudes are kept, all else is passed over.
+    exposures, positions and attitudes are kept, all else is passed over. The numbers of their messages go on
+    from log to log: a decoded message has that of the frame that it was made from.
 
     paths: the logs in the order of time; may be empty.
     """
@@ -46,12 +48,12 @@ class FlightLog:
 
     def _read(self) -> list[LoggedMessages]:
         if self._messages is None:
-            self._messages = [
-                messages
-                for path in self.paths
-                for chunk in LogReader(path, wanted=_is_wanted).chunks()
-                for messages in chunk
-            ]
+            first, every = 0, list[LoggedMessages]()
+            for path in self.paths:
+                for chunk in LogReader(path, wanted=_is_wanted).chunks():
+                    every += [replace(messages, sequence=messages.sequence + first) for messages in chunk]
+                first = 1 + max((int(messages.sequence.max()) for messages in every), default=-1)
+            self._messages = every
         return self._messages
 
 
