@@ -1,4 +1,4 @@
-"""A pulse is decoded and its time converted once: what was logged of it is taken, raw frames only beside it."""
+"""A pulse is decoded once: what was logged of it is taken, raw frames only where nothing was."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ Change = Callable[[int, dict[str, Any]], dict[str, Any] | None]
 
 def epoch(seconds: float) -> bytes:
     head, signal = np.zeros(1, layout(RXM_RAWX)), np.zeros(1, signal_layout())
-    head["rcvTow"], head["week"], head["leapS"], head["numMeas"], head["recStat"] = seconds, WEEK, LEAP_S, 1, 1
+    head["rcvTow"], head["week"], head["leapS"] = seconds, WEEK, LEAP_S
+    head["numMeas"] = head["recStat"] = 1
     signal["prMes"] = 2e7
     return ubx.encode(RXM_RAWX, head.tobytes() + signal.tobytes())
 
@@ -152,7 +153,13 @@ def test_the_receivers_own_time_is_refused_from_the_log(import_log: ImportLog, d
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"time_base": "lunar"}, {"time_base": 3}, {"gps_time": None}, {"gps_time": {"sec": 1}}, {"sequence": "a"}],
+    [
+        {"time_base": "lunar"},
+        {"time_base": 3},
+        {"gps_time": None},
+        {"gps_time": {"sec": 1}},
+        {"sequence": "a"},
+    ],
 )
 def test_damaged_messages_are_refused(log: Path, wrong: dict[str, Any]) -> None:
     broken = changed(log, "broken.mcap", lambda k, row: row | wrong if k == 20 else row)
