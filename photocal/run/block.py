@@ -61,13 +61,13 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
 def _flown(block: Block, exposures: Path, keys: MountingKeys, crs: str) -> Block:
     """The block with what was observed at its exposures, and what the errors of all positions share."""
     from photocal.block.mounting import make_mounting
-    from photocal.run.exposures import EXPOSURES, read_figures
+    from photocal.run.exposures import EXPOSURES, FIGURES, ExposureFigures
 
-    common = read_figures(exposures).common
+    common = ExposureFigures.read(exposures / FIGURES).common
     if common is not None:
         keys = keys.model_copy(
             update={
-                "flight_shift_sigma_m": common.shift_sigma_m,
+                "flight_shift_sigma_m": tuple(common.shift_sigma_m.tolist()),
                 "height_scale_sigma": common.zenith_scale_sigma,
                 "height_scale_from_m": common.base_height_m,
             }

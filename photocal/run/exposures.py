@@ -2,15 +2,17 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from photocal.base.codec import object_of, parsed_json
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.base.files import write_json
 from photocal.base.progress import Progress
+from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.exposure_files import with_images
+from photocal.navigation.ppk_figures import FIGURES as PPK_FIGURES
+from photocal.navigation.ppk_figures import PpkFigures
 from photocal.project import Project
-from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY, ppk_stage
 from photocal.run.stage import Stage, pictures_of
 
@@ -34,26 +36,19 @@ class MatchedCamera:
 
 
 @dataclass(frozen=True)
-class CommonSigmas:
-    """What the errors of all positions have in common, see `navigation.common_errors.CommonErrors`."""
-
-    shift_sigma_m: tuple[float, float, float]
-    zenith_scale_sigma: float
-    base_height_m: float
-
-
-@dataclass(frozen=True)
 class ExposureFigures:
     """What later stages take from `exposures.json`; nothing in common without PPK."""
 
+    events: int = 0
+    placed: int = 0
     cameras: tuple[MatchedCamera, ...] = ()
-    common: CommonSigmas | None = None
+    common: CommonErrors | None = None
 
-
-def read_figures(folder: Path) -> ExposureFigures:
-    """Read `exposures.json` of the stage's folder."""
-    path, remedy = folder / FIGURES, "make the exposures again"
-    return object_of(ExposureFigures, parsed_json(path, remedy), path, remedy)
+    @classmethod
+    def read(cls, path: Path) -> "ExposureFigures":
+        """Read `exposures.json`; errors as of `photocal.base.codec.object_of`."""
+        remedy = "make the exposures again"
+        return object_of(cls, parsed_json(path, remedy), path, remedy)
 
 
 def exposures_stage(project: Project, ppk: Path) -> Stage:
@@ -90,7 +85,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     from photocal.navigation.trajectory import Trajectory
 
     trajectory = Trajectory.read(ppk / TRAJECTORY)
-    figures_of_ppk = parsed_json(ppk / PPK_FIGURES, "make the PPK again")
+    figures_of_ppk = PpkFigures.read(ppk / PPK_FIGURES)
     with show("exposures and their images", None):
         run, rig = _placed(project, trajectory, figures_of_ppk)
     if not len(with_images(run.antenna)):
@@ -108,7 +103,7 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
 
 
 def _placed(
-    project: Project, trajectory: "Trajectory | None", figures_of_ppk: dict[str, Any] | None
+    project: Project, trajectory: "Trajectory | None", figures_of_ppk: PpkFigures | None
 ) -> "tuple[ExposureRun, CameraOnBody]":
     from photocal.navigation.exposure_run import choices_of_project, place_exposures
 
@@ -149,5 +144,5 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Camera
     finally:
         digests.keep()
     folder = made_in(project.output) / stage.name
-    figures = parsed_json(folder / PPK_FIGURES, "make the PPK again")
-    return *_placed(project, Trajectory.read(folder / TRAJECTORY), figures), ""
+    trajectory, figures = Trajectory.read(folder / TRAJECTORY), PpkFigures.read(folder / PPK_FIGURES)
+    return *_placed(project, trajectory, figures), ""

@@ -7,7 +7,6 @@ from photocal.project import Project
 from photocal.run.stage import Stage
 
 TRAJECTORY = "trajectory.parquet"
-FIGURES = "ppk.json"
 
 
 def ppk_stage(project: Project) -> Stage:

@@ -17,9 +17,11 @@ from photocal.adjustment.mounting import HEIGHT_SCALE, SHIFT
 from photocal.block.folder import read_block
 from photocal.block.model import Block
 from photocal.navigation.attitude import from_angles
+from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import InterpolatedPositions
+from photocal.navigation.troposphere import DelayLapse
 from photocal.project import read_project
 from photocal.run.block import block_stage
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
@@ -96,8 +98,9 @@ def made(tmp_path: Path, figures: dict[str, Any], project: str = PROJECT) -> tup
 
 
 def test_what_the_positions_share_is_unknown_in_common(tmp_path: Path) -> None:
-    common = {"shift_sigma_m": [0.002, 0.003, 0.005], "zenith_scale_sigma": 2e-5, "base_height_m": 12.5}
-    _, block = made(tmp_path, {"common": common})
+    base_m, moved = np.array([0.002, 0.003, 0.005]), np.array([0.0, 0.0, -4.0])
+    common = CommonErrors(base_m, None, np.zeros(3), 12.5, DelayLapse(0.0, 5e-6, "test"), moved)
+    _, block = made(tmp_path, {"common": common.as_json()})
     assert block.mounting.sigma[SHIFT].tolist() == [0.002, 0.003, 0.005]
     assert block.mounting.sigma[HEIGHT_SCALE] == 2e-5
     assert block.positions.above == pytest.approx(block.positions.values[:, 2] - 12.5)
