@@ -99,7 +99,7 @@ lowest:
 	.lowest-venv/bin/uv pip compile --quiet --resolution lowest-direct --all-extras --python-version 3.11 \
 	    -o .lowest-venv/lowest.txt pyproject.toml
 	.lowest-venv/bin/uv pip install --quiet --python .lowest-venv/bin/python --only-binary :all: \
-	    -r .lowest-venv/lowest.txt setuptools
+	    -r .lowest-venv/lowest.txt "setuptools>=77"
 	.lowest-venv/bin/python -m pip install $(PIP) --no-deps --no-build-isolation -e .
 	OPENBLAS_NUM_THREADS=1 .lowest-venv/bin/python -m pytest -q --assert plain -o filterwarnings= $(LOWEST)
 

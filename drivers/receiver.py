@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from drivers.frames import Batch, Wire
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 
-BASE_RECEIVER, BASE_GNSS, BASE_UTC = 0, 1, 2
+# Time bases of pulses, by their names in the flight log.
+TIME_BASES = ("receiver", "gnss", "utc", "reserved")
+BASE_RECEIVER, BASE_GNSS, BASE_UTC, _ = range(4)
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,12 @@ class Fixes(Columns):
 class TimeMarks(Columns):
     """Edges on a time mark input.
 
-    index (n,): the message of each.
+    index (n,): the message of each: a frame of the batch, or its number in the stream of a flight log.
     rising: whether the edge is a rising one.
     count (n,): the receiver's count of rising edges.
-    time_ns (n,): in the time base, since the GPS epoch, nanoseconds.
-    base (n,): `BASE_RECEIVER`, `BASE_GNSS` or `BASE_UTC`: UTC is counted in weeks since the GPS epoch as
-        well.
+    gps_ns (n,): GPS time, nanoseconds since its epoch, whatever the time base; without meaning where that is
+        the receiver's own or the time is none.
+    base (n,): in which the receiver told it: `BASE_RECEIVER`, `BASE_GNSS` or `BASE_UTC`.
     valid: whether the time is one: the first message of a recording may bring an edge of week 0.
     accuracy_ns (n,): accuracy as the receiver claims it.
     """
@@ -71,7 +73,7 @@ class TimeMarks(Columns):
     index: Integers
     rising: Flags
     count: Integers
-    time_ns: Integers
+    gps_ns: Integers
     base: Integers
     valid: Flags
     accuracy_ns: Integers

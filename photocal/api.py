@@ -37,12 +37,16 @@ if TYPE_CHECKING:
         ProgramMissingError,
     )
     from photocal.findings.finding import Finding
+    from photocal.findings.listed import Findings
     from photocal.georeferencing.comparison import BlockCheck
     from photocal.judging import analyse, assess, check, compare, components, significance
     from photocal.measurement.block_files import MeasuredBlock
     from photocal.measurement.options import MeasureOptions
+    from photocal.navigation.exposures import Exposures
+    from photocal.navigation.flight_log import FlightLog
     from photocal.navigation.options import ExposureOptions, PpkOptions, ReceiverOptions
     from photocal.navigation.steps import exposures, ppk
+    from photocal.navigation.trajectory import Trajectory
     from photocal.planning.area import area_from_corners, read_area
     from photocal.planning.flight import FlightRequest
     from photocal.planning.monte_carlo import simulate_flights
@@ -51,6 +55,7 @@ if TYPE_CHECKING:
     from photocal.products.options import OrthoOptions, VolumeOptions
     from photocal.products.ortho import ortho
     from photocal.products.volume import volume
+    from photocal.project import Project
     from photocal.report.options import CertificateOptions
     from photocal.run.certify import certificate
     from photocal.run.stage import StageResult
@@ -70,12 +75,16 @@ _ELSEWHERE = {
         "PhotocalError", "ProgramMissingError",
     ),
     "photocal.findings.finding": ("Finding",),
+    "photocal.findings.listed": ("Findings",),
     "photocal.georeferencing.comparison": ("BlockCheck",),
     "photocal.judging": ("analyse", "assess", "check", "compare", "components", "significance"),
     "photocal.measurement.block_files": ("MeasuredBlock",),
     "photocal.measurement.options": ("MeasureOptions",),
+    "photocal.navigation.exposures": ("Exposures",),
+    "photocal.navigation.flight_log": ("FlightLog",),
     "photocal.navigation.options": ("ExposureOptions", "PpkOptions", "ReceiverOptions"),
     "photocal.navigation.steps": ("exposures", "ppk"),
+    "photocal.navigation.trajectory": ("Trajectory",),
     "photocal.planning.area": ("area_from_corners", "read_area"),
     "photocal.planning.flight": ("FlightRequest",),
     "photocal.planning.monte_carlo": ("simulate_flights",),
@@ -84,6 +93,7 @@ _ELSEWHERE = {
     "photocal.products.options": ("OrthoOptions", "VolumeOptions"),
     "photocal.products.ortho": ("ortho",),
     "photocal.products.volume": ("volume",),
+    "photocal.project": ("Project",),
     "photocal.report.options": ("CertificateOptions",),
     "photocal.run.certify": ("certificate",),
     "photocal.run.stage": ("StageResult",),
@@ -92,16 +102,16 @@ _MODULE_OF = {name: module for module, names in _ELSEWHERE.items() for name in n
 
 __all__ = [
     "Assessment", "Block", "BlockCheck", "Camera", "CertificateOptions", "Compared", "ConfigurationError",
-    "DeviceError", "Discrepancies", "ExposureOptions", "FTest", "Finding", "FlightOptions", "FlightRequest",
-    "IllPosedError", "Images", "InputMalformedError", "InputNotFoundError", "JudgementOptions",
-    "LimitOptions", "MeasureOptions", "MeasuredBlock", "MissionOptions", "NotConvergedError", "ObjectPoints",
-    "Observations", "OrientedImages", "OrthoOptions", "Outcome", "OutputError", "PhotocalError", "Plan",
-    "PpkOptions", "PrecisionOptions", "ProgramMissingError", "Proposal", "ReceiverOptions", "Result",
-    "StageResult", "VolumeOptions", "adjust", "analyse", "area_from_corners", "assess", "block_of_arrays",
-    "camera", "certificate", "check", "compare", "components", "exposures", "measure", "ortho", "plan",
-    "ppk", "read_area", "read_block", "read_cameras", "read_log", "read_result",
-    "run_project", "significance", "simulate_flights", "volume", "with_relations", "write_block",
-    "write_cameras", "write_result",
+    "DeviceError", "Discrepancies", "ExposureOptions", "Exposures", "FTest", "Finding", "Findings",
+    "FlightLog", "FlightOptions", "FlightRequest", "IllPosedError", "Images", "InputMalformedError",
+    "InputNotFoundError", "JudgementOptions", "LimitOptions", "MeasureOptions", "MeasuredBlock",
+    "MissionOptions", "NotConvergedError", "ObjectPoints", "Observations", "OrientedImages", "OrthoOptions",
+    "Outcome", "OutputError", "PhotocalError", "Plan", "PpkOptions", "PrecisionOptions",
+    "ProgramMissingError", "Project", "Proposal", "ReceiverOptions", "Result", "StageResult", "Trajectory",
+    "VolumeOptions", "adjust", "analyse", "area_from_corners", "assess", "block_of_arrays", "camera",
+    "certificate", "check", "compare", "components", "exposures", "measure", "ortho", "plan", "ppk",
+    "read_area", "read_block", "read_cameras", "read_log", "read_result", "run_project", "significance",
+    "simulate_flights", "volume", "with_relations", "write_block", "write_cameras", "write_result",
 ]  # fmt: skip
 
 # What a calibration estimates unless it is told otherwise.
@@ -164,7 +174,9 @@ def write_block(path: str | Path, block: Block) -> None:
     Examples
     --------
     >>> import photocal
-    >>> photocal.write_block("block", block)  # doctest: +SKIP
+    >>> photocal.write_block("copy", block)
+    >>> photocal.read_block("copy").points.names == block.points.names
+    True
     """
     from photocal.block.writer import write_block as write
 
@@ -192,7 +204,8 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     Examples
     --------
     >>> import photocal
-    >>> photocal.compare(photocal.read_cameras("cameras.toml"))  # doctest: +SKIP
+    >>> [camera.id for camera in photocal.read_cameras("cameras.toml")]
+    ['dcs460']
     """
     from photocal.analysis.stability.camera_file import read_camera_file
 
@@ -217,7 +230,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     Examples
     --------
     >>> import photocal
-    >>> photocal.write_cameras("cameras.toml", [result.camera()])  # doctest: +SKIP
+    >>> photocal.write_cameras("cameras.toml", [result.camera()])
     """
     from photocal.base.codec import toml_text
     from photocal.base.files import output_file
@@ -455,7 +468,8 @@ def measure(images: str | Path, *, options: MeasureOptions | None = None) -> Mea
     --------
     >>> import photocal
     >>> board = photocal.MeasureOptions(board="10x7", square_m=0.03)
-    >>> photocal.adjust(photocal.measure("photos", options=board).block)  # doctest: +SKIP
+    >>> photocal.measure("boards", options=board).block.images.names
+    ('view1.png', 'view2.png', 'view3.png', 'view4.png')
     """
     from photocal.base.console import progress
     from photocal.measurement.measure import measure as measured
@@ -500,8 +514,8 @@ def run_project(
     Examples
     --------
     >>> import photocal
-    >>> [stage.name for stage in photocal.run_project("flight", until="block")]  # doctest: +SKIP
-    ['ppk', 'exposures', 'block']
+    >>> [stage.name for stage in photocal.run_project("flight", until="exposures")]
+    ['ppk', 'exposures']
     """
     import datetime as dt
 
@@ -536,7 +550,8 @@ def read_result(folder: str | Path) -> Result:
     Examples
     --------
     >>> import photocal
-    >>> photocal.read_result("run")  # doctest: +SKIP
+    >>> photocal.read_result("run").converged
+    True
     """
     from photocal.results.folder import read_result as read
 
@@ -561,7 +576,7 @@ def write_result(folder: str | Path, result: Result) -> None:
     Examples
     --------
     >>> import photocal
-    >>> photocal.write_result("run", result)  # doctest: +SKIP
+    >>> photocal.write_result("run", result)
     """
     result.write(folder)
 
@@ -589,7 +604,9 @@ def read_log(path: str | Path, topics: Sequence[str] = ()) -> dict[str, dict[str
     Examples
     --------
     >>> import photocal
-    >>> photocal.read_log("flight.mcap")["/gnss/rover/fix"]["altitude"]  # doctest: +SKIP
+    >>> fixes = photocal.read_log("flight/flight.mcap")["/gnss/rover/fix"]
+    >>> len(fixes["altitude"]) == len(fixes["log_ns"])
+    True
     """
     from acquire.log.arrays import arrays_of_log
 

@@ -58,9 +58,9 @@ def analyse(
     Examples
     --------
     >>> import photocal
-    >>> outcome = photocal.analyse(block)  # doctest: +SKIP
-    >>> [finding.code for finding in outcome.findings]  # doctest: +SKIP
-    ['radial']
+    >>> outcome = photocal.analyse(block)
+    >>> list(outcome.cameras)
+    ['dcs460']
     """
     from photocal.analysis.analyse_run import checks_of
     from photocal.analysis.outcome import analyse_network
@@ -225,8 +225,9 @@ def check(block: Block, *, standards: Sequence[str] = (), scale: float | None = 
     Examples
     --------
     >>> import photocal
-    >>> judged = photocal.check(block, standards=["pec-pcd"], scale=1000)  # doctest: +SKIP
-    >>> judged.of("indirect").check.rmse_m  # doctest: +SKIP
+    >>> judged = photocal.check(photocal.read_block("flown"), standards=["pec-pcd"], scale=1000)
+    >>> len(judged.of("integrated").check.names)
+    20
     """
     from photocal.accuracy.standard import Question, load_standard
     from photocal.georeferencing.comparison import check_block

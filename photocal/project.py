@@ -299,18 +299,37 @@ class Contents(Table):
         return self
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Project:
-    """A project file that was read and checked.
+    """A project file that was read and checked; a person writes it, or `photocal new`.
 
-    path: the file.
-    contents: its tables; paths are taken from the folder of the file.
-    cameras: of `[[camera]]`.
+    Attributes
+    ----------
+    path
+        The file.
+    contents
+        Its tables; paths are taken from the folder of the file.
+    cameras
+        Of `[[camera]]`.
     """
 
     path: Path
     contents: Contents
     cameras: tuple[Camera, ...]
+
+    @staticmethod
+    def read(path: str | Path) -> "Project":
+        """Read a project file, or that of a folder; errors as of `read_project`."""
+        return read_project(Path(path))
+
+    def __repr__(self) -> str:
+        """Say in one line what it names and where it works."""
+        named = [name for name, part in self.contents if part and name not in ("project", "camera")]
+        lenses = ", ".join(camera.id for camera in self.cameras) or "none"
+        return (
+            f"Project {self.name} ({self.crs}, {self.height} heights): {', '.join(named) or 'no sections'}; "
+            f"cameras {lenses}; output {self.output}"
+        )
 
     @property
     def name(self) -> str:

@@ -27,6 +27,8 @@ EXPOSURE = JsonLayout(
         "sequence": integer("number that the device gave it"),
         "edge": words("rising, falling or, where a camera reports itself, feedback or trigger"),
         "time": {**TIME, "description": "UTC of the event; null when the device did not know"},
+        "gps_time": {**TIME, "description": "of an edge, GPS time since 1980-01-06; null as `time`"},
+        "time_base": words("of an edge: gnss, utc or receiver, its own; null when its time is none"),
         "accuracy_ns": integer("accuracy that the device claims"),
         "latitude_deg": number("position that the device claims"),
         "longitude_deg": number("position that the device claims"),

@@ -11,10 +11,10 @@ from acquire.channels.receiver_time import ReceiverClock
 from drivers import rtcm3
 from drivers.frames import Batch
 from drivers.protocols import receiver_protocols
-from drivers.receiver import BASE_RECEIVER, BASE_UTC, Fixes
+from drivers.receiver import BASE_RECEIVER, TIME_BASES, Fixes
 from drivers.ubx import decode as ubx
 from photocal.base.arrays import Integers
-from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, gps_to_utc_ns
+from photocal.base.time_scales import SECOND_NS, gps_to_utc_ns
 
 
 class ReceiverDecoder:
@@ -62,14 +62,16 @@ class ReceiverDecoder:
             yield self._messages(source, fixes.index, publish).status("", columns)
 
     def _time_marks(self, batch: Batch, publish: Integers) -> Iterator[Decoded]:
-        told = (item for p in receiver_protocols() for item in p.time_marks(batch).items())
-        for source, marks in told:
+        for source, marks in (item for p in receiver_protocols() for item in p.time_marks(batch).items()):
             for edge, of_edge in (("rising", marks.rising), ("falling", ~marks.rising)):
                 new = marks.rows(of_edge)
-                utc = np.where(new.base == BASE_UTC, new.time_ns + GPS_EPOCH_NS, gps_to_utc_ns(new.time_ns))
+                told = new.valid & (new.base != BASE_RECEIVER)
+                names = [TIME_BASES[base] for base in new.base.tolist()]
                 columns = {
                     "sequence": new.count,
-                    "time": Times(np.where(new.valid & (new.base != BASE_RECEIVER), utc, -1)),
+                    "time": Times(np.where(told, gps_to_utc_ns(new.gps_ns), -1)),
+                    "gps_time": Times(np.where(told, new.gps_ns, -1)),
+                    "time_base": [n if v else None for n, v in zip(names, new.valid.tolist(), strict=True)],
                     "accuracy_ns": new.accuracy_ns,
                 }
                 yield self._messages(source, new.index, publish).exposure(edge, columns)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frames import Batch, Wire, gather
-from drivers.receiver import TimeMarks
+from drivers.receiver import BASE_UTC, TimeMarks
 from photocal.base.arrays import Floats, Integers
-from photocal.base.time_scales import SECOND_NS, utc_date_ns, week_to_ns
+from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS, utc_date_ns, utc_to_gps_ns, week_to_ns
 
 NAV_POSLLH, NAV_PVT, NAV_HPPOSLLH, NAV_TIMEGPS, NAV_TIMEUTC, NAV_SVIN = (
     0x0102, 0x0107, 0x0114, 0x0120, 0x0121, 0x013B,
@@ -125,13 +125,17 @@ def time_marks(fields: NDArray[Any]) -> TimeMarks:
 def _edges(fields: NDArray[Any], letter: str, bit: int) -> tuple[NDArray[Any], ...]:
     index = np.flatnonzero(fields["flags"] & bit)
     new = fields[index]
-    time_ns = week_to_ns(new[f"wn{letter}"], 0.0)
+    base = (new["flags"] >> _BASE_SHIFT & 3).astype(np.int64)
+    of_week_ns = new[f"towMs{letter}"].astype(np.int64) * 1_000_000 + new[f"towSubMs{letter}"]
+    told_ns = week_to_ns(new[f"wn{letter}"], 0.0) + of_week_ns
+    # Weeks and milliseconds count UTC from the GPS epoch: the leap seconds are missing in them.
+    gps_ns = np.where(base == BASE_UTC, utc_to_gps_ns(told_ns + GPS_EPOCH_NS), told_ns)
     return (
         index,
         np.full(len(index), letter == "R"),
         new["count"].astype(np.int64),
-        time_ns + new[f"towMs{letter}"].astype(np.int64) * 1_000_000 + new[f"towSubMs{letter}"],
-        (new["flags"] >> _BASE_SHIFT & 3).astype(np.int64),
+        gps_ns,
+        base,
         ((new["flags"] & _TIME_VALID) != 0) & (new[f"wn{letter}"] > 0),
         new["accEst"].astype(np.int64),
     )

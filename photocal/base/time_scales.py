@@ -87,6 +87,18 @@ def gps_to_utc_ns(gps_ns: Integers, leap_s: Integers | None = None) -> Integers:
     return np.asarray(civil - offset_s * SECOND_NS, np.int64)
 
 
+def utc_to_gps_ns(utc_ns: Integers) -> Integers:
+    """Convert UTC to GPS time, the inverse of `gps_to_utc_ns`; a leap second itself counts as the next.
+
+    utc_ns (n,): nanoseconds since 1970 without leap seconds.
+    returns (n,): nanoseconds of GPS time since its epoch.
+    """
+    civil = utc_ns - GPS_EPOCH_NS
+    before, after = (civil + t + GPS_EPOCH_NS - gps_to_utc_ns(t) for t in (civil, civil + 60 * SECOND_NS))
+    # The larger offset holds from the step on, that is where it leads back to the same UTC.
+    return np.where(gps_to_utc_ns(after) == utc_ns, after, before)
+
+
 def expiry_warning(utc_ns: int) -> str:
     """Return what to say when a time lies beyond the table of leap seconds; empty while it is good.
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,13 +13,13 @@ from drivers.identify import batch_of_payloads
 from drivers.mavlink.decode import decode
 from drivers.mavlink.dialect import ardupilotmega
 from drivers.mrk import parse_event
-from drivers.receiver import BASE_RECEIVER, BASE_UTC, TimeMarks
+from drivers.receiver import BASE_RECEIVER, BASE_UTC, TIME_BASES, TimeMarks
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, reading
-from photocal.base.time_scales import GPS_EPOCH_NS, SECOND_NS
+from photocal.base.time_scales import SECOND_NS
 from photocal.navigation.device_clocks import AutopilotClock
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
-from photocal.navigation.time import GpsTime, UtcTime
+from photocal.navigation.time import GpsTime, UtcTime, refuse_expired
 from photocal.navigation.trajectory import InterpolatedPositions
 
 RISING, FALLING = "rising", "falling"
@@ -88,7 +89,8 @@ def time_marks(
 
     stream_ns: of each mark the last epoch before it in the stream (GPS ns); -1: none yet.
 
-    raises InputMalformedError: when the marks are in the receiver's own time, which nothing ties to GPS time.
+    raises InputMalformedError: when the marks are in the receiver's own time, which nothing ties to GPS time,
+        or in UTC beyond the table of leap seconds.
     """
     of_edge = marks.rising == (edge == RISING)
     new = marks.rows(of_edge)
@@ -99,21 +101,17 @@ def time_marks(
             "set the time base of CFG-TIMEx or TIM-TM2 to GNSS or UTC",
             where=f"link {link}",
         )
-    gps = new.time_ns.copy()
-    utc = new.valid & (new.base == BASE_UTC)
-    if utc.any():
-        # The week and its milliseconds count UTC from the GPS epoch: the leap seconds are missing in them.
-        gps[utc] = UtcTime(new.time_ns[utc] + GPS_EPOCH_NS).to_gps().ns
+    refuse_expired(GpsTime(new.gps_ns[new.valid & (new.base == BASE_UTC)]))
     remarks = counter_jumps(new.count, edge)
     if not new.valid.all():
         remarks.append(f"{int((~new.valid).sum())} {edge} edges without a valid time left out")
-    bases = {int(v) for v in np.unique(new.base[new.valid]).tolist()}
-    remarks.append("time base " + " and ".join({1: "GNSS", 2: "UTC"}.get(b, str(b)) for b in sorted(bases)))
+    bases = (TIME_BASES[base].upper() for base in np.unique(new.base[new.valid]).tolist())
+    remarks.append("time base " + " and ".join(bases))
     kept = np.flatnonzero(new.valid)
-    order = kept[np.argsort(gps[kept], kind="stable")]
+    order = kept[np.argsort(new.gps_ns[kept], kind="stable")]
     return Events(
         f"{source} {edge} of {link}",
-        GpsTime(gps[order]),
+        GpsTime(new.gps_ns[order]),
         new.count[order],
         np.asarray(new.accuracy_ns[order] * 1e-9, float),
         remarks,
@@ -132,26 +130,67 @@ def counter_jumps(count: Integers, edge: str) -> list[str]:
     ]
 
 
-def logged_exposures(log: FlightLog) -> list[Events]:
-    """Return the exposures that autopilot or camera reported in a flight log, one `Events` per message.
+@dataclass(frozen=True)
+class LoggedExposures:
+    """What `/camera/exposure` of a flight log tells.
+
+    told: exposures that autopilot or camera reported, one `Events` per message.
+    marks: edges that were decoded when they were logged, by the link and the message that told them.
+    """
+
+    told: list[Events]
+    marks: dict[tuple[str, str], TimeMarks]
+
+
+@lru_cache(maxsize=1)
+def logged_exposures(log: FlightLog) -> LoggedExposures:
+    """Read the exposures of a flight log.
 
     Exposures without a device time are left out and counted: the time of receipt is not that of the
     exposure. An exposure that came twice (over two links) counts once.
     """
     exposures: dict[str, dict[tuple[int, int], tuple[float, ...]]] = {}
     untimed: dict[str, int] = {}
+    marks: dict[tuple[str, str], list[tuple[int, ...]]] = {}
     for messages in log.topic(EXPOSURES):
-        rows = zip(messages.payloads, messages.log_ns.tolist(), messages.publish_ns.tolist(), strict=True)
-        for payload, log_ns, publish_ns in rows:
+        columns = (messages.log_ns, messages.publish_ns, messages.sequence)
+        rows = zip(messages.payloads, *(column.tolist() for column in columns), strict=True)
+        for payload, log_ns, publish_ns, number in rows:
             try:
-                _note(json.loads(payload), log_ns == publish_ns, exposures, untimed)
+                row = json.loads(payload)
+                if row.get("edge") not in (RISING, FALLING):
+                    _note(row, log_ns == publish_ns, exposures, untimed)
+                elif "time_base" in row:
+                    # Older logs tell no time base: their edges are decoded from the raw frames.
+                    marks.setdefault((str(row["link"]), str(row["source"])), []).append(_mark(number, row))
             except (LookupError, TypeError, ValueError, OverflowError, RecursionError) as damage:
                 raise InputMalformedError(
                     f"holds an exposure that cannot be read ({type(damage).__name__})",
                     "run acquire recover",
                     where=log,
                 ) from damage
-    return [_logged(source, rows, untimed.get(source, 0)) for source, rows in exposures.items()]
+    return LoggedExposures(
+        [_logged(source, rows, untimed.get(source, 0)) for source, rows in exposures.items()],
+        {told: _as_marks(rows) for told, rows in marks.items()},
+    )
+
+
+def _mark(number: int, row: dict[str, Any]) -> tuple[int, ...]:
+    """Columns of `TimeMarks` of one edge; `number` is that of its frame."""
+    base, time = row["time_base"], row["gps_time"]
+    place = BASE_RECEIVER if base is None else TIME_BASES.index(base)
+    gps_ns = -1 if time is None and place == BASE_RECEIVER else _nanoseconds(time)
+    edge = row["edge"] == RISING, int(row["sequence"]), gps_ns, place, base is not None
+    return number, *edge, int(row["accuracy_ns"])
+
+
+def _as_marks(rows: list[tuple[int, ...]]) -> TimeMarks:
+    index, rising, count, gps_ns, base, valid, accuracy = np.array(rows, np.int64).T
+    return TimeMarks(index, rising != 0, count, gps_ns, base, valid != 0, accuracy)
+
+
+def _nanoseconds(time: dict[str, Any]) -> int:
+    return int(time["sec"]) * SECOND_NS + int(time["nsec"])
 
 
 def _note(
@@ -162,16 +201,13 @@ def _note(
 ) -> None:
     """Take one exposure of the log."""
     source = str(row["source"])
-    # A receiver's time marks are decoded from its raw frames, with their time base.
-    if row.get("edge") in (RISING, FALLING):
-        return
     rows = exposures.setdefault(source, {})
     time = row.get("time")
     # MAVLink without a time of the device repeats the time of arrival.
     if time is None or (arrived_as_told and source in _MAVLINK):
         untimed[source] = untimed.get(source, 0) + 1
         return
-    key = (int(time["sec"]) * SECOND_NS + int(time["nsec"]), int(row.get("sequence", -1)))
+    key = (_nanoseconds(time), int(row.get("sequence", -1)))
     claimed = [row.get(name) for name in _CLAIMED]
     rows[key] = tuple(np.nan if v is None else float(v) for v in (row.get("accuracy_ns"), *claimed))
 

@@ -1,7 +1,6 @@
 """Checks of the exposures of a flight: what can be seen at this stage, and what cannot."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from photocal.navigation.events import CameraEventList, Events
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.image_metadata import ImageMetadata, stated_places
 from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
+from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import CameraOnBody, check_mounting
 from photocal.navigation.time import leap_seconds
@@ -41,7 +41,7 @@ class Evidence:
     vehicle: VehicleTrack | None
     listed: CameraEventList | None
     images: list[ImageMetadata]
-    ppk: dict[str, Any] | None
+    ppk: PpkFigures | None
 
 
 def check_exposures(evidence: Evidence) -> list[Finding]:
@@ -84,11 +84,11 @@ def _height_kind(e: Evidence) -> Finding:
         return untested(code, "no-geoid-told")
     geoid = float(np.median(undulations))
     apart = _above_sea(e)
-    base = None if e.ppk is None else e.ppk["base"].get("up_off_code_solution_m")
+    base = None if e.ppk is None else e.ppk.base.up_off_code_solution_m
     figures = {"geoid_m": geoid, "less_sea_level_m": apart, "base_up_off_code_m": base}
     # Two witnesses: the autopilot's height, and the base's own code solution.
     seen = [] if apart is None else [apart]
-    seen += [] if base is None else [geoid + float(base)]
+    seen += [] if base is None else [geoid + base]
     if not seen:
         return untested(code, "no-sea-level", figures)
     if abs(geoid) < 2 * _PRESSURE_M:

@@ -12,6 +12,7 @@ from photocal.navigation.common_errors import common_text
 from photocal.navigation.device_clocks import ComparedClocks, clock_sentences
 from photocal.navigation.events import Events
 from photocal.navigation.exposures import CameraMatch, Exposures
+from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.trajectory import LARGEST_GAP_S
 
 _LISTED = 12
@@ -25,7 +26,7 @@ def exposure_figures(
     cameras: list[CameraMatch],
     clocks: list[ComparedClocks],
     checks: list[Finding],
-    ppk: dict[str, Any] | None,
+    ppk: PpkFigures | None,
 ) -> dict[str, Any]:
     """Return the figures of a run, ready for JSON; `findings` are the warnings among them."""
     placed, say = exposures.placed, catalogue("en")
@@ -60,8 +61,8 @@ def exposure_figures(
                 for check in checks
             ],
             "findings": [finding_json(finding, say) for finding in findings],
-            "common": None if ppk is None else ppk.get("common"),
-            "ppk": ppk,
+            "common": None if ppk is None else ppk.record.get("common"),
+            "ppk": None if ppk is None else ppk.record,
         }
     )
     return figures

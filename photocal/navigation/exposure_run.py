@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.codec import from_plain
 from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
-from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.events import Events, listed_in, read_mrk
@@ -30,6 +28,7 @@ from photocal.navigation.exposures import CameraMatch, Exposures, at_camera, at_
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.image_checks import TieMatching, check_images, check_oriented, oriented_images
 from photocal.navigation.image_metadata import ImageMetadata, clock_time_s, read_images
+from photocal.navigation.ppk_figures import PpkFigures
 from photocal.navigation.ppk_inputs import Sources
 from photocal.navigation.ppk_report import solved
 from photocal.navigation.receiver_recording import ReceiverRecording, read_receivers
@@ -95,18 +94,18 @@ def run_exposures(choices: ExposureChoices, engine: Rtklib, folder: Path) -> Exp
     if not raw and sources.rover is None:
         return place_exposures(choices, None, None)
     result, figures = solved(sources, engine, folder)
-    return place_exposures(choices, result.trajectory, figures)
+    return place_exposures(choices, result.trajectory, PpkFigures.of(figures))
 
 
 def place_exposures(
-    choices: ExposureChoices, trajectory: Trajectory | None, ppk: dict[str, Any] | None
+    choices: ExposureChoices, trajectory: Trajectory | None, ppk: PpkFigures | None
 ) -> ExposureRun:
     """Do the same with a trajectory that is there already, with the figures of its PPK.
 
     What the engine leaves of the air between base and rover is taken out of the positions.
     """
-    if trajectory is not None and ppk is not None and "common" in ppk:
-        trajectory = from_plain(CommonErrors, ppk["common"]).corrected(trajectory)
+    if trajectory is not None and ppk is not None and ppk.common is not None:
+        trajectory = ppk.common.corrected(trajectory)
     sources, rig = choices.sources, choices.rig
     receivers = read_receivers(sources.log)
     rover = receivers.get(sources.rover_link)

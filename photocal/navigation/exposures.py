@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError
+from photocal.base.tables import TableColumns
 from photocal.geometry.rotation import angles_from_matrix, left_jacobian, skew, turn_per_angle
 from photocal.navigation.attitude import AttitudeSeries
 from photocal.navigation.events import Events
@@ -25,20 +26,33 @@ def names_cell(names: Sequence[str]) -> str:
     return "".join(names) if plain else json.dumps(names, ensure_ascii=False)
 
 
-@dataclass(frozen=True)
-class Exposures:
-    """One row per event.
+@dataclass(frozen=True, repr=False)
+class Exposures(TableColumns):
+    """Exposures of a flight, one row per event.
 
-    number (n,): count of the device.
-    placed: position (of the camera, once `at_camera` was applied), velocity, covariance, status.
-    attitude: of the body that carries the camera, with the effect of errors of the time in the covariance.
-    cross (n, 3, 3): covariance of position (east, north, up, m) and turn of the body (rad); NaN where
+    Attributes
+    ----------
+    time
+        GPS time of each.
+    number
+        Count of the device, shape (n,).
+    placed
+        Position (of the antenna, or of the camera, once `at_camera` was applied), velocity, covariance,
+        status.
+    attitude
+        Of the body that carries the camera, with the effect of errors of the time in the covariance.
+    cross
+        Covariance of position (east, north, up, m) and turn of the body (rad), shape (n, 3, 3); NaN where
         unknown.
-    images: names of the images, one for each camera that took one; none where none matched.
-    height_kind: what the heights are above.
-    carrier: of the body that the antenna is fixed to, where the camera hangs in a gimbal with an attitude of
-        its own; None: the same body.
-    above_take_off_m (n,): second height of the images, where they tell it.
+    images
+        Names of the images, one for each camera that took one; none where none matched.
+    height_kind
+        What the heights are above.
+    carrier
+        Of the body that the antenna is fixed to, where the camera hangs in a gimbal with an attitude of its
+        own; None: the same body.
+    above_take_off_m
+        Second height of the images, where they tell it, shape (n,).
     """
 
     time: GpsTime
@@ -53,6 +67,12 @@ class Exposures:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __repr__(self) -> str:
+        """Say in one line how many there are, and what is known of them."""
+        placed, named = int(self.placed.placed.sum()), sum(map(bool, self.images))
+        known = f"{placed} with position, {int(self.attitude.known.sum())} with attitude, {named} with images"
+        return f"Exposures: {len(self)} events, {known}; heights {self.height_kind}"
 
     @property
     def first_images(self) -> list[str]:

@@ -1,29 +1,82 @@
 """One flight in one or several logs that follow each other (rotated or resumed recordings), read once."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+from acquire.log.arrays import arrays_of_log
 from acquire.log.reader import LoggedMessages, LogReader
 from acquire.log.records import Channel
 from drivers.frames import Wire
 from drivers.protocols import receiver_wires
+from photocal.base.errors import InputNotFoundError
+from photocal.base.tables import package
 
 EXPOSURES = "/camera/exposure"
 _DECODED = ("/position", "/fix", "/attitude", "/parameter")
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class FlightLog:
-    """The messages of a flight that bear on positions, attitudes and exposures.
+    """One flight in one or several logs that follow each other; `acquire` writes them.
 
     The logs are opened and read when a message is first asked for, and never again: raw frames, event lists,
-    exposures, positions and attitudes are kept, all else is passed over.
+    exposures, positions and attitudes are kept, all else is passed over. The numbers of their messages go on
+    from log to log: a decoded message has that of the frame that it was made from.
 
-    paths: the logs in the order of time; may be empty.
+    Attributes
+    ----------
+    paths
+        The logs in the order of time; may be empty.
     """
 
-    def __init__(self, paths: Iterable[Path] = ()) -> None:
-        self.paths = tuple(paths)
-        self._messages: list[LoggedMessages] | None = None
+    paths: tuple[Path, ...] = ()
+
+    @classmethod
+    def read(cls, path: str | Path | Sequence[str | Path]) -> "FlightLog":
+        """Name the logs of a flight; each is opened when a message is first asked for.
+
+        Parameters
+        ----------
+        path
+            One MCAP file of `acquire record` or `acquire import`, or several that follow each other.
+
+        Returns
+        -------
+        FlightLog
+            The flight.
+
+        Raises
+        ------
+        InputNotFoundError
+            When one does not exist.
+        """
+        paths = tuple(map(Path, (path,) if isinstance(path, str | Path) else path))
+        for each in paths:
+            if not each.is_file():
+                raise InputNotFoundError("does not exist", "name a flight log", where=each)
+        return cls(paths)
+
+    def __repr__(self) -> str:
+        """Say in one line how many logs there are, and which."""
+        return f"FlightLog of {len(self.paths)} file(s): {self}" if self else "FlightLog without files"
+
+    def tables(self, *topics: str) -> dict[str, Any]:
+        """Give an Arrow table of each topic, all decoded ones without names; columns as of `read_log`."""
+        pa = package("pyarrow")
+        parts: dict[str, list[Any]] = {}
+        for path in self.paths:
+            for topic, columns in arrays_of_log(path, frozenset(topics)).items():
+                arrays = {name: pa.array(values.tolist()) for name, values in columns.items()}
+                parts.setdefault(topic, []).append(pa.table(arrays))
+        return {topic: pa.concat_tables(some, promote_options="default") for topic, some in parts.items()}
+
+    def to_pandas(self, *topics: str) -> dict[str, Any]:
+        """Give the tables of `tables` as DataFrames; ProgramMissingError where pandas is not installed."""
+        package("pandas")
+        return {topic: table.to_pandas() for topic, table in self.tables(*topics).items()}
 
     def __bool__(self) -> bool:
         return bool(self.paths)
@@ -45,14 +98,16 @@ class FlightLog:
         return (m for m in self._read() if m.channel.topic == name and m.channel.schema is not None)
 
     def _read(self) -> list[LoggedMessages]:
-        if self._messages is None:
-            self._messages = [
-                messages
-                for path in self.paths
-                for chunk in LogReader(path, wanted=_is_wanted).chunks()
-                for messages in chunk
-            ]
         return self._messages
+
+    @cached_property
+    def _messages(self) -> list[LoggedMessages]:
+        first, every = 0, list[LoggedMessages]()
+        for path in self.paths:
+            for chunk in LogReader(path, wanted=_is_wanted).chunks():
+                every += [replace(messages, sequence=messages.sequence + first) for messages in chunk]
+            first = 1 + max((int(messages.sequence.max()) for messages in every), default=-1)
+        return every
 
 
 def _is_wanted(channel: Channel) -> bool:

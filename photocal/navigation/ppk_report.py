@@ -16,10 +16,10 @@ from photocal.navigation.engine import Rtklib
 from photocal.navigation.engine_output import FIXED
 from photocal.navigation.fix_validation import ValidatedFixes
 from photocal.navigation.ppk import PpkResult, options_for, process
+from photocal.navigation.ppk_figures import FIGURES
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.trajectory import write_trajectory
 
-FIGURES = "ppk.json"
 _LISTED_GAPS = 10
 _GOOD_SHARE = 95.0
 # Code positions of single frequency receivers are good to two or three metres.

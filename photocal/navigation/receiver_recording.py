@@ -1,11 +1,11 @@
 """What a GNSS receiver left in a flight log: observations and ephemerides, in intact frames only."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 
 import numpy as np
 
-from acquire.log.reader import link_of
+from acquire.log.reader import LoggedMessages, link_of
 from drivers.frames import Batch, Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import Dialect
@@ -16,6 +16,7 @@ from drivers.ubx import decode as ubx
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.time_scales import week_to_ns
+from photocal.navigation.events import logged_exposures
 from photocal.navigation.flight_log import FlightLog
 
 # A survey-in is announced with rounded coordinates.
@@ -34,13 +35,14 @@ class ReceiverRecording:
     surveyed_m (3,): mean of a survey-in that is valid.
     surveyed_sigma_m: its accuracy as the receiver states it, in space.
     first_log_ns: time of receipt of the first frame (UTC ns).
-    time_marks, mark_source: edges in the order of the file, and the message that told them.
-    mark_epoch_ns: for each of them the last RXM-RAWX epoch before it in the stream (GPS ns); -1: none yet.
-    epoch_ns, epoch_log_ns: the epochs used (GPS ns), and their arrival (UTC ns).
+    time_marks, mark_source: edges, each with the number of its frame, and the message that told them.
+    logged: numbers of the frames whose edges were decoded when they were logged.
+    epoch_ns, epoch_log_ns, epoch_number: the epochs used (GPS ns), their arrival (UTC ns), their frames.
     geoid_m: height above the ellipsoid less height above sea level, as NAV-PVT or GGA told it.
     """
 
     link: str
+    logged: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     ubx: list[bytes] = field(default_factory=list)
     rtcm: list[bytes] = field(default_factory=list)
     epochs: int = 0
@@ -54,35 +56,32 @@ class ReceiverRecording:
     first_log_ns: int = 0
     time_marks: list[TimeMarks] = field(default_factory=list)
     mark_source: str = ""
-    mark_epoch_ns: list[Integers] = field(default_factory=list)
     epoch_ns: list[Integers] = field(default_factory=list)
     epoch_log_ns: list[Integers] = field(default_factory=list)
+    epoch_number: list[Integers] = field(default_factory=list)
     geoid_m: list[float] = field(default_factory=list)
 
-    def add(self, wire: Wire, payloads: list[bytes], log_ns: Integers) -> None:
+    def add(self, wire: Wire, messages: LoggedMessages) -> None:
         """Take the frames of one chunk of the log."""
-        batch, protocol = batch_of_payloads(wire, payloads, _NO_DIALECT), protocol_of(wire)
+        payloads, protocol = messages.payloads, protocol_of(wire)
+        batch = batch_of_payloads(wire, payloads, _NO_DIALECT)
         for fixes in protocol.fixes(batch).values():
             self.geoid_m.extend(fixes.geoid_m[fixes.valid & np.isfinite(fixes.geoid_m)].tolist())
-        good, epoch = np.empty(0, np.int64), np.empty(0, np.int64)
-        before = int(self.epoch_ns[-1][-1]) if self.epoch_ns else -1
         if wire == Wire.UBX:
-            good, epoch = self._add_ubx(batch, payloads, log_ns)
+            self._add_ubx(batch, messages)
         elif wire == Wire.RTCM3:
             self.rtcm.extend(payloads)
             self.announced_m.extend(decode_stations(batch).ecef_m)
             self.ephemeris_frames += int(np.isin(batch.kind, (1019, 1020, 1042, 1044, 1045, 1046)).sum())
             observing = (batch.kind >= _MSM_FIRST) & (batch.kind <= _MSM_LAST)
             self.observation_frames += int((observing | np.isin(batch.kind, (1002, 1004, 1010, 1012))).sum())
-        for source, marks in protocol.time_marks(batch).items():
+        left = replace(batch, known=batch.known & ~np.isin(messages.sequence, self.logged))
+        for source, marks in protocol.time_marks(left).items():
             if len(marks.index):
                 self.mark_source = source
-                self.time_marks.append(marks)
-                last = np.concatenate([[before], epoch])
-                self.mark_epoch_ns.append(last[np.searchsorted(good, marks.index, side="right")])
+                self.time_marks.append(replace(marks, index=messages.sequence[marks.index]))
 
-    def _add_ubx(self, batch: Batch, payloads: list[bytes], log_ns: Integers) -> tuple[Integers, Integers]:
-        """Take UBX frames; return which of them are epochs, and their times (GPS ns)."""
+    def _add_ubx(self, batch: Batch, messages: LoggedMessages) -> None:
         raw = ubx.decode_rawx(batch).epochs
         empty = raw.fields["numMeas"] == 0
         untimed = ~empty & ((raw.fields["week"] == 0) | ~np.isfinite(raw.fields["rcvTow"]))
@@ -93,7 +92,7 @@ class ReceiverRecording:
         self.untimed_epochs += int(untimed.sum())
         subframes = ubx.decode(batch, ubx.RXM_SFRBX).index
         self.ephemeris_frames += len(subframes)
-        self.ubx.extend(payloads[i] for i in np.sort(np.concatenate([good, subframes])).tolist())
+        self.ubx.extend(messages.payloads[i] for i in np.sort(np.concatenate([good, subframes])).tolist())
         survey = ubx.decode(batch, ubx.NAV_SVIN).fields
         survey = survey[(survey["valid"] != 0) & (survey["obs"] > 0)]
         if len(survey):
@@ -101,11 +100,10 @@ class ReceiverRecording:
             mean = [float(last[f"mean{a}"]) * 1e-2 + float(last[f"mean{a}HP"]) * 1e-4 for a in "XYZ"]
             self.surveyed_m = np.array(mean)
             self.surveyed_sigma_m = float(last["meanAcc"]) * 1e-4
-        epoch = week_to_ns(raw.fields["week"][used], raw.fields["rcvTow"][used])
         if len(good):
-            self.epoch_ns.append(epoch)
-            self.epoch_log_ns.append(log_ns[good])
-        return good, epoch
+            self.epoch_ns.append(week_to_ns(raw.fields["week"][used], raw.fields["rcvTow"][used]))
+            self.epoch_log_ns.append(messages.log_ns[good])
+            self.epoch_number.append(messages.sequence[good])
 
     def epochs_and_arrivals(self) -> tuple[Integers, Integers]:
         """Return the epochs used (GPS ns) and their arrival (UTC ns)."""
@@ -114,14 +112,16 @@ class ReceiverRecording:
         return np.concatenate(self.epoch_ns), np.concatenate(self.epoch_log_ns)
 
     def marks(self) -> TimeMarks:
-        """Return all time marks in the order of the file; indices mean nothing beyond their chunk."""
+        """Return all time marks in the order of the stream."""
         none = [np.empty(0, kind) for kind in (int, bool, int, int, int, bool, int)]
         parts = [[getattr(marks, f.name) for f in fields(marks)] for marks in self.time_marks] or [none]
-        return TimeMarks(*map(np.concatenate, zip(*parts, strict=True)))
+        marks = TimeMarks(*map(np.concatenate, zip(*parts, strict=True)))
+        return marks.rows(np.argsort(marks.index, kind="stable"))
 
     def epochs_before_marks(self) -> Integers:
         """Return the epoch before each time mark in the stream (GPS ns); -1 before the first."""
-        return np.concatenate(self.mark_epoch_ns) if self.mark_epoch_ns else np.empty(0, np.int64)
+        epochs, numbers = np.concatenate([[-1], *self.epoch_ns]), np.concatenate([[-1], *self.epoch_number])
+        return np.asarray(epochs[np.searchsorted(numbers, self.marks().index) - 1], np.int64)
 
     def position_m(self) -> tuple[Floats, str] | None:
         """Return the station's position (earth-centred) and where it stands; None when nowhere.
@@ -156,11 +156,15 @@ class ReceiverRecording:
 def read_receivers(log: FlightLog) -> dict[str, ReceiverRecording]:
     """Read the raw frames of every receiver in a flight log; those of the same log are decoded once."""
     recordings: dict[str, ReceiverRecording] = {}
+    logged = logged_exposures(log).marks
     for wire, messages in log.raw(*receiver_wires()):
         link = link_of(messages.channel)
-        recording = recordings.setdefault(link, ReceiverRecording(link))
-        recording.first_log_ns = recording.first_log_ns or int(messages.log_ns[0])
-        recording.add(wire, messages.payloads, messages.log_ns)
+        if link not in recordings:
+            known = {source: marks for (of, source), marks in logged.items() if of == link}
+            numbers = np.concatenate([np.empty(0, np.int64), *(marks.index for marks in known.values())])
+            first = recordings[link] = ReceiverRecording(link, numbers, first_log_ns=int(messages.log_ns[0]))
+            first.time_marks, first.mark_source = [*known.values()], next(iter(known), "")
+        recordings[link].add(wire, messages)
     return recordings
 
 

@@ -136,7 +136,10 @@ def ppk(
     Examples
     --------
     >>> import photocal
-    >>> photocal.ppk("FLIGHT.mcap").write("ppk")  # doctest: +SKIP
+    >>> made = photocal.ppk("flight/flight.mcap")
+    >>> made.figures["fixed_percent"] > 95.0
+    True
+    >>> made.write("ppk")
     """
     asked, engine = options or PpkOptions(), Rtklib()
     sources = sources_of(flight, receivers or ReceiverOptions())
@@ -181,8 +184,12 @@ def exposures(
     Examples
     --------
     >>> import photocal
-    >>> images = photocal.ExposureOptions(images="photos")
-    >>> photocal.exposures("FLIGHT.mcap", options=images).write("exposures")  # doctest: +SKIP
+    >>> images = photocal.ExposureOptions(images="flight/times.csv")
+    >>> made = photocal.exposures("flight/flight.mcap", options=images)
+    >>> made.run.exposures
+    Exposures: 10 events, 10 with position, 10 with attitude, 10 with images; heights ellipsoidal
+    >>> sorted(made.write("exposures")["cameras"][0]["unmatched_images"])
+    []
     """
     asked, logs = options or ExposureOptions(), _paths(flight)
     project = [path for path in logs if path.suffix == ".toml"]

@@ -84,7 +84,7 @@ class GpsTime(Instants):
     def to_utc(self) -> "UtcTime":
         """Convert to UTC."""
         utc = UtcTime(gnsstime.gps_to_utc_ns(self.ns))
-        _refuse_expired(utc)
+        refuse_expired(utc)
         return utc
 
     def iso(self) -> list[str]:
@@ -97,12 +97,8 @@ class UtcTime(Instants):
 
     def to_gps(self) -> GpsTime:
         """Convert to GPS time, the inverse of `GpsTime.to_utc`; a leap second itself counts as the next."""
-        _refuse_expired(self)
-        civil = self.ns - GPS_EPOCH_NS
-        sooner_or_later = (civil, civil + 60 * SECOND_NS)
-        before, after = (civil + t + GPS_EPOCH_NS - gnsstime.gps_to_utc_ns(t) for t in sooner_or_later)
-        # The larger offset holds from the step on, that is where it leads back to the same UTC.
-        return GpsTime(np.where(gnsstime.gps_to_utc_ns(after) == self.ns, after, before))
+        refuse_expired(self)
+        return GpsTime(gnsstime.utc_to_gps_ns(self.ns))
 
     def iso(self) -> list[str]:
         """Return calendar dates, UTC, to the millisecond, for messages."""
@@ -114,9 +110,11 @@ def leap_seconds(time: GpsTime) -> Integers:
     return (time.ns + GPS_EPOCH_NS - time.to_utc().ns) // SECOND_NS
 
 
-def _refuse_expired(time: UtcTime) -> None:
+def refuse_expired(time: "UtcTime | GpsTime") -> None:
+    """Refuse instants beyond the table of leap seconds."""
     last = int(dt.datetime.combine(EXPIRES, dt.time(), dt.UTC).timestamp()) * SECOND_NS
-    if len(time) and int(time.ns.max()) >= last:
+    epoch_ns = GPS_EPOCH_NS if isinstance(time, GpsTime) else 0
+    if len(time) and int(time.ns.max()) + epoch_ns >= last:
         raise InputMalformedError(
             f"the table of leap seconds ends on {EXPIRES}, a time in the data is later",
             "update the package tzdata, which has the table",

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.base.files import write_rows
 from photocal.base.geodesy import enu_axes, enu_offsets, geocentric, geodetic
+from photocal.base.tables import TableColumns
 from photocal.navigation.time import GpsTime
 
 COLUMNS = (
@@ -23,7 +24,7 @@ _WINDOW_NS = 30_000_000_000
 _DEFAULT_ROUGHNESS = 0.5
 
 
-class Geodetic(Columns):
+class Geodetic(TableColumns, Columns):
     """Columns of which three are positions on WGS 84: latitude, longitude, ellipsoidal height."""
 
     lat_deg: Floats
@@ -55,14 +56,24 @@ class Geodetic(Columns):
         return enu_offsets(self.lat_deg, self.lon_deg, self.height_m, origin)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trajectory(Geodetic):
     """Positions of the rover's antenna reference point.
 
-    lat_deg, lon_deg, height_m (n,): geodetic position, ellipsoidal height.
-    status: ``fixed``, ``float`` or ``single``.
-    covariance_m2 (n, 3, 3): east, north, up.
-    velocity_m_s (n, 3): east, north, up from Doppler; NaN where it is not known.
+    Attributes
+    ----------
+    time
+        GPS time.
+    lat_deg, lon_deg, height_m
+        Geodetic position (n,), ellipsoidal height.
+    status
+        Of each, ``fixed``, ``float`` or ``single``.
+    covariance_m2
+        East, north, up, shape (n, 3, 3).
+    velocity_m_s
+        East, north, up from Doppler, shape (n, 3); NaN where it is not known.
+    velocity_sigma_m_s
+        Standard deviation of a component of the velocity.
     """
 
     time: GpsTime
@@ -76,6 +87,14 @@ class Trajectory(Geodetic):
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __repr__(self) -> str:
+        """Say in one line when it was, how long, and how good."""
+        if not len(self):
+            return "Trajectory: no epochs"
+        counts = ", ".join(f"{int((self.status == s).sum())} {s}" for s in ("fixed", "float", "single"))
+        seconds = float(self.time.ns[-1] - self.time.ns[0]) / 1e9
+        return f"Trajectory from {self.time[[0]].iso()[0]} GPS, {seconds:.1f} s: {len(self)} epochs, {counts}"
 
 
 def covariance_cells(covariance_m2: Floats) -> list[str]:

@@ -161,7 +161,8 @@ def read_area(path: str | Path) -> Area:
     Examples
     --------
     >>> import photocal
-    >>> photocal.read_area("field.kml")  # doctest: +SKIP
+    >>> photocal.read_area("field.kml").latitude_deg.tolist()
+    [-22.12, -22.12, -22.13]
     """
     path = Path(path)
     readers = {".geojson": _from_geojson, ".json": _from_geojson, ".kml": _from_kml, ".csv": _from_csv}

@@ -57,9 +57,12 @@ def simulate_flights(plan: Plan, flights: int = 20, *, seed: int = 0) -> FlightE
     Examples
     --------
     >>> import photocal
-    >>> errors = photocal.simulate_flights(plan, 20)  # doctest: +SKIP
-    >>> errors.found_m / errors.promised_m  # doctest: +SKIP
-    array([1.02, 0.97, 1.08])
+    >>> corners = [(-51.41, -22.12), (-51.4085, -22.12), (-51.4085, -22.1212), (-51.41, -22.1212)]
+    >>> camera = photocal.FlightOptions(focal_mm=8.8, pixel_um=2.41, image_px="5472x3648", height=100.0)
+    >>> plan = photocal.plan(photocal.area_from_corners(corners, "field"), camera.request())
+    >>> errors = photocal.simulate_flights(plan, 5)
+    >>> bool((abs(errors.found_m / errors.promised_m - 1.0) < 0.5).all())
+    True
     """
     network, check = planned_network(plan.flight, plan.layout, plan.survey or PlannedSurvey())
     if not len(check):

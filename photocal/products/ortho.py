@@ -139,7 +139,12 @@ def ortho(
     Examples
     --------
     >>> import photocal
-    >>> photocal.ortho("block", "photos", "dtm.tif", "ortho.tif")  # doctest: +SKIP
+    >>> cells = photocal.OrthoOptions(heights="local", cell=0.2)
+    >>> made = photocal.ortho(
+    ...     "orthophoto/block", "orthophoto/images", "orthophoto/dtm.tif", "ortho.tif", options=cells
+    ... )
+    >>> made.grid.cell
+    0.2
     """
     asked, methods = options or OrthoOptions(), ortho_job.METHODS
     if asked.resampling not in methods:

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError, InputN
 from photocal.base.files import write_json
 from photocal.block.camera_setup import CameraKeys, camera_keys, camera_of
 from photocal.block.folder import IMAGE_SIGMAS
-from photocal.block.model import fingerprint
+from photocal.block.model import InputFile, fingerprint
 from photocal.block.table import known_rows, read_table, write_table
 from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
@@ -146,7 +147,7 @@ def _lists(rows: Floats) -> Any:
 
 
 def read_result(folder: Path) -> Result:
-    """Read the folder that `photocal adjust` wrote.
+    """Read the folder that `photocal adjust` wrote; the same files, there or copied, are read once.
 
     raises InputNotFoundError: when the folder or one of its files is missing or empty.
     raises InputMalformedError: when a file is of another schema, cut, not a number where one must stand, or
@@ -155,28 +156,44 @@ def read_result(folder: Path) -> Result:
     if not folder.is_dir():
         what = "is a file, a folder was expected" if folder.exists() else "no such folder"
         raise InputNotFoundError(what, "give the folder that `photocal adjust` wrote", where=folder)
+    table = folder / "residuals.parquet"
+    table = table if table.is_file() else folder / "residuals.csv"
+    names = (RESULT, "images.csv", "points.csv", table.name, COVARIANCE)
+    files = tuple(fingerprint(folder / name) for name in names if (folder / name).is_file())
+    return _read(_RunFiles(folder, table, files))
+
+
+@dataclass(frozen=True)
+class _RunFiles:
+    """The files of a run folder; equal ones elsewhere hold the same result."""
+
+    folder: Path = field(compare=False)
+    residuals: Path = field(compare=False)
+    files: tuple[InputFile, ...]
+
+
+# All stages of a run ask for one result, and so does what sums them up.
+@lru_cache(maxsize=1)
+def _read(run: _RunFiles) -> Result:
+    folder, table = run.folder, run.residuals
     stored = read_json(folder / RESULT, SCHEMA, "adjust with this version of photocal")
     content = object_of(_File, stored, folder / RESULT, AGAIN)
     cameras = {name: _camera(name, stored, folder / RESULT) for name, stored in content.cameras.items()}
     images = _images(folder, cameras)
     points = _points(folder)
-    table = folder / "residuals.parquet"
-    table = table if table.is_file() else folder / "residuals.csv"
     residuals = _residuals(table, images.names)
     _same_count(folder / "images.csv", len(images), content.images.n, "images")
     expected = [group.observations for group in content.groups if group.name == "image"]
     if expected:
         _same_count(table, 2 * len(residuals.accepted), expected[0], "image observations")
-    names = [RESULT, "images.csv", "points.csv", table.name]
-    names += [COVARIANCE] if (folder / COVARIANCE).is_file() else []
-    figures = {field.name: getattr(content, field.name) for field in fields(Figures)}
+    figures = {each.name: getattr(content, each.name) for each in fields(Figures)}
     return Result(
         **figures,
         cameras=cameras,
         images=images,
         points=points,
         residuals=residuals,
-        files=tuple(fingerprint(folder / name) for name in names),
+        files=run.files,
     )
 
 

@@ -15,8 +15,9 @@ from photocal.adjustment.readout import Readout
 from photocal.adjustment.rig import CENTRE, OF_HEAD, TURN
 from photocal.adjustment.solution import GlobalTest, Group
 from photocal.base.arrays import Columns, Floats, Integers
-from photocal.base.errors import ConfigurationError, ProgramMissingError
+from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder
+from photocal.base.tables import package
 from photocal.block.model import InputFile, Repetition
 from photocal.geometry.camera import MOTION, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
@@ -476,10 +477,7 @@ class Result(Figures):
         ProgramMissingError
             When pandas is not installed.
         """
-        try:
-            import_module("pandas")
-        except ModuleNotFoundError as missing:
-            raise ProgramMissingError("pandas is not installed", "run: pip install pandas") from missing
+        package("pandas")
         return {name: table.to_pandas() for name, table in self.tables().items()}
 
     def _repr_html_(self) -> str:

@@ -1,25 +1,28 @@
 """Stage `block`: what was measured in the images and what GNSS and inertial unit observed, in one folder."""
 
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS, Attitudes, Positions
+from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.network import RELATIONS
-from photocal.base.errors import InputNotFoundError
+from photocal.base.arrays import Flags, Integers
+from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.base.progress import Progress
 from photocal.block.model import Block
+from photocal.block.motion import strips
 from photocal.block.setup import MountingKeys
+from photocal.geometry.rotation import object_to_body
+from photocal.navigation.exposure_files import projected, with_images
+from photocal.navigation.exposures import Exposures
 from photocal.project import Project
 from photocal.run.stage import Stage
 
-Observed = TypeVar("Observed", Positions, Attitudes)
+# Of a rate between two attitudes of an autopilot, some hundredths of a second apart.
+_RATE_SIGMA = np.radians(2.0)
 
 
 def block_stage(project: Project, exposures: Path | None, measurements: Path) -> Stage:
@@ -41,7 +44,7 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
         if bent is not None:
             block = replace(block, refraction=bent)
         if exposures is not None:
-            block = _flown(block, exposures, project.rig.mounting())
+            block = _flown(block, exposures, project.rig.mounting(), project.crs)
             check_rays(block, project.control.points)
         write_block(folder, block)
         if (measurements / RECORD).exists():
@@ -51,49 +54,92 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
     inputs = {} if distances is None else {"distances": distances}
     if exposures is None:
         return Stage("block", "the block", make, inputs, chosen, (measurements,))
-    settings = {"rig": project.rig.mounting().model_dump(mode="json"), **chosen}
+    settings = {"rig": project.rig.mounting().model_dump(mode="json"), "crs": project.crs, **chosen}
     return Stage("block", "the block", make, inputs, settings, (exposures, measurements))
 
 
-def _flown(block: Block, exposures: Path, keys: MountingKeys) -> Block:
+def _flown(block: Block, exposures: Path, keys: MountingKeys, crs: str) -> Block:
     """The block with what was observed at its exposures, and what the errors of all positions share."""
-    from photocal.block.mounting import make_mounting, read_attitudes, read_positions
-    from photocal.block.table import read_wider_table
-    from photocal.run.exposures import read_figures
+    from photocal.block.mounting import make_mounting
+    from photocal.run.exposures import EXPOSURES, FIGURES, ExposureFigures
 
-    common = read_figures(exposures).common
+    common = ExposureFigures.read(exposures / FIGURES).common
     if common is not None:
         keys = keys.model_copy(
             update={
-                "flight_shift_sigma_m": common.shift_sigma_m,
+                "flight_shift_sigma_m": tuple(common.shift_sigma_m.tolist()),
                 "height_scale_sigma": common.zenith_scale_sigma,
                 "height_scale_from_m": common.base_height_m,
             }
         )
 
-    def observed(name: str, read: Callable[[Path, tuple[str, ...]], Observed], none: Observed) -> Observed:
-        """What was observed at images of the block; some had no usable points."""
-        path = exposures / name
-        with path.open(encoding="utf-8") as rows:
-            if not any(islice(rows, 1, None)):
-                return none
-        names = read_wider_table(path, ("image",)).unique_names("image")
-        place = {image: k for k, image in enumerate(block.images.names)}
-        made = read(path, names)
-        image = np.array([place.get(name, -1) for name in names], dtype=np.int64)[made.image]
-        return replace(made.rows(image >= 0), image=image[image >= 0])
-
-    from_m = keys.height_scale_from_m or 0.0
-    positions = observed("positions.csv", partial(read_positions, from_m=from_m), NO_POSITIONS)
-    # Strips are numbered by their first image that takes part.
-    first = {strip: number for number, strip in enumerate(dict.fromkeys(positions.strip.tolist()))}
-    strip = np.array([first[strip] for strip in positions.strip.tolist()], dtype=np.int64)
+    antenna = Exposures.read(exposures / EXPOSURES)
+    positions = observed_positions(antenna, block.images.names, crs, keys.height_scale_from_m or 0.0)
     return replace(
         block,
-        positions=replace(positions, strip=strip),
-        attitudes=observed("attitudes.csv", read_attitudes, NO_ATTITUDES),
-        mounting=make_mounting(keys, len(first)),
+        positions=positions,
+        attitudes=observed_attitudes(antenna, block.images.names),
+        mounting=make_mounting(keys, int(positions.strip.max(initial=-1)) + 1),
     )
+
+
+def observed_positions(
+    antenna: Exposures, images: tuple[str, ...], crs: str, above_from_m: float
+) -> Positions:
+    """Give where the antenna was at the images of a block; some have no usable points, or no position.
+
+    crs: system of the block.
+    above_from_m: height of the base station's antenna.
+    raises InputMalformedError: for a position without covariance.
+    """
+    rows = with_images(antenna)
+    p, seconds = antenna.placed.rows(rows), (antenna.time.ns[rows] - antenna.time.ns[rows[:1]]) / 1e9
+    xyz, turn = projected(p.lat_deg, p.lon_deg, p.height_m, crs)
+    covariance = turn @ p.covariance_m2 @ np.swapaxes(turn, 1, 2)
+    velocity = np.nan_to_num(np.einsum("nab,nb->na", turn, p.velocity_m_s))
+    strip, elapsed = strips(seconds, velocity)
+    event, image = _taken(antenna, rows, images)
+    event = np.searchsorted(rows, event)
+    known = np.isfinite(covariance[event]).all(axis=(1, 2))
+    _refuse(~known, "position", [images[k] for k in image], "let a base station record, or give no [flight]")
+    # Strips are numbered by their first image that takes part.
+    first = {number: k for k, number in enumerate(dict.fromkeys(strip[event].tolist()))}
+    numbers = np.array([first[number] for number in strip[event].tolist()], dtype=np.int64)
+    values = xyz[event]
+    above = values[:, 2] - above_from_m
+    return Positions(image, values, covariance[event], velocity[event], numbers, elapsed[event], above)
+
+
+def observed_attitudes(antenna: Exposures, images: tuple[str, ...]) -> Attitudes:
+    """Give how the vehicle was turned at the images of a block; exposures without attitude are left out.
+
+    raises InputMalformedError: for an attitude without standard deviations.
+    """
+    rows = with_images(antenna)
+    event, image = _taken(antenna, rows[antenna.attitude.known[rows]], images)
+    angles, sigma = antenna.angles[event], antenna.angle_sigma[event]
+    stated = (np.isfinite(sigma) & (sigma > 0)).all(axis=1)
+    _refuse(~stated, "attitude", [images[k] for k in image], "give attitude_sigma_deg in [rig]")
+    rotation, per_angle = object_to_body(angles)
+    covariance = per_angle @ (sigma[:, :, None] ** 2 * np.swapaxes(per_angle, 1, 2))
+    rate = antenna.attitude.rate[event]
+    unknown = ~rate.any(axis=1)[:, None]
+    rate_sigma = np.where(unknown, np.nan, np.full(rate.shape, _RATE_SIGMA))
+    return Attitudes(image, rotation, covariance, np.where(unknown, np.nan, rate), rate_sigma)
+
+
+def _taken(antenna: Exposures, rows: Integers, images: tuple[str, ...]) -> tuple[Integers, Integers]:
+    """Rows of events and the images of the block that were taken at them."""
+    place = {name: k for k, name in enumerate(images)}
+    pairs = [(row, place[name]) for row in rows.tolist() for name in antenna.images[row] if name in place]
+    event, image = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return event, image
+
+
+def _refuse(bad: Flags, what: str, names: list[str], remedy: str) -> None:
+    if bad.any():
+        name = names[int(np.flatnonzero(bad)[0])]
+        raise InputMalformedError(f"the {what} of image {name} has no standard deviation", remedy)
 
 
 def given_block_stage(source: Path) -> Stage:

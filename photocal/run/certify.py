@@ -73,7 +73,8 @@ def certificate(
     --------
     >>> import photocal
     >>> options = photocal.CertificateOptions(client="Mapping Ltd")
-    >>> photocal.certificate("run", "certificate", options=options)  # doctest: +SKIP
+    >>> [path.name for path in photocal.certificate("run", "certificate", options=options).files]
+    ['certificate.html', 'certificate.pdf', 'certificate.json', 'inputs']
     """
     asked, run, output = options or CertificateOptions(), Path(run), Path(output)
     images = [] if asked.images is None else list_images(Path(asked.images))

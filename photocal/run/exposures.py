@@ -2,20 +2,17 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from photocal.base.codec import object_of, parsed_json
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
-from photocal.base.files import write_json, write_rows
+from photocal.base.files import write_json
 from photocal.base.progress import Progress
-from photocal.block.motion import strips
-from photocal.block.mounting import ATTITUDE_COLUMNS, POSITION_COLUMNS, POSITION_EXTRAS, RATE_COLUMNS
-from photocal.navigation.exposure_files import projected, with_images
-from photocal.navigation.exposures import Exposures
+from photocal.navigation.common_errors import CommonErrors
+from photocal.navigation.exposure_files import with_images
+from photocal.navigation.ppk_figures import FIGURES as PPK_FIGURES
+from photocal.navigation.ppk_figures import PpkFigures
 from photocal.project import Project
-from photocal.run.ppk import FIGURES as PPK_FIGURES
 from photocal.run.ppk import TRAJECTORY, ppk_stage
 from photocal.run.stage import Stage, pictures_of
 
@@ -24,9 +21,8 @@ if TYPE_CHECKING:
     from photocal.navigation.rig import CameraOnBody
     from photocal.navigation.trajectory import Trajectory
 
-FIGURES = "exposures.json"
-# Of a rate between two attitudes of an autopilot, some hundredths of a second apart, deg/s.
-_RATE_SIGMA = 2.0
+# The exposures at the antenna.
+FIGURES, EXPOSURES = "exposures.json", "exposures.parquet"
 
 
 @dataclass(frozen=True)
@@ -40,26 +36,19 @@ class MatchedCamera:
 
 
 @dataclass(frozen=True)
-class CommonSigmas:
-    """What the errors of all positions have in common, see `navigation.common_errors.CommonErrors`."""
-
-    shift_sigma_m: tuple[float, float, float]
-    zenith_scale_sigma: float
-    base_height_m: float
-
-
-@dataclass(frozen=True)
 class ExposureFigures:
     """What later stages take from `exposures.json`; nothing in common without PPK."""
 
+    events: int = 0
+    placed: int = 0
     cameras: tuple[MatchedCamera, ...] = ()
-    common: CommonSigmas | None = None
+    common: CommonErrors | None = None
 
-
-def read_figures(folder: Path) -> ExposureFigures:
-    """Read `exposures.json` of the stage's folder."""
-    path, remedy = folder / FIGURES, "make the exposures again"
-    return object_of(ExposureFigures, parsed_json(path, remedy), path, remedy)
+    @classmethod
+    def read(cls, path: Path) -> "ExposureFigures":
+        """Read `exposures.json`; errors as of `photocal.base.codec.object_of`."""
+        remedy = "make the exposures again"
+        return object_of(cls, parsed_json(path, remedy), path, remedy)
 
 
 def exposures_stage(project: Project, ppk: Path) -> Stage:
@@ -93,10 +82,10 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
         write_exposures,
         write_geo_txt,
     )
-    from photocal.run.ppk import kept_trajectory
+    from photocal.navigation.trajectory import Trajectory
 
-    trajectory = kept_trajectory(ppk / TRAJECTORY)
-    figures_of_ppk = parsed_json(ppk / PPK_FIGURES, "make the PPK again")
+    trajectory = Trajectory.read(ppk / TRAJECTORY)
+    figures_of_ppk = PpkFigures.read(ppk / PPK_FIGURES)
     with show("exposures and their images", None):
         run, rig = _placed(project, trajectory, figures_of_ppk)
     if not len(with_images(run.antenna)):
@@ -108,14 +97,13 @@ def _make(project: Project, ppk: Path, folder: Path, show: Progress) -> None:
     write_exposures(folder / "exposures.csv", run.exposures)
     write_block_images(folder / "images.csv", run.exposures, project.camera.id, None, project.crs)
     left_out = write_geo_txt(folder / "geo.txt", run.exposures, rig)
-    write_positions(folder / "positions.csv", run.antenna, project.crs)
-    write_attitudes(folder / "attitudes.csv", run.antenna)
+    run.antenna.write(folder / EXPOSURES)
     write_json(folder / FIGURES, {**run.figures, **({"geo_txt": left_out} if left_out else {})}, 2)
     plot_exposures(run, folder / "exposures.png")
 
 
 def _placed(
-    project: Project, trajectory: "Trajectory | None", figures_of_ppk: dict[str, Any] | None
+    project: Project, trajectory: "Trajectory | None", figures_of_ppk: PpkFigures | None
 ) -> "tuple[ExposureRun, CameraOnBody]":
     from photocal.navigation.exposure_run import choices_of_project, place_exposures
 
@@ -138,7 +126,7 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Camera
     from photocal.navigation.exposure_run import ExposureChoices, place_exposures
     from photocal.navigation.ppk_inputs import Sources
     from photocal.navigation.rig import CameraOnBody
-    from photocal.run.ppk import kept_trajectory
+    from photocal.navigation.trajectory import Trajectory
     from photocal.run.stage import Digests, made_in, update_stage
 
     if project.contents.flight is None:
@@ -156,36 +144,5 @@ def exposures_of(project: Project, show: Progress) -> "tuple[ExposureRun, Camera
     finally:
         digests.keep()
     folder = made_in(project.output) / stage.name
-    figures = parsed_json(folder / PPK_FIGURES, "make the PPK again")
-    return *_placed(project, kept_trajectory(folder / TRAJECTORY), figures), ""
-
-
-def write_positions(path: Path, antenna: Exposures, crs: str) -> None:
-    """Write where the antenna was."""
-    rows = with_images(antenna)
-    p = antenna.placed
-    xyz, turn = projected(p.lat_deg[rows], p.lon_deg[rows], p.height_m[rows], crs)
-    covariance = turn @ p.covariance_m2[rows] @ np.swapaxes(turn, 1, 2)
-    velocity = np.einsum("nab,nb->na", turn, p.velocity_m_s[rows])
-    strip, elapsed = strips((antenna.time.ns[rows] - antenna.time.ns[rows[0]]) / 1e9, velocity)
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    lines = []
-    for k, row in enumerate(rows.tolist()):
-        cells = [f"{v:.4f}" for v in xyz[k]] + [f"{v:.5f}" for v in sigma[k]]
-        cells += [f"{covariance[k][a, b]:.4e}" for a, b in ((0, 1), (0, 2), (1, 2))]
-        cells += [f"{v:.4f}" for v in velocity[k]] + [f"strip {strip[k] + 1}", f"{elapsed[k]:.3f}"]
-        lines += [[name, *cells] for name in antenna.images[row]]
-    write_rows(path, (*POSITION_COLUMNS, *POSITION_EXTRAS), lines)
-
-
-def write_attitudes(path: Path, antenna: Exposures) -> None:
-    """Write how the vehicle was turned, degrees; exposures without attitude are left out."""
-    lines = []
-    for row in with_images(antenna).tolist():
-        angles, sigma = antenna.angles[row], antenna.angle_sigma[row]
-        if np.isfinite(angles).all():
-            cells = [f"{v:.6f}" for v in np.degrees([*angles, *sigma])]
-            rate = np.degrees(antenna.attitude.rate[row])
-            cells += [f"{v:.4f}" for v in rate] + 3 * [f"{_RATE_SIGMA}"] if rate.any() else [""] * 6
-            lines += [[name, *cells] for name in antenna.images[row]]
-    write_rows(path, (*ATTITUDE_COLUMNS, *RATE_COLUMNS), lines)
+    trajectory, figures = Trajectory.read(folder / TRAJECTORY), PpkFigures.read(folder / PPK_FIGURES)
+    return *_placed(project, trajectory, figures), ""

@@ -116,7 +116,7 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
 def _make(project: Project, exposures: Path | None, folder: Path, show: Progress) -> None:
     from photocal.measurement.block_files import SCHEMA, MeasuredBlock
     from photocal.measurement.picture_block import control_points
-    from photocal.run.exposures import read_figures
+    from photocal.run.exposures import FIGURES, ExposureFigures
     from photocal.run.project_checks import check_near, picture_places
 
     if exposures is None:
@@ -126,7 +126,7 @@ def _make(project: Project, exposures: Path | None, folder: Path, show: Progress
         # The orientations are start values: what was observed stands in positions.csv and attitudes.csv.
         starts = replace(starts, sigma=np.full_like(starts.sigma, np.inf))
         # Images that belong to no event: the exposures' summary warns of them.
-        cameras = read_figures(exposures).cameras
+        cameras = ExposureFigures.read(exposures / FIGURES).cameras
         unmatched = [name for camera in cameras for name in camera.unmatched_images + camera.ambiguous_images]
         block = given_block(project, starts, unmatched)
         MeasuredBlock(block, {"schema": SCHEMA, "kind": "given observations"}).write(folder)

@@ -2,34 +2,11 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from photocal.base.progress import Progress
-from photocal.navigation.time import GpsTime
-from photocal.navigation.trajectory import Trajectory
 from photocal.project import Project
 from photocal.run.stage import Stage
 
-_COLUMNS = ("lat_deg", "lon_deg", "height_m", "status", "covariance_m2", "velocity_m_s")
-TRAJECTORY = "trajectory.npz"
-FIGURES = "ppk.json"
-
-
-def keep_trajectory(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory."""
-    columns = {name: getattr(trajectory, name) for name in _COLUMNS}
-    sigma = trajectory.velocity_sigma_m_s
-    np.savez(path, time_gps_ns=trajectory.time.ns, velocity_sigma_m_s=sigma, **columns)
-
-
-def kept_trajectory(path: Path) -> Trajectory:
-    """Read what `keep_trajectory` has written."""
-    with np.load(path) as kept:
-        return Trajectory(
-            time=GpsTime(kept["time_gps_ns"]),
-            velocity_sigma_m_s=float(kept["velocity_sigma_m_s"]),
-            **{name: kept[name] for name in _COLUMNS},
-        )
+TRAJECTORY = "trajectory.parquet"
 
 
 def ppk_stage(project: Project) -> Stage:
@@ -67,4 +44,4 @@ def _make(project: Project, folder: Path, show: Progress) -> None:
     with show("positions of the antenna", None), tempfile.TemporaryDirectory() as scratch:
         result, figures = solved(sources, Rtklib(), Path(scratch))
     write_ppk(folder, result, figures)
-    keep_trajectory(folder / TRAJECTORY, result.trajectory)
+    result.trajectory.write(folder / TRAJECTORY)

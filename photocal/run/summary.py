@@ -13,13 +13,18 @@ from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding, of_global_test
 from photocal.findings.hypotheses import FAULTS, Fault, fault
+from photocal.findings.listed import Findings
 from photocal.findings.texts import catalogue, finding_json, findings_of
 from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json
 from photocal.geometry.camera import PARAMETERS
+from photocal.navigation.ppk_figures import FIGURES as PPK
+from photocal.navigation.ppk_figures import PpkFigures
 from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import changed_inputs
 from photocal.results.result import Result
+from photocal.run.exposures import FIGURES as EXPOSED
+from photocal.run.exposures import ExposureFigures
 from photocal.run.stage import StageResult, is_stage
 
 # With two thirds of the positions fixed, it is they that carry what is found.
@@ -35,11 +40,10 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
     listed: list[Finding] = []
     for stage, name, read in _SOURCES:
         path = work / stage / name
-        content = read_json(path) if stages is None or stage in stages else None
-        if content is not None:
-            add_new(listed, read(content, path), stage)
-    ppk = read_json(work / "ppk" / "ppk.json")
-    return causes_first(listed, 100.0 if ppk is None else float(ppk["fixed_percent"]))
+        if path.is_file() and (stages is None or stage in stages):
+            add_new(listed, read(path), stage)
+    ppk = work / "ppk" / PPK
+    return causes_first(listed, PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
 
 
 def add_new(listed: list[Finding], findings: Iterable[Finding], stage: str) -> None:
@@ -167,13 +171,11 @@ def read_json(path: Path) -> dict[str, Any] | None:
     return content
 
 
-def _stored(content: dict[str, Any], path: Path) -> Iterator[Finding]:
-    yield from (
-        finding for finding in findings_of(content.get("findings"), path) if finding.severity in _ORDER
-    )
+def _stored(path: Path) -> Iterator[Finding]:
+    yield from (finding for finding in Findings.read(path) if finding.severity in _ORDER)
 
 
-def _of_calibration(_: dict[str, Any], path: Path) -> Iterator[Finding]:
+def _of_calibration(path: Path) -> Iterator[Finding]:
     yield from calibration_findings(read_result(path.parent))
 
 
@@ -200,9 +202,9 @@ def calibration_findings(result: Result) -> Iterator[Finding]:
             yield Finding("prior-contradicted", "doubtful", f"{name} {key}", figures)
 
 
-def _of_analysis(content: dict[str, Any], path: Path) -> Iterator[Finding]:
+def _of_analysis(path: Path) -> Iterator[Finding]:
     """What the other stages cannot see; the rest of the analysis has its own part of the certificate."""
-    yield from hidden_faults(_stored(content, path))
+    yield from hidden_faults(_stored(path))
 
 
 def hidden_faults(findings: Iterable[Finding]) -> Iterator[Finding]:
@@ -210,9 +212,9 @@ def hidden_faults(findings: Iterable[Finding]) -> Iterator[Finding]:
     yield from (finding for finding in findings if fault(finding.code) and not finding.small)
 
 
-_SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any], Path], Iterator[Finding]]], ...] = (
-    ("ppk", "ppk.json", _stored),
-    ("exposures", "exposures.json", _stored),
+_SOURCES: tuple[tuple[str, str, Callable[[Path], Iterator[Finding]]], ...] = (
+    ("ppk", PPK, _stored),
+    ("exposures", EXPOSED, _stored),
     ("measurements", "measurement.json", _stored),
     ("calibration", RESULT, _of_calibration),
     ("georeferencing", "check.json", _stored),
@@ -235,7 +237,8 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         """Read the figures of a stage that is done."""
         return read_json(work / stage / file) if stage in done else None
 
-    ppk, exposures = figures("ppk", "ppk.json"), figures("exposures", "exposures.json")
+    ppk = PpkFigures.read(work / "ppk" / PPK).record if "ppk" in done else None
+    exposures = ExposureFigures.read(work / "exposures" / EXPOSED) if "exposures" in done else None
     check = figures("georeferencing", "check.json")
     judged = check and (check["methods"].get("integrated") or {}).get("assessment")
     adjusted = next((stage for stage in ("analysis", "calibration") if stage in done), None)
@@ -266,14 +269,14 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
     }
 
 
-def _exposures(figures: dict[str, Any]) -> dict[str, Any]:
-    cameras = figures["cameras"]
+def _exposures(figures: ExposureFigures) -> dict[str, Any]:
+    cameras = figures.cameras
     return {
-        "events": figures["events"],
-        "placed": figures["placed"],
-        "images": sum(camera["matched"] + len(camera["unmatched_images"]) for camera in cameras),
-        "matched": sum(camera["matched"] for camera in cameras),
-        "events_without_image": sum(len(camera["unmatched_events"]) for camera in cameras),
+        "events": figures.events,
+        "placed": figures.placed,
+        "images": sum(camera.matched + len(camera.unmatched_images) for camera in cameras),
+        "matched": sum(camera.matched for camera in cameras),
+        "events_without_image": sum(len(camera.unmatched_events) for camera in cameras),
     }
 
 

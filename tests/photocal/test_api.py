@@ -21,7 +21,9 @@ from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
 from photocal.base.errors import ConfigurationError
 from photocal.base.options import Option, Options
+from tests.conftest import needs_engine
 from tests.docs.api_page import EXAMPLES, PAGE, page
+from tests.photocal import manual
 
 START_NS, FIXES = 1_700_000_000_000_000_000, 50
 
@@ -195,15 +197,37 @@ def test_classes_say_what_they_hold() -> None:
             assert "Attributes\n----------\n" in (inspect.getdoc(kind) or ""), name
 
 
+@pytest.fixture(scope="module")
+def folder(block: photocal.Block, result: photocal.Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the examples of docstrings run."""
+    made = tmp_path_factory.mktemp("manual")
+    manual.prepare(made, block, result)
+    return made
+
+
+@pytest.fixture(scope="module")
+def flown(folder: Path) -> Path:
+    """The same with a flight."""
+    needs_engine()
+    manual.prepare_flight(folder)
+    return folder
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_examples_in_docstrings_run(
-    name: str, block: photocal.Block, result: photocal.Result, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    block: photocal.Block,
+    result: photocal.Result,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.chdir(Path(photocal.__file__).parents[1])
+    monkeypatch.chdir(request.getfixturevalue("flown" if name in manual.OF_A_FLIGHT else "folder"))
     example = doctest.DocTestParser().get_doctest(
         inspect.getdoc(getattr(photocal, name)) or "", {"block": block, "result": result}, name, None, 0
     )
     assert example.examples
+    assert not any(doctest.SKIP in one.options for one in example.examples)
     assert doctest.DocTestRunner().run(example).failed == 0
 
 

@@ -9,10 +9,12 @@ from typing import Any
 
 import pytest
 
+import photocal
 from acquire.importing.importer import import_recordings
 from acquire.log.reader import LogReader
 from drivers.frames import Wire
 from drivers.mavlink.dialect import ardupilotmega
+from photocal.base.errors import InputNotFoundError
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.exposure_run import ExposureChoices, run_exposures
 from photocal.navigation.flight_log import FlightLog
@@ -55,6 +57,19 @@ def test_only_what_is_asked_for_is_taken_out_of_the_log(log: Path) -> None:
     parts = [part for chunk in LogReader(log).chunks() for part in chunk]
     assert raw == [p for part in parts if part.channel.topic == "/vehicle/raw" for p in part.payloads]
     assert len(list(flight.topic("/camera/exposure"))) > 0
+
+
+def test_a_flight_log_is_tables_of_its_topics(log: Path) -> None:
+    flight = FlightLog.read(str(log))
+    assert repr(flight) == f"FlightLog of 1 file(s): {log}"
+    once, twice = flight.tables(), FlightLog.read([log, log]).tables("/camera/exposure")
+    rows = len(photocal.read_log(log)["/camera/exposure"]["log_ns"])
+    assert once["/camera/exposure"].num_rows == rows > 0
+    assert twice["/camera/exposure"].num_rows == 2 * rows
+    assert list(twice) == ["/camera/exposure"]
+    with pytest.raises(InputNotFoundError, match="does not exist"):
+        FlightLog.read(log.with_name("none.mcap"))
+    assert repr(FlightLog()) == "FlightLog without files"
 
 
 def test_time_marks_are_decoded_in_one_place() -> None:

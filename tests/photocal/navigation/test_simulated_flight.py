@@ -20,6 +20,7 @@ from photocal.navigation.exposure_run import (
     place_exposures,
     run_exposures,
 )
+from photocal.navigation.ppk_figures import PpkFigures
 from photocal.project import read_project
 from tests.conftest import needs_engine
 from tests.photocal.findings.english import english
@@ -40,7 +41,7 @@ class Flight:
         """The exposures anew from the same trajectory, with other choices."""
         corrected = {**self.run.figures["ppk"]}
         del corrected["common"]
-        return place_exposures(choices, self.run.trajectory, corrected)
+        return place_exposures(choices, self.run.trajectory, PpkFigures.of(corrected))
 
 
 @pytest.fixture(scope="module")

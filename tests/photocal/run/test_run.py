@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from photocal.base.codec import parsed_json
 from photocal.base.errors import ConfigurationError, InputNotFoundError, NotConvergedError
 from photocal.block.folder import read_block
 from photocal.block.model import Block
@@ -77,7 +78,14 @@ def test_a_ready_block_is_read_once_and_adjusted_five_times_at_most(
         taken.append(folder)
         return read_block(folder)
 
+    results: list[Path] = []
+
+    def parsed(file: Path, remedy: str) -> object:
+        results.extend([file] if file.name == "result.json" else [])
+        return parsed_json(file, remedy)
+
     monkeypatch.setattr("photocal.block.folder.read_block", counted)
+    monkeypatch.setattr("photocal.results.folder.parsed_json", parsed)
     for kept in (False, True):
         figures = json.loads(run(str(path), "--json").stdout)
         assert all(one["kept"] is kept for one in figures["stages"])
@@ -86,6 +94,8 @@ def test_a_ready_block_is_read_once_and_adjusted_five_times_at_most(
         assert all(reasons)
         assert {"calibration of the block", "integrated georeferencing"} <= set(reasons)
         assert len(taken) == 1
+        # Those who begin with files, as `certificate`, ask for what was read.
+        assert len(results) == 1
 
 
 def test_a_fault_is_named_and_reaches_the_certificate(shifted: tuple[Path, Result]) -> None:
