@@ -9,6 +9,7 @@ import numpy as np
 from photocal.findings.finding import Finding, Severity
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.maker_camera import stated_camera
+from photocal.measurement.picture_conditions import temperatures
 from photocal.planning.frame import SMEAR_LIMIT_PX, smear_px
 
 # Corrections of RTK that are older leave centimetres of the atmosphere in the positions (RTCM: 10 s).
@@ -17,6 +18,8 @@ OLDEST_CORRECTION_S = 10.0
 PAST_NADIR_DEG = 15.0
 # EXIF: 2 is hard.
 _HARD = 2
+# So many laser distances are told one by one.
+_LISTED = 12
 # More than this smear is no longer a loss of contrast only.
 _MUCH_SMEAR_PX = 1.0
 
@@ -146,20 +149,21 @@ def _turned_over(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
         yield _about("gimbal-turned-over", turned, facts, "note")
 
 
-def laser_figures(facts: Sequence[ImageFacts]) -> dict[str, float] | None:
-    """Laser distances beside flying heights above the take-off point, m; None without laser."""
+def told_beside(facts: Sequence[ImageFacts]) -> list[str]:
+    """Sentences on what pictures tell beside their cameras and positions: laser and temperatures."""
     lasers = np.array([image.laser_m for image in facts])
-    if not np.isfinite(lasers).any():
-        return None
-    heights = np.array([image.relative_altitude_m for image in facts])
-    known = np.isfinite(lasers)
-    return {
-        "n": float(known.sum()),
-        "least_m": float(np.min(lasers[known])),
-        "median_m": float(np.median(lasers[known])),
-        "most_m": float(np.max(lasers[known])),
-        "height_m": float(np.nanmedian(heights[known])) if np.isfinite(heights[known]).any() else np.nan,
-    }
+    hit, told = lasers[np.isfinite(lasers)], list[str]()
+    if len(hit):
+        heights = np.array([image.relative_altitude_m for image in facts])
+        heights = heights[np.isfinite(heights)]
+        above = f"; flying height above take-off {np.median(heights):.1f} m (median)" if len(heights) else ""
+        each = ", ".join(f"{distance:.1f}" for distance in hit) + " m"
+        spread = f"{hit.min():.1f} to {hit.max():.1f} m, median {np.median(hit):.1f} m"
+        spread = each if len(hit) <= _LISTED else spread
+        told.append(f"laser distances of {len(hit)} of {len(facts)} pictures: {spread}{above}")
+    if (warm := temperatures(facts)) is not None:
+        told.append(f"temperature of the camera {warm[0]:.1f} to {warm[2]:.1f} deg C, median {warm[1]:.1f}")
+    return told
 
 
 def judge_cameras(facts: Sequence[ImageFacts], names: Sequence[str], member: Sequence[int]) -> list[Finding]:
