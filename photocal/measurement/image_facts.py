@@ -51,6 +51,7 @@ class ImageFacts:
     c_px: principal distance that a person gives in place of all that is stated; NaN when not given.
     altitude_kind: `ABOVE_TAKE_OFF` where nothing else was written; else as the maker calls it.
     turns (n, 4): see `recorded_turns`.
+    table_apart_m: how far a table beside the picture puts it from where it says itself; NaN without a table.
 
     All others are in the table `picture_facts.FACTS`, with units and keys; numbers are NaN, texts empty where
     nothing is stated.
@@ -109,6 +110,7 @@ class ImageFacts:
     sharpness: float = math.nan
     laser_m: float = math.nan
     laser_target: Triple = NOT_GIVEN
+    table_apart_m: float = math.nan
 
     @property
     def has_position(self) -> bool:

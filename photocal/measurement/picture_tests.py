@@ -8,6 +8,7 @@ import numpy as np
 
 from photocal.findings.finding import Finding, Severity
 from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.listed_positions import PICTURE_LATE_M, PICTURE_SIGMA_M, SIGMAS
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.picture_conditions import temperatures
 from photocal.planning.frame import SMEAR_LIMIT_PX, smear_px
@@ -18,6 +19,8 @@ OLDEST_CORRECTION_S = 10.0
 PAST_NADIR_DEG = 15.0
 # EXIF: 2 is hard.
 _HARD = 2
+# Positions of pictures are code fixes up to a second old: a table that is farther away is of another place.
+_TABLE_APART_M = SIGMAS * PICTURE_SIGMA_M + PICTURE_LATE_M
 # So many laser distances are told one by one.
 _LISTED = 12
 # More than this smear is no longer a loss of contrast only.
@@ -37,7 +40,7 @@ def judge_pictures(facts: Sequence[ImageFacts]) -> list[Finding]:
         if others:
             findings.append(_about(code, others, facts, "doubtful", told=stated(others[0]), usual=usual))
             alike = [image for image in alike if stated(image) == usual or not stated(image)]
-    for test in (_fixes, _old_corrections, _corrected, _sharpened, _smeared, _turned_over):
+    for test in (_fixes, _old_corrections, _corrected, _sharpened, _smeared, _turned_over, _beside_table):
         findings += test(facts)
     return findings
 
@@ -147,6 +150,15 @@ def _turned_over(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
 
     if turned := [image for image in facts if over(image)]:
         yield _about("gimbal-turned-over", turned, facts, "note")
+
+
+def _beside_table(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    """Find positions of a table that lie elsewhere than the pictures say themselves: another flight's."""
+    known = [image for image in facts if np.isfinite(image.table_apart_m)]
+    away = [image for image in known if image.table_apart_m > _TABLE_APART_M]
+    if away:
+        apart = float(np.median([image.table_apart_m for image in away]))
+        yield _about("table-beside-pictures", away, facts, "doubtful", apart_m=apart)
 
 
 def told_beside(facts: Sequence[ImageFacts]) -> list[str]:

@@ -105,7 +105,8 @@ def fly(facts: ImageFacts, seed: int, images: int = 32, points: int = 700) -> Bl
         Images(names, np.zeros(4 * per, np.int64), values, sigma, time=np.arange(4.0 * per)),
         ObjectPoints(tuple(f"t{j}" for j in used), ground[used] + rng.normal(0, 0.1, (len(used), 3))),
         Observations(
-            "px", "pixel", np.array(image)[keep], number[np.array(point)][keep], pixels, np.full(pixels.shape, NOISE_PX)
+            "px", "pixel", np.array(image)[keep], number[np.array(point)][keep],
+            pixels, np.full(pixels.shape, NOISE_PX)
         ),
     )  # fmt: skip
 
