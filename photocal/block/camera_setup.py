@@ -110,6 +110,7 @@ class CameraKeys(Table):
     photo_variant: dict[str, PositiveFloat | Literal["free"]] = Field(default={})
     focus: FocusKeys | None = None
     guessed: bool = False
+    stated_by: str = ""
     prior_correlation: CorrelationKeys | None = None
     shake_rad: tuple[NonNegative, ...] = ()
     sigma: dict[str, PositiveFloat] | None = None
@@ -204,6 +205,7 @@ def camera_of(keys: CameraKeys, where: object) -> Camera:
     return replace(
         interior,
         guessed=keys.guessed,
+        stated_by=keys.stated_by,
         distortion_at=keys.distortion_at,
         shutter="rolling" if rolling else keys.shutter or "global",
         readout_direction=keys.readout_direction,
@@ -264,6 +266,7 @@ def camera_keys(camera: Camera) -> CameraKeys:
         },
         focus=FocusKeys(distance_m=camera.focus_m) if camera.focus_m else None,
         guessed=camera.guessed,
+        stated_by=camera.stated_by,
         prior_correlation=_correlation_keys(camera.prior_correlation),
         shake_rad=camera.shake,
         sigma=None if camera.sigma is None else _named(camera.sigma, camera.sigma != 0),

@@ -21,6 +21,7 @@ from photocal.measurement.image_file import BLACK, WHITE, as_eight_bit, read_gre
 from photocal.measurement.image_pairs import select_pairs, stated_footprints
 from photocal.measurement.match_images import FEATURES, MatchingPlan, match_all
 from photocal.measurement.oriented_ties import first_orientation
+from photocal.measurement.picture_tests import judge_pictures
 from photocal.measurement.position_files import local_places
 from photocal.measurement.start_block import start_block
 from photocal.measurement.tie_adjustment import camera_figures, with_released_c
@@ -110,6 +111,13 @@ def _difference(tile: NDArray[np.float32], down: int, right: int) -> float:
     return float(np.mean((here - there) ** 2))
 
 
+# Pictures of such findings say nothing together with the others.
+UNUSABLE = (
+    "pictures-unreadable", "pictures-blurred", "pictures-too-bright", "pictures-too-dark",
+    "pictures-of-other-camera", "lens-changed", "refocused",
+)  # fmt: skip
+
+
 def picture_findings(looks: Sequence[PictureQuality]) -> list[Finding]:
     """Name pictures that cannot be read, are blurred, badly exposed, or of another camera or lens setting."""
     readable = [look for look in looks if look.facts is not None]
@@ -122,22 +130,14 @@ def picture_findings(looks: Sequence[PictureQuality]) -> list[Finding]:
         ],
     }
     findings = [_about(code, group, len(looks)) for code, group in groups.items() if group]
-    alike = readable
-    for code, stated in (("pictures-of-other-camera", _camera), ("lens-changed", _lens)):
-        every = [stated(look) for look in alike]
-        usual = max(every, key=every.count, default="")
-        others = [look for look in alike if stated(look) != usual]
-        alike = [look for look in alike if stated(look) == usual]
-        if others:
-            findings.append(_about(code, others, len(looks), stated(others[0]), usual))
-    return findings
+    return findings + judge_pictures([look.facts for look in readable if look.facts is not None])
 
 
-def _about(code: str, group: Sequence[PictureQuality], of: int, stated: str = "", usual: str = "") -> Finding:
+def _about(code: str, group: Sequence[PictureQuality], of: int) -> Finding:
     names = tuple(look.path.name for look in group)
     reason = next((look.refusal for look in group if look.refusal), "")
     figures = {"n": float(len(names)), "all": float(of), "images": names, "reason": reason}
-    return Finding(code, "doubtful", figures={**figures, "told": stated, "usual": usual})
+    return Finding(code, "doubtful", figures=figures)
 
 
 def _blurred(looks: Sequence[PictureQuality]) -> list[PictureQuality]:
@@ -149,18 +149,6 @@ def _blurred(looks: Sequence[PictureQuality]) -> list[PictureQuality]:
     spread = policy.MAD_TO_SIGMA * float(np.median(np.abs(softness[known] - middle)))
     limit = middle + max(np.log(_SOFTER), _DEVIATIONS * spread)
     return [look for look, value in zip(looks, softness, strict=True) if value > limit]
-
-
-def _camera(look: PictureQuality) -> str:
-    facts = look.facts
-    if facts is None:
-        return ""
-    parts = facts.make, facts.model, facts.serial, "x".join(map(str, facts.size_px))
-    return " ".join(filter(None, parts))
-
-
-def _lens(look: PictureQuality) -> str:
-    return "" if look.facts is None else f"{look.facts.focal_mm:g} mm"
 
 
 # A principal distance of the quick orientation that differs by so many sigmas of both, and by this share.

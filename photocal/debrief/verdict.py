@@ -194,7 +194,8 @@ def judged_together(
     progress: Progress,
 ) -> Together:
     """Orient good pictures quickly, hold their calibration against the last one, and see what they cover."""
-    bad = {name for finding in picture_findings(looks) for name in finding.figures.get("images", ())}
+    unusable = [one for one in picture_findings(looks) if one.code in pictures.UNUSABLE]
+    bad = {name for finding in unusable for name in finding.figures["images"]}
     good = [look for look in looks if look.path.name not in bad and look.facts is not None]
     findings, flown, quick = list[Finding](), None, None
     if len(good) >= 3:

@@ -127,6 +127,8 @@ class Camera:
         Correlations of the values as observations; None when they are independent.
     guessed
         Whether c is a guess: good to start from, and nothing to hold.
+    stated_by
+        Who observed the values with a prior sigma, where that is a tag of its maker; empty for others.
     given : array, shape (20,)
         Of adjusted values: what they were before; else None.
     sigma : array, shape (20,)
@@ -162,6 +164,7 @@ class Camera:
     focus_m: float = 0.0
     prior_correlation: Floats | None = None
     guessed: bool = False
+    stated_by: str = ""
     given: Floats | None = None
     sigma: Floats | None = None
     correlation: Floats | None = None

@@ -2,7 +2,6 @@
 
 import datetime as dt
 import math
-import re
 import struct
 import warnings
 from collections.abc import Mapping, Sequence
@@ -14,36 +13,33 @@ import numpy as np
 
 from photocal.base.arrays import Floats
 from photocal.measurement.image_file import noted, opened, stored_size
+from photocal.measurement.picture_facts import (
+    NOT_GIVEN,
+    Triple,
+    as_moment,
+    as_number,
+    as_positive,
+    as_text,
+    keys_of,
+    read_table,
+    stated,
+)
 from photocal.measurement.recorded_turns import recorded_turns
+from photocal.measurement.xmp import read_xmp
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Triple = tuple[float, float, float]
-
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
-_NOT_GIVEN: Triple = (math.nan, math.nan, math.nan)
 # Resolution units of EXIF: inch, cm, and two of other standards.
 _MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-_CAMERA_TAGS = (
-    "DewarpData", "DewarpFlag", "CalibratedFocalLength", "PerspectiveFocalLength", "PerspectiveDistortion",
-    "PrincipalPoint", "FisheyeAffineMatrix", "FisheyePolynomial", "RigCameraIndex", "CaptureUUID",
-    "CaptureId", "LineReadoutTime",
-)  # fmt: skip
-# A value as attribute (name="value"), as element (<name>value</name>), or as list of such, of the XMP packet.
-_XMP = re.compile(
-    r"(?<=[\s<])([A-Za-z][\w.-]*):(\w+)"
-    r"(?:=\"([^\"<>]{0,200})\"|>([^<>]{0,200})</|>\s*<rdf:Seq>((?:\s*<rdf:li>[^<>]{0,50}</rdf:li>){1,20}))"
-)
-_ITEM = re.compile(r"<rdf:li>([^<>]*)<")
-# Attitude of the camera by DJI and Autel, and by Parrot; sigmas by DJI, and by Parrot and MicaSense.
-_GIMBAL = (
-    ("GimbalRollDegree", "GimbalPitchDegree", "GimbalYawDegree"),
-    ("CameraRollDegree", "CameraPitchDegree", "CameraYawDegree"),
-)
-_ACCURACY = ("RtkStdLon", "RtkStdLat", "RtkStdHgt"), ("GPSXYAccuracy", "GPSXYAccuracy", "GPSZAccuracy")
 # What `altitude_kind` is where nothing but the height above the take-off point is stated.
 ABOVE_TAKE_OFF = "above take-off"
+# Kinds of height as DJI names them: the payload SDK says of both that they are ellipsoidal.
+_ELLIPSOIDAL = ("rtkalt", "gpsfusionalt")
+# Whose heights are above the geoid of 1996 (Parrot: ANAFI 4K, Thermal, USA; Skydio).
+_EGM96 = ("parrot", "skydio")
+FIXED, FLOATS, SINGLE = 50, range(32, 50), 16
 
 
 @dataclass(frozen=True)
@@ -51,29 +47,14 @@ class ImageFacts:
     """What an image file says of itself.
 
     name: file name.
-    size_px: width and height of the stored pixel grid.
-    orientation: EXIF orientation, 1 when not given: how a viewer turns the picture. The stored grid is used
-        as is.
-    make, model, serial: of the camera; empty when not given.
-    focal_mm, focal_35mm: focal length, and its equivalent for a frame of 36 mm by 24 mm; NaN when not given.
-    taken: time of the camera's own clock, without zone ("2016-06-23T16:31:59"); empty when not given.
-    gps_utc: UTC of the position, ISO 8601; empty when not given.
-    latitude_deg, longitude_deg: WGS 84; NaN when not given.
-    altitude_m: as written; EXIF calls it "above sea level", drones write anything. Where nothing else is
-        given, above the take-off point. NaN when not given.
-    relative_altitude_m: above the take-off point (XMP); NaN when not given.
-    gimbal_deg, vehicle_deg: roll, pitch, yaw of the camera and of the vehicle (XMP); pitch -90 looks down.
-        NaN when not given.
-    position_sigma_m: east, north, up, where the receiver wrote them (DJI RTK); NaN when not given.
-    pitch_mm: of the stored pixels, from the FocalPlane tags; NaN when not given.
-    altitude_kind: what the maker calls the altitude ("RtkAlt"); empty when not given.
-    maker_camera: XMP tags about the camera, for `maker_camera.stated_camera`.
-    c_px: principal distance that a person gives in place of all these; NaN when not given.
-    exposure_s, iso: exposure time and sensitivity; NaN when not given.
-    f_number, focus_m: aperture, and distance focused at; NaN when not given.
-    lens, firmware: as the camera calls them; empty when not given.
-    velocity_m_s: east, north, up, by the maker's inertial unit; NaN when not given.
-    turns (n, 4): recorded by the maker's gyroscope, see `recorded_turns`; empty when not given.
+    size_px: width and height of the stored pixel grid, which is used as is: `orientation` is for viewers.
+    c_px: principal distance that a person gives in place of all that is stated; NaN when not given.
+    altitude_kind: `ABOVE_TAKE_OFF` where nothing else was written; else as the maker calls it.
+    turns (n, 4): see `recorded_turns`.
+    table_apart_m: how far a table beside the picture puts it from where it says itself; NaN without a table.
+
+    All others are in the table `picture_facts.FACTS`, with units and keys; numbers are NaN, texts empty where
+    nothing is stated.
     """
 
     name: str
@@ -89,9 +70,9 @@ class ImageFacts:
     longitude_deg: float = math.nan
     altitude_m: float = math.nan
     relative_altitude_m: float = math.nan
-    gimbal_deg: Triple = _NOT_GIVEN
-    vehicle_deg: Triple = _NOT_GIVEN
-    position_sigma_m: Triple = _NOT_GIVEN
+    gimbal_deg: Triple = NOT_GIVEN
+    vehicle_deg: Triple = NOT_GIVEN
+    position_sigma_m: Triple = NOT_GIVEN
     pitch_mm: float = math.nan
     altitude_kind: str = ""
     maker_camera: Mapping[str, str] = field(default_factory=dict)
@@ -102,13 +83,57 @@ class ImageFacts:
     focus_m: float = math.nan
     lens: str = ""
     firmware: str = ""
-    velocity_m_s: Triple = _NOT_GIVEN
+    velocity_m_s: Triple = NOT_GIVEN
     turns: Floats = field(default_factory=lambda: np.zeros((0, 4)), compare=False)
+    lens_serial: str = ""
+    vehicle: str = ""
+    vehicle_serial: str = ""
+    image_source: str = ""
+    exposed_utc: str = ""
+    gps_utc: str = ""
+    rtk_flag: float = math.nan
+    rtk_age_s: float = math.nan
+    surveying_mode: float = math.nan
+    caster: str = ""
+    mount_point: str = ""
+    mount_deg: Triple = NOT_GIVEN
+    gimbal_reverse: float = math.nan
+    camera_reverse: float = math.nan
+    speed_m_s: float = math.nan
+    shutter_type: str = ""
+    shutter_count: float = math.nan
+    lens_position: float = math.nan
+    sensor_temperature_c: float = math.nan
+    lens_temperature_c: float = math.nan
+    dewarped: float = math.nan
+    lens_profile: str = ""
+    sharpness: float = math.nan
+    laser_m: float = math.nan
+    laser_target: Triple = NOT_GIVEN
+    table_apart_m: float = math.nan
 
     @property
     def has_position(self) -> bool:
         """Whether latitude, longitude and a height are known."""
         return math.isfinite(self.latitude_deg + self.longitude_deg + self.altitude_m)
+
+    @property
+    def fix(self) -> str:
+        """What its receiver had solved: "fixed", "float", "single", or empty where it does not say."""
+        if self.rtk_flag == FIXED:
+            return "fixed"
+        return "float" if self.rtk_flag in FLOATS else "single" if math.isfinite(self.rtk_flag) else ""
+
+    @property
+    def height_kind(self) -> str:
+        """From where its height counts: "ellipsoidal", "EGM96", `ABOVE_TAKE_OFF`, or empty for unknown."""
+        kind, make = self.altitude_kind, self.make.lower()
+        if kind == ABOVE_TAKE_OFF or not math.isfinite(self.altitude_m):
+            return kind if kind == ABOVE_TAKE_OFF else ""
+        if kind.lower() in _ELLIPSOIDAL or (not kind and self.fix in ("fixed", "float")):
+            return "ellipsoidal"
+        geoid = make.startswith(_EGM96) and not self.model.lower().startswith("anafi ai")
+        return "EGM96" if geoid and not kind else ""
 
 
 def read_facts(path: Path) -> ImageFacts:
@@ -118,50 +143,59 @@ def read_facts(path: Path) -> ImageFacts:
     """
     with opened(path) as image:
         notes = noted(image)
-        main, exif, gps = _tags(notes)
+        exif, gps = _tags(notes)
         packet = notes.info.get("xmp") or notes.info.get("XML:com.adobe.xmp") or b""
         text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else str(packet)
-        xmp = {
-            name: (a or b or ",".join(_ITEM.findall(listed))).strip()
-            for _, name, a, b, listed in _XMP.findall(text)
-        }
         size = stored_size(image)
-    orientation = _number(main.get(0x0112))
-    latitude = _angle(gps.get(2), _text(gps.get(1)), "S", 90.0)
-    longitude = _angle(gps.get(4), _text(gps.get(3)), "W", 180.0)
-    altitude, above = _altitude(gps, xmp), _number(xmp.get("RelativeAltitude"))
+    return facts_of_tags(path.name, size, exif | read_xmp(text), gps, text)
+
+
+def facts_of_tags(
+    name: str, size: tuple[int, int], tags: Mapping[str, Any], gps: Mapping[int, Any], packet: str = ""
+) -> ImageFacts:
+    """Make the facts of a picture from its tags, as `picture_facts` names them, and its GPS directory."""
+    read = read_table(tags)
+    orientation = as_number(tags.get("EXIF:Orientation"))
+    latitude = _angle(gps.get(2), as_text(gps.get(1)), "S", 90.0)
+    longitude = _angle(gps.get(4), as_text(gps.get(3)), "W", 180.0)
+    if not gps:
+        latitude, longitude = (
+            as_number(stated(tags, keys_of(f"{one}_deg"))) for one in ("latitude", "longitude")
+        )
+    altitude, above = _altitude(gps, tags), read["relative_altitude_m"]
     if latitude == 0 == longitude:
         # What a receiver writes that has no position.
         latitude = longitude = altitude = math.nan
     only_above = math.isfinite(latitude + above) and not math.isfinite(altitude)
+    if only_above:
+        read["altitude_kind"] = ABOVE_TAKE_OFF
+    mount, autel = read["mount_deg"], read["make"].lower().startswith("autel")
+    if autel and not math.isfinite(read["gimbal_deg"][0]):
+        # Its old firmware: 0 looks down, 90 to the horizon.
+        read["gimbal_deg"] = mount[0], mount[1] - 90.0, mount[2]
+    tag_of = {key.partition(":")[2]: stated(tags, (key,)) for key in keys_of("maker_camera")}
+    moment = as_text(tags.get("EXIF:DateTimeOriginal")) or as_text(tags.get("EXIF:DateTime"))
+    laser = as_positive(stated(tags, _dji_keys("laser_m", "LRFTargetDistance")))
+    hit = as_text(stated(tags, _dji_keys("laser_m", "LRFStatus"))).lower() in ("", "normal")
+    sequoia = "Sequoia" in as_text(stated(tags, ("Camera:RigName",)))
     return ImageFacts(
-        path.name,
+        name,
         size,
-        int(orientation) if orientation in range(1, 9) else 1,
-        _text(main.get(0x010F)),
-        _text(main.get(0x0110)),
-        _text(exif.get(0xA431)) or _text(main.get(0xC62F)) or xmp.get("SerialNumber", ""),
-        _positive(exif.get(0x920A)),
-        _positive(exif.get(0xA405)),
-        _taken(_text(exif.get(0x9003)) or _text(main.get(0x0132)), _text(exif.get(0x9291))),
-        latitude,
-        longitude,
-        above if only_above else altitude,
-        above,
-        _triple(xmp, *_GIMBAL),
-        _triple(xmp, ("FlightRollDegree", "FlightPitchDegree", "FlightYawDegree")),
-        _triple(xmp, *_ACCURACY),
-        _pitch_mm(exif, size[0]),
-        ABOVE_TAKE_OFF if only_above else xmp.get("AltitudeType", ""),
-        {key: value for key, value in xmp.items() if key in _CAMERA_TAGS},
-        exposure_s=_positive(exif.get(0x829A)),
-        iso=_positive(exif.get(0x8827)),
-        f_number=_positive(exif.get(0x829D)),
-        focus_m=_positive(exif.get(0x9206)),
-        lens=_text(exif.get(0xA434)),
-        firmware=_text(main.get(0x0131)),
-        velocity_m_s=_velocity(xmp),
-        turns=recorded_turns(text if _of_sequoia(xmp) else "", _number(xmp.get("IMUTimeOffset"))),
+        **read,
+        orientation=int(orientation) if orientation in range(1, 9) else 1,
+        taken=as_moment(moment, as_text(tags.get("EXIF:SubsecTimeOriginal"))),
+        gps_utc=_gps_time(gps),
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        altitude_m=above if only_above else altitude,
+        pitch_mm=_pitch_mm(tags, size[0]),
+        speed_m_s=math.hypot(
+            *(as_number(stated(tags, (key,))) for key in ("drone-dji:FlightXSpeed", "drone-dji:FlightYSpeed"))
+        ),
+        velocity_m_s=_velocity(tags) if sequoia else NOT_GIVEN,
+        turns=recorded_turns(packet if sequoia else "", as_number(stated(tags, ("Camera:IMUTimeOffset",)))),
+        laser_m=laser if hit else math.nan,
+        maker_camera={key: str(value) for key, value in tag_of.items() if value is not None},
     )
 
 
@@ -174,94 +208,55 @@ def clock_seconds(facts: Sequence[ImageFacts]) -> Floats:
     return seconds - np.nanmin(seconds) if np.isfinite(seconds).any() else seconds
 
 
-def told_conditions(facts: Sequence[ImageFacts]) -> dict[str, dict[str, str]]:
-    """Give what the pictures tell of their camera and its state, in sections of a certificate's particulars.
-
-    Values that differ stand side by side; what no picture says is left out.
-    """
-
-    def both(name: str, form: str = "{}") -> str:
-        """Write the values of one fact of all pictures, each once."""
-        values = {getattr(image, name) for image in facts}
-        return ", ".join(sorted(form.format(value) for value in values if value and str(value) != "nan"))
-
-    camera = {"model": both("model"), "manufacturer": both("make"), "serial": both("serial")}
-    camera["lens_type"] = both("lens")
-    conditions = {
-        "aperture": both("f_number", "f/{:g}"),
-        "focus": both("focus_m", "{:g} m"),
-        "firmware": both("firmware"),
-    }
-    sections = {"camera": camera, "conditions": conditions}
-    return {
-        name: {key: value for key, value in section.items() if value} for name, section in sections.items()
-    }
+def _dji_keys(fact: str, name: str) -> tuple[str, ...]:
+    """Those keys of a fact that end with a name."""
+    return tuple(key for key in keys_of(fact) if key.endswith(f":{name}"))
 
 
-def _velocity(xmp: Mapping[str, str]) -> Triple:
+def _velocity(tags: Mapping[str, Any]) -> Triple:
     """Velocity of Parrot's Sequoia, which counts it east, north, up; no other maker's is known."""
-    if not _of_sequoia(xmp):
-        return _NOT_GIVEN
-    values = tuple(_number(cell) for cell in xmp.get("IMULinearVelocity", "").split(","))
-    return values if len(values) == 3 and all(map(math.isfinite, values)) else _NOT_GIVEN
+    values = tuple(as_number(cell) for cell in as_text(stated(tags, keys_of("velocity_m_s"))).split(","))
+    return values if len(values) == 3 and all(map(math.isfinite, values)) else NOT_GIVEN
 
 
-def _of_sequoia(xmp: Mapping[str, str]) -> bool:
-    return "Sequoia" in xmp.get("RigName", "")
-
-
-def _pitch_mm(exif: Mapping[int, Any], width: int) -> float:
+def _pitch_mm(tags: Mapping[str, Any], width: int) -> float:
     """Pitch of the stored pixels: the tags are of the picture that the camera wrote, of that width."""
-    unit = _MM_OF_UNIT.get(int(_number(exif.get(0xA210, 2)) or 2), math.nan)
-    written = _number(exif.get(0xA002, width))
-    return unit / _positive(exif.get(0xA20E)) * (written / width if written > 0 else 1.0)
+    unit = _MM_OF_UNIT.get(int(as_number(tags.get("EXIF:FocalPlaneResolutionUnit", 2)) or 2), math.nan)
+    written = as_number(tags.get("EXIF:ExifImageWidth", width))
+    return (
+        unit / as_positive(tags.get("EXIF:FocalPlaneXResolution")) * (written / width if written > 0 else 1.0)
+    )
 
 
-def _tags(image: "Image") -> tuple[Mapping[int, Any], Mapping[int, Any], Mapping[int, Any]]:
-    """Give the main, EXIF and GPS directories; empty where they are damaged."""
+def _tags(image: "Image") -> tuple[dict[str, Any], Mapping[int, Any]]:
+    """Give the tags of main and EXIF directory by their names, and the GPS directory; empty if damaged."""
+    from PIL.ExifTags import Base
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             exif = image.getexif()
-            return dict(exif), dict(exif.get_ifd(_EXIF_IFD)), dict(exif.get_ifd(_GPS_IFD))
+            main, own, gps = dict(exif), dict(exif.get_ifd(_EXIF_IFD)), dict(exif.get_ifd(_GPS_IFD))
     except (SyntaxError, ValueError, KeyError, TypeError, OSError, struct.error, IndexError, OverflowError):
-        return {}, {}, {}
+        return {}, {}
+    names = {tag.value: f"EXIF:{tag.name}" for tag in Base}
+    return {names[tag]: value for tag, value in (main | own).items() if tag in names}, gps
 
 
-def _text(value: object) -> str:
-    if isinstance(value, bytes):
-        value = value.decode("ascii", "replace")
-    if not isinstance(value, str):
-        return ""
-    # Text tags are cut at the first zero; what follows is left over memory.
-    return "".join(c for c in value.split("\0")[0] if c.isprintable()).strip()
-
-
-def _number(value: Any) -> float:
+def _gps_time(gps: Mapping[int, Any]) -> str:
+    """UTC of the position: a day, and hours, minutes and seconds as three numbers."""
     try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return math.nan
-    return number if math.isfinite(number) else math.nan
-
-
-def _positive(value: Any) -> float:
-    number = _number(value)
-    return number if number > 0 else math.nan
-
-
-def _triple(xmp: Mapping[str, str], *names: tuple[str, str, str]) -> Triple:
-    """Give the first of several triples of tags that is stated, as makers call them."""
-    for first, second, third in names:
-        values = (_number(xmp.get(first)), _number(xmp.get(second)), _number(xmp.get(third)))
-        if all(map(math.isfinite, values)):
-            return values
-    return _NOT_GIVEN
+        hours, minutes, seconds = (as_number(part) for part in gps.get(7, ()))
+        clock = dt.timedelta(hours=hours, minutes=minutes, seconds=round(seconds, 6))
+        day = dt.datetime.strptime(as_text(gps.get(29)), "%Y:%m:%d")
+    except (TypeError, ValueError, OverflowError):
+        return ""
+    return (day + clock).isoformat()
 
 
 def _angle(value: Any, hemisphere: str, negative: str, limit: float) -> float:
     try:
-        degrees, minutes, seconds = (_number(part) for part in value)
+        degrees, minutes, seconds = (as_number(part) for part in value)
     except (TypeError, ValueError):
         return math.nan
     # Without its hemisphere the sign is unknown, and so is the angle.
@@ -271,15 +266,7 @@ def _angle(value: Any, hemisphere: str, negative: str, limit: float) -> float:
     return (-angle if hemisphere.upper() == negative else angle) if 0 <= angle <= limit else math.nan
 
 
-def _altitude(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> float:
-    written, altitude = _number(xmp.get("AbsoluteAltitude")), _number(gps.get(6))
+def _altitude(gps: Mapping[int, Any], tags: Mapping[str, Any]) -> float:
+    written, altitude = as_number(stated(tags, keys_of("altitude_m")[:-1])), as_number(gps.get(6))
     below = gps.get(5, 0) in (1, b"\x01", 3, b"\x03")
     return written if math.isfinite(written) else -altitude if below else altitude
-
-
-def _taken(stamp: str, fraction: str) -> str:
-    match = re.match(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d:\d\d)", stamp)
-    if not match or match.group(1) == "0000":
-        return ""
-    year, month, day, clock = match.groups()
-    return f"{year}-{month}-{day}T{clock}" + (f".{fraction}" if fraction.isdigit() else "")

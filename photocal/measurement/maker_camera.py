@@ -1,9 +1,14 @@
 """The camera that a picture states: parameters that its maker wrote, as prior values with a stated sigma.
 
-DJI's `DewarpData` ("date;fx,fy,cx,cy,k1,k2,p1,p2,k3", px, cx and cy from the middle of the picture) and
-`CalibratedFocalLength` (designed, px), and the tags of Pix4D's XMP that Parrot and MicaSense write: the focal
-length in mm goes with the pitch of the FocalPlane tags; of a fisheye the scale at its middle is taken.
-Sources: DJI Matrice 4 manual; Pix4D, "XMP tags of cameras".
+DJI's `DewarpData` ("date;fx,fy,cx,cy,k1,k2,p1,p2,k3", px, cx and cy from the middle of the picture),
+`DewarpDataK6` (the same with k4, k5, k6 of the rational lens) and `CalibratedFocalLength` (designed, px), and
+the tags of Pix4D's XMP that Parrot and MicaSense write: the focal length in mm goes with the pitch of the
+FocalPlane tags; of a fisheye the scale at its middle is taken. Sources: DJI Matrice 4 manual; Pix4D, "XMP
+tags of cameras".
+
+A maker's calibration is a prior, not a truth. On a Phantom 4 Multispectral fx and fy differ by 0.9 %, 7 px at
+the edge, where its pixels are square to 0.1 %; p1 equals p2 to the last digit, and both are 6 px in the
+corner too large; cy has the opposite sign. Its radial terms are right to 2 %. Priors are as wide as that.
 """
 
 import math
@@ -22,14 +27,20 @@ from photocal.geometry.camera import PARAMETERS, Camera, camera
 from photocal.measurement.image_facts import ImageFacts
 
 # What a parameter may be wrong by, as the shift of a point in the corner of the picture over c: measured for
-# each specimen, designed by its maker, read of tags of the lens, and guessed.
-MEASURED, DESIGNED, STATED, GUESSED = 0.003, 0.01, 0.03, 0.2
+# each specimen (10 px of 2000, the worst of a Phantom 4 Multispectral is 7), designed by its maker, read of
+# tags of the lens, and guessed.
+MEASURED, DESIGNED, STATED, GUESSED = 0.005, 0.01, 0.03, 0.2
+# Rows of pixels stand at a right angle to columns to this: no maker states it, no sensor is worse.
+SHEAR = 1e-3
+# Cameras whose tag counts cy upwards. Four pictures of an FC6360 put the principal point 11.2 px (sigma 0.4)
+# below the middle, where its tag has -11.4; all others are read as OpenCV counts, downwards.
+CY_UPWARDS = ("fc6360",)
 _RADIAL = {"K1": 3, "K2": 5, "K3": 7}
 # Sigma of a readout that a maker states, s: his clock is exact, what his lines are is not said.
 READOUT_SIGMA_S = 0.002
-# A "35 mm equivalent" is stated for a frame 36 mm wide (makers take the width: CIPA DCG-001 takes the
-# diagonal, which agrees for frames of 3 : 2).
-FRAME_WIDTH_MM = 36.0
+# A "35 mm equivalent" is stated for the diagonal of 36 mm by 24 mm (CIPA DCG-001; DJI); some take the width,
+# which agrees for frames of 3 : 2.
+FRAME_WIDTH_MM, FRAME_DIAGONAL_MM = 36.0, math.hypot(36.0, 24.0)
 # Tags that give less or more than these shares of the longer side, or are unlike the equivalent by this
 # logarithm, are wrong. Where nothing is known: a field of view of 60 degrees along the longer side.
 LEAST_WIDTHS, MOST_WIDTHS, UNLIKE = 0.2, 50.0, 0.25
@@ -55,12 +66,14 @@ class StatedCamera:
         return self.share >= GUESSED
 
     def prior_sigma(self) -> dict[str, float]:
-        """Prior sigmas of c, x0, y0, and of the distortion where it was stated; px in their powers."""
+        """Prior sigmas of c, x0, y0, and of the distortion and affinity where stated; px in their powers."""
         c = self.camera.value("c")
         corner = math.hypot(*self.camera.size_px) / 2
         shift = self.share * c
         # A principal point lies where the lens is mounted, whatever is known of c.
         sigma = {"c": shift, "x0": min(self.share, STATED) * c, "y0": min(self.share, STATED) * c}
+        if self.camera.stated_by:
+            return sigma | self._sigma_of_tag(shift, corner / c if self.camera.lens.relative else corner)
         if self.camera.model == "pix4d-fisheye":
             # Terms of the angle in right angles.
             angle = corner / c / (math.pi / 2)
@@ -71,6 +84,21 @@ class StatedCamera:
         if self.camera.rolling:
             sigma["readout"] = READOUT_SIGMA_S
         return sigma
+
+    def _sigma_of_tag(self, shift: float, corner: float) -> dict[str, float]:
+        """Prior sigmas of what a maker's tag states: as large as a wrong sign of it, at least."""
+        own, relative = self.camera, self.camera.lens.relative
+        move = self.share if relative else shift
+        sigma = {name: math.hypot(shift, own.value(name)) for name in ("x0", "y0")}
+        # Which of fx and fy is right, nobody knows.
+        sigma["c"] = math.hypot(shift, own.value("c") * own.value("B1"))
+        sigma |= {name: move / corner**power for name, power in _RADIAL.items()}
+        if relative:
+            # Numerator and denominator bend alike.
+            sigma |= {below: sigma[above] for above, below in (("K1", "K4"), ("K2", "K5"), ("K3", "K6"))}
+        sigma |= {name: math.hypot(move / (3 * corner**2), own.value(name)) for name in ("P1", "P2")}
+        # Half the width is what a wrong ratio of fx and fy shifts.
+        return sigma | {"B1": math.hypot(2 * shift / own.size_px[0], own.value("B1")), "B2": SHEAR}
 
 
 def stated_camera(name: str, facts: ImageFacts) -> StatedCamera:
@@ -89,12 +117,9 @@ def _stated_lens(name: str, facts: ImageFacts) -> StatedCamera:
     width, height = facts.size_px
     middle = (width - 1) / 2, (height - 1) / 2
     xmp = facts.maker_camera
-    dewarp = _numbers(xmp.get("DewarpData", "").partition(";")[2])
     flat = Pinhole(facts.size_px, 1.0, 1.0, *middle)
-    if len(dewarp) == 9 and min(dewarp[:2]) > 0 and xmp.get("DewarpFlag", "0") != "1":
-        fx, fy, cx, cy, k1, k2, p1, p2, k3 = dewarp
-        given = Pinhole(facts.size_px, fx, fy, middle[0] + cx, middle[1] + cy, k1, k2, k3, p1, p2)
-        return StatedCamera(from_pinhole(given, name, facts.name), "DewarpData of its maker", MEASURED)
+    if (tag := _dewarp(name, facts)) is not None:
+        return tag
     pitch = facts.pitch_mm
     focal = _numbers(xmp.get("PerspectiveFocalLength", ""))
     place, terms = (_numbers(xmp.get(key, "")) for key in ("PrincipalPoint", "PerspectiveDistortion"))
@@ -121,7 +146,32 @@ def _stated_lens(name: str, facts: ImageFacts) -> StatedCamera:
         return StatedCamera(lens, "CalibratedFocalLength of its maker", DESIGNED)
     c, source = principal_distance_px(facts)
     guessed = source.startswith(("assumed", "guess"))
-    return StatedCamera(start_camera(name, facts, c, ()), source, GUESSED if guessed else STATED)
+    # The other convention of an equivalent lies one sigma away.
+    convention = abs(math.log(_equivalents_px(facts)[0] / _equivalents_px(facts)[1]))
+    share = max(STATED, convention) if "equivalent" in source else GUESSED if guessed else STATED
+    return StatedCamera(start_camera(name, facts, c, ()), source, share)
+
+
+def _dewarp(name: str, facts: ImageFacts) -> StatedCamera | None:
+    """The camera of `DewarpDataK6`, else of `DewarpData`; None without, or where it was applied already."""
+    xmp, middle = facts.maker_camera, [(side - 1) / 2 for side in facts.size_px]
+    if xmp.get("DewarpFlag", "0") == "1":
+        return None
+    for key, count in (("DewarpDataK6", 12), ("DewarpData", 9)):
+        given = _numbers(xmp.get(key, "").rpartition(";")[2])
+        if len(given) != count or min(given[:2]) <= 0:
+            continue
+        fx, fy, cx, cy, k1, k2, p1, p2, k3, *more = given
+        k4, k5, k6 = more or (0.0,) * 3
+        cy = -cy if facts.model.lower() in CY_UPWARDS else cy
+        lens = from_pinhole(
+            Pinhole(facts.size_px, fx, fy, middle[0] + cx, middle[1] + cy, k1, k2, k3, p1, p2, k4, k5, k6),
+            name,
+            facts.name,
+        )
+        source = f"{key} of its maker"
+        return StatedCamera(replace(lens, stated_by=source), source, MEASURED)
+    return None
 
 
 def _numbers(text: str) -> list[float]:
@@ -173,7 +223,7 @@ def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
     longer = max(facts.size_px)
     if math.isfinite(facts.c_px):
         return facts.c_px, "given"
-    equivalent = longer * facts.focal_35mm / FRAME_WIDTH_MM
+    equivalent = _equivalents_px(facts)[0]
     width = _sensor_widths_mm().get(facts.model.strip().lower(), math.nan)
     for c, source in (
         (facts.focal_mm / facts.pitch_mm, "EXIF focal length and FocalPlane tags"),
@@ -185,6 +235,12 @@ def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
     if math.isfinite(facts.focal_35mm) and 5 <= facts.focal_35mm <= 2000:
         return equivalent, "EXIF focal length, 35 mm equivalent"
     return longer * UNKNOWN_WIDTHS, "assumed (60 degrees along the longer side)"
+
+
+def _equivalents_px(facts: ImageFacts) -> tuple[float, float]:
+    """Principal distance by the 35 mm equivalent of the diagonal, and of the longer side."""
+    diagonal = math.hypot(*facts.size_px) / FRAME_DIAGONAL_MM
+    return facts.focal_35mm * diagonal, facts.focal_35mm * max(facts.size_px) / FRAME_WIDTH_MM
 
 
 @cache

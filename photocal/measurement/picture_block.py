@@ -24,7 +24,7 @@ from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_fa
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
 from photocal.measurement.image_tracks import ImageTracks, track_images
-from photocal.measurement.maker_camera import NO_LENS, GivenLens, stated_camera
+from photocal.measurement.maker_camera import NO_LENS, GivenLens, group_cameras, stated_camera
 from photocal.measurement.marks import (
     ControlMarks,
     in_map_system,
@@ -44,6 +44,7 @@ from photocal.measurement.measurement_record import (
 from photocal.measurement.orientation import Orientation
 from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
 from photocal.measurement.patch_matching import Source
+from photocal.measurement.picture_tests import judge_cameras
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
 from photocal.measurement.position_files import Given, local_places, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
@@ -253,6 +254,11 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     bare = [Finding("no-coordinates", "doubtful", point) for point in control.without_coordinates]
     left_out = (*tracked.left_out, *oriented.left_out)
     marks = findings_of_marks(unknown, targets.strangers, suspects, left_out)
+    if given is None:
+        names, members = group_cameras(tracked.facts)
+    else:
+        names, members = tuple(camera.id for camera in given[0]), given[1]
+    findings += judge_cameras(tracked.facts, names, members)
     used = int(np.count_nonzero(final.block.observations.point < len(control.points.names)))
     positions = position_figures(tracked.facts, start.images.sigma[:, 3:])
     record: dict[str, Any] = {

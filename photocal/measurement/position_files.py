@@ -10,14 +10,17 @@ import numpy as np
 from drivers.mrk import COLUMNS, parse_event
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
-from photocal.base.geodesy import enu_axes, geocentric
+from photocal.base.geodesy import enu_axes, enu_offsets, geocentric
 from photocal.block.table import read_under
 from photocal.exchange.ground_points import read_geo
 from photocal.exchange.reference_table import read_references
 from photocal.exchange.source import read_text
+from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.listed_positions import ListedPositions, judge_listed
 
 Given = Callable[[ImageFacts], ImageFacts]
+WEEK_S = 604_800.0
 # Heads of the columns of places as people write them; the last ones of X and Y are of degrees.
 _LONGITUDE, _LATITUDE = ("lon", "long", "longitude"), ("lat", "latitude")
 _HEIGHT = (
@@ -33,6 +36,11 @@ PLACE_HEADS = {
     "sZ": ("sz", "sh", "su", "sigma_z", "sigma_h", "accuracy_z"),
 }
 IMAGE_HEADS = ("image", "imagem", "photo", "foto", "picture", "file", "filename", "arquivo")
+
+
+class UnbelievableListError(InputMalformedError):
+    """A table of positions that was read, and cannot be right."""
+
 
 # Longitude, latitude (deg), height and three sigmas (east, north, up), m.
 _Place = tuple[float, ...]
@@ -94,8 +102,8 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
     raises InputNotFoundError, InputMalformedError: also when no picture has a position in it.
     """
     if path.suffix.lower() == ".mrk":
-        places = _of_events(path, names)
-    elif read_text(path).lstrip().startswith(("#Label", "#CoordinateSystem")):
+        return _given(_of_events(path, names), path, names)
+    if read_text(path).lstrip().startswith(("#Label", "#CoordinateSystem")):
         crs, rows = read_references(path)
         places = _in_degrees(crs, {row.name: (*row.xyz, *row.sigma) for row in rows}, path)
     else:
@@ -111,6 +119,28 @@ def read_positions(path: Path, names: Sequence[str]) -> Given:
             values = np.hstack([table.matrix("XYZ"), table.matrix(("sX", "sY", "sZ"), empty=np.nan)])
             listed = dict(zip(table.unique_names("image"), map(tuple, values.tolist()), strict=True))
         places = _in_degrees(crs, listed, path)
+    values = np.array(list(places.values())).reshape(-1, 6)
+    lines, none = tuple(f"picture {name}" for name in places), np.full(len(places), -1)
+    _require_credible(
+        ListedPositions(lines, np.full(len(places), np.nan), values[:, [1, 0, 2]], values[:, 3:], none), path
+    )
+    return _given(places, path, names)
+
+
+def _require_credible(listed: ListedPositions, path: Path) -> None:
+    """Refuse a list that cannot be right, with what is wrong in which lines."""
+    # One place may have several pictures.
+    wrong = [one for one in judge_listed(listed).findings if one.code != "events-twice"]
+    if wrong:
+        raise UnbelievableListError(
+            finding_text(wrong[0], catalogue("en"), plain).rstrip("."),
+            "correct these lines or take them out; leave the cells of unknown sigmas empty",
+            where=path,
+        )
+
+
+def _given(places: dict[str, _Place], path: Path, names: Sequence[str]) -> Given:
+    """What puts the places of a table in place of the pictures' own."""
     if not any(_of(name, places) for name in names):
         first = next(iter(places), "nothing")
         raise InputMalformedError(
@@ -142,7 +172,17 @@ def _placed(facts: ImageFacts, place: _Place | None) -> ImageFacts:
         altitude_m=height,
         position_sigma_m=(sigma[0], sigma[1], sigma[2]),
         altitude_kind="table",
+        table_apart_m=_apart_m(facts, latitude, longitude),
     )
+
+
+def _apart_m(facts: ImageFacts, latitude: float, longitude: float) -> float:
+    """Distance in plane between what a table and a picture state; NaN where the picture states none."""
+    if not facts.has_position:
+        return np.nan
+    there = [np.array([value]) for value in (latitude, longitude, facts.altitude_m)]
+    origin = np.array([facts.latitude_deg, facts.longitude_deg, facts.altitude_m])
+    return float(np.hypot(*enu_offsets(*there, origin)[0, :2]))
 
 
 def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
@@ -150,6 +190,14 @@ def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
               if (row := parse_event(line)) is not None]  # fmt: skip
     if not events:
         raise InputMalformedError("has no events", "is it a Timestamp.MRK file?", where=path)
+    table = np.array([tuple(event.values()) for event in events])
+    keys_at = {key: k for k, key in enumerate(COLUMNS)}
+    seconds = table[:, keys_at["week"]] * WEEK_S + table[:, keys_at["seconds_of_week_s"]]
+    place = table[:, [keys_at[key] for key in ("latitude_deg", "longitude_deg", "height_m")]]
+    sigma = table[:, [keys_at[key] for key in ("sigma_east_m", "sigma_north_m", "sigma_up_m")]]
+    count = table[:, keys_at["number"]].astype(np.int64)
+    lines = tuple(f"event {number}" for number in count.tolist())
+    _require_credible(ListedPositions(lines, seconds, place, sigma, count), path)
     numbers = {int(event["number"]): event for event in events}
     # Cameras count with numbers of four digits.
     counts = {name: map(int, re.findall(r"(?<!\d)\d{4}(?!\d)", Path(name).stem)) for name in names}

@@ -17,11 +17,15 @@ from drivers.receiver import BASE_RECEIVER, BASE_UTC, TIME_BASES, TimeMarks
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, reading
 from photocal.base.time_scales import SECOND_NS
+from photocal.findings.finding import Finding
+from photocal.findings.texts import catalogue, finding_text, plain
+from photocal.measurement.listed_positions import ListedPositions, judge_listed
 from photocal.navigation.device_clocks import AutopilotClock
 from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime, refuse_expired
 from photocal.navigation.trajectory import InterpolatedPositions
 
+WEEK_S = 604_800.0
 RISING, FALLING = "rising", "falling"
 _COUNTER = 1 << 16
 _MAVLINK = ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER")
@@ -261,11 +265,15 @@ class CameraEventList:
 
     offset_enu_m (n, 3): from the antenna's phase centre to the camera's sensor, east, north, up.
     placed: the camera as the vehicle computed it (the maker: after compensation of the offset).
+    lines: of the file, for each event.
+    findings: what is wrong with the list by itself; positions and sigmas that are wrong are not known.
     """
 
     events: Events
     offset_enu_m: Floats
     placed: InterpolatedPositions
+    lines: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def read_mrk(path: Path) -> CameraEventList:
@@ -282,7 +290,7 @@ def listed_in(log: FlightLog) -> CameraEventList | None:
 
 
 def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
-    rows = []
+    rows, lines_of = [], []
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
@@ -294,12 +302,37 @@ def _listed(name: str, lines: list[str], path: object) -> CameraEventList:
                 where=f"{path}, line {number}",
             )
         rows.append(values)
+        lines_of.append(f"line {number}")
     if not rows:
         raise InputMalformedError("has no events", "check the flight's folder", where=path)
     t = np.array(rows)
+    listed = ListedPositions(
+        tuple(lines_of),
+        t[:, 2] * WEEK_S + t[:, 1],
+        t[:, 6:9],
+        t[:, [10, 9, 11]],
+        t[:, 0].astype(np.int64),
+    )
+    judged = judge_listed(listed)
+    if not judged.placed.any():
+        raise InputMalformedError(
+            f"has no position that can be meant: {finding_text(judged.findings[0], catalogue('en'), plain)}",
+            "take the positions of the pictures, or compute them with the receiver's raw data",
+            where=path,
+        )
+    rows_kept = np.flatnonzero(judged.kept)
+    order = rows_kept[np.argsort(listed.time_s[rows_kept], kind="stable")]
+    t, placed, sigma_known = t[order], judged.placed[order, None], judged.sigma_known[order, None]
     count = t[:, 0].astype(np.int64)
     time = GpsTime.from_week(t[:, 2].astype(np.int64), t[:, 1])
     events = Events(name, time, count, np.zeros(len(t)), counter_jumps(count, "events"))
     status = [_STATUS.get(int(q), "single") for q in t[:, 12]]
-    placed = InterpolatedPositions.stated(t[:, 6:9], t[:, [10, 9, 11]], status)
-    return CameraEventList(events, np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3, placed)
+    # What cannot be believed is not known.
+    place, sigma = np.where(placed, t[:, 6:9], np.nan), np.where(sigma_known, t[:, [10, 9, 11]], np.nan)
+    return CameraEventList(
+        events,
+        np.stack([t[:, 4], t[:, 3], -t[:, 5]], axis=1) * 1e-3,
+        InterpolatedPositions.stated(place, sigma, status),
+        tuple(lines_of[k] for k in order.tolist()),
+        judged.findings,
+    )

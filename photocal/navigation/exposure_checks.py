@@ -7,8 +7,9 @@ import numpy as np
 from photocal.base.errors import IllPosedError
 from photocal.base.geodesy import enu_offsets
 from photocal.findings.finding import Finding, untested
+from photocal.measurement.listed_positions import ListedPositions, judge_against_pictures, judge_listed
 from photocal.navigation.events import CameraEventList, Events
-from photocal.navigation.exposures import Exposures
+from photocal.navigation.exposures import CameraMatch, Exposures
 from photocal.navigation.image_metadata import ImageMetadata, stated_places
 from photocal.navigation.position_comparison import PositionPairs, compare_positions, judge_positions
 from photocal.navigation.ppk_figures import PpkFigures
@@ -22,6 +23,8 @@ from photocal.navigation.vehicle import VehicleTrack
 _PRESSURE_M = 4.0
 # Of the autopilot's attitudes: with usual turns of 20 degrees a second half of 0.1 s is a degree.
 _LATE_ATTITUDE_S = 0.05
+# Events and the UTC that pictures state of the same exposures differ by less: delays of shutters.
+_SAME_TIME_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -51,9 +54,50 @@ def check_exposures(evidence: Evidence) -> list[Finding]:
         _height_kind(evidence),
         _autopilot_clock(evidence),
         *_other_positions(evidence),
+        *_listed_events(evidence),
         *([] if evidence.vehicle is None else check_mounting(evidence.rig, evidence.vehicle.mounting)),
         *_out_of_sight(evidence),
     ]
+
+
+def _listed_events(e: Evidence) -> list[Finding]:
+    """Judge positions that a list or the device tells with its events, by themselves and by the pictures."""
+    findings = list(e.listed.findings) if e.listed is not None else []
+    told, sigma, lines = None, np.full((len(e.antenna), 3), np.nan), tuple[str, ...]()
+    if e.listed is not None:
+        placed = e.listed.placed
+        told, lines = placed.place, e.listed.lines
+        sigma = np.sqrt(np.maximum(np.diagonal(placed.covariance_m2, axis1=1, axis2=2), 0.0))
+    elif e.events.claimed is not None and np.isfinite(e.events.claimed[:, :2]).any():
+        told = e.events.claimed[:, :3]
+        lines = tuple(f"event {number}" for number in e.events.number.tolist())
+        seconds = (e.events.time.ns - e.events.time.ns[0]) / 1e9
+        findings += judge_listed(ListedPositions(lines, seconds, told, sigma, e.events.number)).findings
+    facts = {image.name: image.facts for image in e.images}
+    shown = [facts.get(name) for name in e.antenna.first_images]
+    if told is not None and any(shown):
+        stated = np.array([(np.nan,) * 3 if f is None else f.position_sigma_m for f in shown])
+        findings += judge_against_pictures(lines, told, sigma, stated_places(shown), stated)[1]
+    return findings
+
+
+def times_against_pictures(
+    events: Events, cameras: list[CameraMatch], images: list[ImageMetadata]
+) -> list[Finding]:
+    """Hold events against pictures that state the UTC of their exposure: no clocks are between them."""
+    utc, findings = {image.name for image in images if image.utc}, list[Finding]()
+    leap = float(leap_seconds(events.time[[0]])[0]) if len(events) else 0.0
+    for camera in cameras:
+        matched = [camera.names[i] for i in camera.matching.image.tolist()]
+        late = camera.matching.offset_s
+        if not matched or not utc.issuperset(matched) or abs(late) < _SAME_TIME_S:
+            continue
+        hours = round(late / 3600.0)
+        cause = "leap-seconds-list" if abs(abs(late) - leap) < _SAME_TIME_S else ""
+        cause = "hours-list" if hours and abs(late - 3600.0 * hours) < _SAME_TIME_S else cause
+        figures = {"late_s": late, "n": float(len(matched)), "leap_seconds": leap, "hours": float(hours)}
+        findings.append(Finding("events-beside-time", "grave", camera.camera, figures, cause=cause))
+    return findings
 
 
 def _time_base(e: Evidence) -> Finding:

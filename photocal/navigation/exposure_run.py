@@ -13,7 +13,7 @@ from photocal.findings.finding import Finding
 from photocal.navigation.device_clocks import ComparedClocks, device_by_arrival
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.events import Events, listed_in, read_mrk
-from photocal.navigation.exposure_checks import Evidence, check_exposures
+from photocal.navigation.exposure_checks import Evidence, check_exposures, times_against_pictures
 from photocal.navigation.exposure_report import exposure_figures
 from photocal.navigation.exposure_sources import (
     OF_IMAGES,
@@ -197,7 +197,7 @@ def _judged(
     vehicle, images, ppk = evidence.vehicle, evidence.images, evidence.ppk
     gnss = _receiver_clock(evidence.rover)
     clocks = [*([] if vehicle is None else vehicle.clocks.compared), *([] if gnss is None else [gnss])]
-    checks = check_exposures(evidence)
+    checks = check_exposures(evidence) + times_against_pictures(evidence.events, cameras, images)
     if choices.oriented is not None:
         oriented = oriented_images(choices.oriented, exposures.first_images)
         checks += check_oriented(oriented, exposures, choices.rig, "the-adjustment")

@@ -31,6 +31,7 @@ class ImageMetadata:
     resolution_s: 1 where only whole seconds are told.
     from_name: whether the time is that of the recording computer in the file name (UTC).
     facts: what else the file says; None for a row of a table.
+    utc: whether the time is the UTC of the exposure, by the receiver that the camera is connected to.
     """
 
     name: str
@@ -40,6 +41,7 @@ class ImageMetadata:
     from_name: bool
     facts: ImageFacts | None = None
     path: Path | None = None
+    utc: bool = False
 
 
 def read_images(source: Path) -> list[ImageMetadata]:
@@ -61,13 +63,17 @@ def image_of(path: Path, facts: ImageFacts) -> ImageMetadata:
     time: float | None = None
     resolution, from_name = 1.0, False
     stamp = _IN_NAME.search(path.stem)
-    if facts.taken:
+    if facts.exposed_utc:
+        time, resolution = _parsed(facts.exposed_utc) or (None, 1.0)
+    elif facts.taken:
         time, resolution = _parsed(facts.taken) or (None, 1.0)
     elif stamp is not None:
         with contextlib.suppress(ValueError):
             moment = dt.datetime.strptime(stamp[1], "%Y%m%d%H%M%S").replace(tzinfo=dt.UTC)
             time, resolution, from_name = moment.timestamp() + int(stamp[2]) / 100, 0.01, True
-    return ImageMetadata(path.name, camera, time, resolution, from_name, facts, path)
+    return ImageMetadata(
+        path.name, camera, time, resolution, from_name, facts, path, utc=bool(facts.exposed_utc)
+    )
 
 
 def stated_places(facts: Sequence[ImageFacts | None]) -> Floats:

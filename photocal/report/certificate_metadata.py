@@ -128,6 +128,11 @@ class ConditionKeys(Table):
     stabilisation: str = ""
     firmware: str = ""
     in_camera_correction: str = ""
+    exposure: str = ""
+    shutter: str = ""
+    sensor_temperature: str = ""
+    lens_temperature: str = ""
+    positions: str = ""
     state: str = ""
 
 
@@ -185,7 +190,7 @@ def read_particulars(
     for section, stated in (pictures or {}).items():
         typed = keys.get(section, {})
         if isinstance(typed, dict):
-            keys[section] = {**{name: f"{value} (EXIF)" for name, value in stated.items()}, **typed}
+            keys[section] = {**stated, **typed}
     if "date" in keys:
         raise ConfigurationError("unknown key 'date'", "give the day by --date", where=path)
     named = {"client": client, "operator": operator}

@@ -20,7 +20,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, finding_text
 from photocal.planning.flown_output import flown_section
 from photocal.report.camera_sections import critical_t
-from photocal.report.certificate_metadata import FlownCount, Metadata, Source
+from photocal.report.certificate_metadata import ConditionKeys, FlownCount, Metadata, Source
 from photocal.report.derived_figures import DerivedFigures, verdict
 from photocal.report.ministry_rows import Context, corners, entries, read_layout
 from photocal.report.stored_analysis import AnalysedRun
@@ -56,6 +56,7 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
         "stabilisation": conditions.stabilisation,
         "firmware": conditions.firmware,
         "correction": conditions.in_camera_correction,
+        **_told_by_pictures(conditions),
         "traceability": lab.traceability,
         "deviations": lab.deviations,
         "external": lab.external,
@@ -65,6 +66,12 @@ def laboratory(title: str, particulars: Metadata, number: str, say: Catalogue) -
     rows = tuple((say(f"laboratory.{key}"), value or missing) for key, value in values.items())
     notes = Paragraph(f"{say('laboratory.relates_only')} {say('laboratory.reproduction')}")
     return Section(title, (KeyValues(rows), notes))
+
+
+def _told_by_pictures(conditions: ConditionKeys) -> dict[str, str]:
+    """Rows that stand there when the pictures, or a person, tell them."""
+    names = ("exposure", "shutter", "sensor_temperature", "lens_temperature", "positions")
+    return {name: text for name in names if (text := getattr(conditions, name))}
 
 
 def radiometry(title: str, particulars: Metadata, say: Catalogue) -> tuple[Section, ...]:

@@ -43,7 +43,7 @@ _SAME = {
     *("model", "unit", "size_px", "pitch_mm", "affinity", "affinity_form", "distortion_at"),
     *("readout_direction", "shake_rad"),
 }
-_SOME = {"shutter", "gust", "prior_correlation"}
+_SOME = {"shutter", "gust", "prior_correlation", "stated_by"}
 # Residual tables longer than this are written as Parquet.
 LONG_TABLE = 500_000
 
@@ -99,6 +99,7 @@ def _camera_json(camera: Camera) -> dict[str, Any]:
     # Of what shutters alone have, or few blocks state, older files say nothing.
     more = {"gust"} if camera.shutter != "global" else set()
     more |= {"prior_correlation"} if camera.prior_correlation is not None else set()
+    more |= {"stated_by"} if camera.stated_by else set()
     return {
         **said.model_dump(mode="json", include=_SAME | more),
         "reference_radius": said.R0,

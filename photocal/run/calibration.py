@@ -58,7 +58,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
 
     def make(folder: Path, show: Progress) -> None:
         """Make the files of the stage."""
-        from photocal.measurement.image_facts import told_conditions
+        from photocal.measurement.picture_conditions import told_conditions
         from photocal.report.issue import issue
         from photocal.run.project_checks import facts_of_pictures
 
@@ -74,7 +74,7 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
                 operator=keys.operator,
                 key=fingerprint,
                 warnings=gather(work),
-                pictures=told_conditions(facts_of_pictures(project)),
+                pictures=told_conditions(facts_of_pictures(project, None)),
                 flown=read_json(work / "flown" / "flown.json"),
             )
 

@@ -15,7 +15,7 @@ from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, require_names
 from photocal.measurement.marks import ControlMarks, read_any_marks, read_control_marks
-from photocal.measurement.position_files import PLACE_HEADS, in_degrees, read_positions
+from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListError, in_degrees, read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
 ASSUMED_M = (0.02, 0.03)
@@ -90,7 +90,7 @@ def survey(folder: Path) -> FolderContents:
             seen.events.append(path)
         elif kind in _RINEX or (len(kind) == 4 and kind[1:3].isdigit() and kind[3] in "ong"):
             seen.rinex.append(path)
-        elif kind in _TABLES and (placed := _placed(path, seen.pictures)) is not None:
+        elif kind in _TABLES and (placed := _placed(path, seen.pictures, seen.unread)) is not None:
             seen.positions.append(path)
             seen.pictures = placed
         elif kind in (*_TABLES, ".xml", ".json", ".psz"):
@@ -114,12 +114,15 @@ def _pictures(files: Sequence[Path], unread: list[str]) -> dict[Path, tuple[Imag
 
 
 def _placed(
-    path: Path, pictures: dict[Path, tuple[ImageFacts, ...]]
+    path: Path, pictures: dict[Path, tuple[ImageFacts, ...]], unread: list[str]
 ) -> dict[Path, tuple[ImageFacts, ...]] | None:
     """Pictures at the positions of a table that names them; None for another table."""
     names = [image.name for facts in pictures.values() for image in facts]
     try:
         given = read_positions(path, names)
+    except UnbelievableListError as refusal:
+        unread.append(str(refusal))
+        return pictures
     except PhotocalError:
         return None
     return {where: tuple(map(given, facts)) for where, facts in pictures.items()}

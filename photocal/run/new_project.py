@@ -13,11 +13,13 @@ from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
 from photocal.base.files import output_file, rows_text
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
+from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.camera_heads import HeadGroup, recognised_heads
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after
+from photocal.measurement.picture_tests import judge_cameras, told_beside
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
@@ -203,11 +205,14 @@ class _Text:
     def _height_comment(self) -> str:
         if self.crs == "local" or self.control_points.names:
             return ""
-        if any(image.altitude_kind.lower().startswith("rtk") for image in self.placed):
-            return "  # RTK positions are"
+        kinds = {image.height_kind for image in self.placed}
+        if kinds == {"ellipsoidal"}:
+            return "  # the pictures say so"
         text = "pictures do not say from where their altitudes count: heights may be off by the geoid"
         if any(image.altitude_kind == ABOVE_TAKE_OFF for image in self.placed):
             text = "pictures state their height above the take-off point alone: all heights count from there"
+        if "EGM96" in kinds:
+            text = "pictures state heights above the geoid EGM96: they are off by its height"
         self.missing.append(text)
         return f"  # taken as such: {text}"
 
@@ -248,6 +253,9 @@ class _Text:
             others = [where for where in others if where not in used]
         comment = f"{count} pictures in {self._beside(self.pictures)}, {len(self.placed)} with a position"
         self.known.append(comment + (f", {stated} with its sigma" if stated else ""))
+        self.known += told_beside(self.facts)
+        judged = judge_cameras(self.facts, self.cameras, self.member.tolist())
+        self.missing += [finding_text(finding, catalogue("en"), plain) for finding in judged]
         self.known += [
             f"{len(self.seen.pictures[w])} pictures in {self._beside(w)}: not used" for w in others
         ]
@@ -280,7 +288,7 @@ class _Text:
                 yield from _given_camera(replace(known[stated.camera.size_px], id=name))
                 self.known.append(f"camera {name}: {source}")
                 continue
-            kind = "a guess" if stated.guessed else f"prior, {100 * stated.share:g} %"
+            kind = "a guess" if stated.guessed else f"prior, {100 * stated.share:.2g} %"
             comment = f"c = {stated.camera.value('c'):.1f} px ({stated.source}; {kind})"
             self.known.append(f"camera {name}: {taken} pictures, {comment}")
             yield f"\n[[camera]]  # {taken} pictures; {comment}"
@@ -366,6 +374,8 @@ def _camera(stated: StatedCamera) -> Iterator[str]:
     yield "prior_sigma = { " + ", ".join(f"{n} = {s:.3g}" for n, s in prior.items()) + " }"
     if stated.guessed:
         yield "guessed = true"
+    if stated.camera.stated_by:
+        yield f"stated_by = {_quoted(stated.camera.stated_by)}"
 
 
 def _given_camera(camera: Camera) -> Iterator[str]:

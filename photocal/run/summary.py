@@ -14,9 +14,10 @@ from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding, of_global_test
 from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.findings.listed import Findings
-from photocal.findings.texts import catalogue, finding_json, findings_of
+from photocal.findings.texts import catalogue, finding_json
 from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json
 from photocal.geometry.camera import PARAMETERS
+from photocal.measurement.maker_tag import tag_finding
 from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures
 from photocal.report.stored_analysis import AnalysedRun, read_run
@@ -192,6 +193,10 @@ def calibration_findings(result: Result) -> Iterator[Finding]:
             figures = {"camera": name, "effect_px": camera.shaken / camera.pitch[0]}
             yield Finding("images-shake", "note", name, figures)
     for name, camera in result.cameras.items():
+        if camera.stated_by:
+            # What contradicts a maker's tag says something about the tag.
+            yield from filter(None, [tag_finding(camera)])
+            continue
         given = camera.values if camera.given is None else camera.given
         for k, key in enumerate(PARAMETERS):
             prior, away = float(camera.prior_sigma[k]), abs(float(camera.values[k] - given[k]))

@@ -109,17 +109,17 @@ def test_event_list(shared: Path) -> None:
 
 
 def test_offsets_from_antenna_to_camera(tmp_path: Path) -> None:
-    # By hand at the equator and Greenwich: 1 m north is 1/110574.276 deg of latitude (M = a (1 - e2)),
+    # By hand at the equator, 10 degrees east: 1 m north is 1/110574.276 deg of latitude (M = a (1 - e2)),
     # 2 m east 2/111319.491 deg of longitude, 3 m down lowers the height.
     path = tmp_path / "case.MRK"
     row = (
-        "1\t100.5\t[2211]\t 1000,N\t 2000,E\t 3000,V\t0.0,Lat\t0.0,Lon\t100.0,Ellh\t0.01, 0.02, 0.03\t50,Q\n"
+        "1\t100.5\t[2211]\t 1000,N\t 2000,E\t 3000,V\t0.0,Lat\t10.0,Lon\t100.0,Ellh\t0.01, 0.02, 0.03\t50,Q\n"
     )
     path.write_text(row)
     found = read_mrk(path)
     lat, lon, height = found.placed.moved(found.offset_enu_m).place.T
     assert lat[0] == pytest.approx(1 / 110574.276, rel=1e-4)
-    assert lon[0] == pytest.approx(2 / 111319.491, rel=1e-4)
+    assert lon[0] - 10.0 == pytest.approx(2 / 111319.491, rel=1e-4)
     assert height[0] == pytest.approx(97.0, abs=1e-5)
 
 

@@ -1,0 +1,172 @@
+"""Event lists and tables of positions, judged before they are believed: faults are named by their lines."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.geodesy import enu_offsets
+from photocal.findings.finding import Finding, Severity
+
+# No aircraft that carries a camera for survey flies faster over ground, m/s.
+FASTEST_M_S = 80.0
+# Beside what it flies, a position may be off by so many of its sigmas, or by so much without any, m.
+SIGMAS, UNSTATED_M = 5.0, 20.0
+# Lines that are closer in time are the same exposure, s.
+SAME_S = 1e-3
+# How many wrong lines in a row are passed over in the search for those that belong together.
+_REACH = 64
+# Positions of pictures whose receivers state no sigma, m: of code, and a second old at 15 m/s. Those that
+# state one are of the exposure; the camera hangs beside the antenna.
+PICTURE_SIGMA_M, PICTURE_LATE_M, PICTURE_OFFSET_M = 3.0, 15.0, 1.0
+
+
+@dataclass(frozen=True)
+class ListedPositions:
+    """Positions of a list in the order of its lines.
+
+    lines: what names each line: "line 7", or the name of a picture.
+    time_s (n,): of the events by one clock; NaN where the list tells none.
+    place (n, 3): latitude, longitude (deg), height (m).
+    sigma_m (n, 3): east, north, up; NaN where not told.
+    number (n,): the device's own count; -1 where it tells none.
+    """
+
+    lines: tuple[str, ...]
+    time_s: Floats
+    place: Floats
+    sigma_m: Floats
+    number: Integers
+
+
+@dataclass(frozen=True)
+class JudgedPositions:
+    """What of a list may be used.
+
+    kept (n,): lines that are events of their own; others repeat one.
+    placed (n,): whether the position may be used; sigma_known (n,): whether its sigmas may.
+    """
+
+    kept: Flags
+    placed: Flags
+    sigma_known: Flags
+    findings: tuple[Finding, ...]
+
+
+def judge_listed(listed: ListedPositions) -> JudgedPositions:
+    """Judge a list by itself: zeros, sigmas of zero, duplicates, order, and jumps that no aircraft flies."""
+    lat, lon, _ = listed.place.T
+    finite = np.isfinite(listed.place).all(axis=1)
+    credible = finite & (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~((lat == 0) & (lon == 0))
+    told = np.isfinite(listed.sigma_m).all(axis=1)
+    positive = told & (listed.sigma_m > 0).all(axis=1)
+    kept = _firsts(listed)
+    together = _belonging(listed, credible & kept)
+    findings = [
+        *_named("events-without-position", ~credible, listed),
+        *_named("events-without-sigma", told & ~positive & credible, listed),
+        *_named("events-twice", ~kept, listed),
+        *_named("events-out-of-order", _backwards(listed.time_s), listed),
+        *_jumps(listed, credible & kept & ~together),
+    ]
+    return JudgedPositions(kept, credible & (together | ~kept), positive, tuple(findings))
+
+
+def _named(
+    code: str, rows: Flags, listed: ListedPositions, severity: Severity = "doubtful", **more: float
+) -> Iterator[Finding]:
+    if rows.any():
+        lines = tuple(listed.lines[k] for k in np.flatnonzero(rows))
+        figures = {"n": float(rows.sum()), "all": float(len(rows)), "lines": lines, **more}
+        yield Finding(code, severity, figures=figures)
+
+
+def _firsts(listed: ListedPositions) -> Flags:
+    """Which lines are no repetition of an earlier one, by time or by number and place."""
+    keys = [
+        round(time / SAME_S) if np.isfinite(time) else (number, *place)
+        for time, number, place in zip(listed.time_s, listed.number, listed.place.tolist(), strict=True)
+    ]
+    seen = dict[object, int]()
+    return np.array([seen.setdefault(key, k) == k for k, key in enumerate(keys)], dtype=np.bool_)
+
+
+def _backwards(time_s: Floats) -> Flags:
+    """Lines that are earlier than one before them."""
+    latest = np.fmax.accumulate(np.where(np.isfinite(time_s), time_s, -np.inf))
+    before = np.concatenate([[-np.inf], latest[:-1]])
+    return np.asarray(time_s < before - SAME_S)
+
+
+def _belonging(listed: ListedPositions, usable: Flags) -> Flags:
+    """The most lines that one aircraft can have flown, each from the one before; all without times."""
+    rows = np.flatnonzero(usable & np.isfinite(listed.time_s))
+    if len(rows) < 2:
+        return usable.copy()
+    rows = rows[np.argsort(listed.time_s[rows], kind="stable")]
+    place, time = listed.place[rows], listed.time_s[rows]
+    offset = enu_offsets(*place.T, np.median(place, axis=0))
+    sigma = np.linalg.norm(np.where(listed.sigma_m[rows] > 0, listed.sigma_m[rows], np.nan), axis=1)
+    room = np.where(np.isfinite(sigma), SIGMAS * sigma, UNSTATED_M)
+    count, came_from = np.ones(len(rows), dtype=np.int64), np.full(len(rows), -1)
+    for k in range(1, len(rows)):
+        back = np.arange(max(0, k - _REACH), k)
+        away = np.linalg.norm(offset[back] - offset[k], axis=1)
+        flown = away <= FASTEST_M_S * (time[k] - time[back]) + room[back] + room[k]
+        if flown.any():
+            # Of chains that are equally long, the one without a gap.
+            best = back[flown][::-1][int(np.argmax(count[back[flown]][::-1]))]
+            count[k], came_from[k] = count[best] + 1, best
+    together = usable & ~np.isfinite(listed.time_s)
+    k = int(np.argmax(count))
+    while k >= 0:
+        together[rows[k]] = True
+        k = int(came_from[k])
+    return together
+
+
+def _jumps(listed: ListedPositions, rows: Flags) -> Iterator[Finding]:
+    """Name positions that lie where no aircraft came from the others' place in time."""
+    if not rows.any():
+        return
+    others = np.isfinite(listed.place).all(axis=1) & ~rows
+    origin = np.median(listed.place[others], axis=0)
+    away = np.linalg.norm(enu_offsets(*listed.place[rows].T, origin), axis=1)
+    yield from _named("events-jump", rows, listed, apart_m=float(np.max(away)), fastest_m_s=FASTEST_M_S)
+
+
+def judge_against_pictures(
+    lines: Sequence[str], listed: Floats, listed_sigma: Floats, stated: Floats, stated_sigma: Floats
+) -> tuple[Flags, list[Finding]]:
+    """Hold listed positions against those that the pictures of the same exposures state, in plane.
+
+    listed, stated (n, 3): latitude, longitude (deg), height (m); NaN where not known.
+    listed_sigma, stated_sigma (n, 3): east, north, up, m; NaN where not told.
+    returns: which of them contradict, and what is to be said.
+    """
+    known = np.isfinite(listed).all(axis=1) & np.isfinite(stated[:, :2]).all(axis=1)
+    wrong = np.zeros(len(listed), dtype=np.bool_)
+    if not known.any():
+        return wrong, []
+    origin = np.nanmedian(listed[known], axis=0)
+    # Heights may be of several kinds.
+    ours, theirs = (
+        enu_offsets(*place.T, origin)[:, :2]
+        for place in (listed[known], np.column_stack([stated[known, :2], listed[known, 2]]))
+    )
+    away = np.linalg.norm(ours - theirs, axis=1)
+    own, other = (np.linalg.norm(sigma[known, :2], axis=1) for sigma in (listed_sigma, stated_sigma))
+    precise = other > 0
+    other = np.where(precise, other, PICTURE_SIGMA_M)
+    late = np.where(precise, PICTURE_OFFSET_M, PICTURE_LATE_M)
+    limit = SIGMAS * np.hypot(np.nan_to_num(own), other) + late
+    wrong[known] = away > limit
+    if not wrong.any():
+        return wrong, []
+    names = tuple(lines[k] for k in np.flatnonzero(wrong))
+    many = wrong.sum() > known.sum() / 2
+    figures = {"n": float(wrong.sum()), "all": float(known.sum()), "lines": names}
+    figures |= {"apart_m": float(np.median(away[away > limit]))}
+    code = "list-of-another-flight" if many else "events-beside-pictures"
+    return wrong, [Finding(code, "grave" if many else "doubtful", figures=figures)]

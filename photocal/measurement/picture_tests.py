@@ -1,0 +1,187 @@
+"""Tests of what pictures state: focus, bodies, fixes, corrections in the camera, smear, gimbal."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from photocal.findings.finding import Finding, Severity
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.listed_positions import PICTURE_LATE_M, PICTURE_SIGMA_M, SIGMAS
+from photocal.measurement.maker_camera import stated_camera
+from photocal.measurement.picture_conditions import temperatures
+from photocal.planning.frame import SMEAR_LIMIT_PX, smear_px
+
+# Corrections of RTK that are older leave centimetres of the atmosphere in the positions (RTCM: 10 s).
+OLDEST_CORRECTION_S = 10.0
+# A gimbal that looks further behind than this has turned over; cameras without one swing by less.
+PAST_NADIR_DEG = 15.0
+# EXIF: 2 is hard.
+_HARD = 2
+# Positions of pictures are code fixes up to a second old: a table that is farther away is of another place.
+_TABLE_APART_M = SIGMAS * PICTURE_SIGMA_M + PICTURE_LATE_M
+# So many laser distances are told one by one.
+_LISTED = 12
+# More than this smear is no longer a loss of contrast only.
+_MUCH_SMEAR_PX = 1.0
+
+
+def judge_pictures(facts: Sequence[ImageFacts]) -> list[Finding]:
+    """Judge the pictures of one camera by what they state; nothing is said of what they do not state."""
+    alike, findings = list(facts), list[Finding]()
+    # What was taken with another body or lens is not judged by the settings of this one.
+    for code, stated in (
+        ("pictures-of-other-camera", _body),
+        ("lens-changed", _lens),
+        ("refocused", _focus),
+    ):
+        usual, others = _unlike(alike, stated)
+        if others:
+            findings.append(_about(code, others, facts, "doubtful", told=stated(others[0]), usual=usual))
+            alike = [image for image in alike if stated(image) == usual or not stated(image)]
+    for test in (_fixes, _old_corrections, _corrected, _sharpened, _smeared, _turned_over, _beside_table):
+        findings += test(facts)
+    return findings
+
+
+def _about(
+    code: str,
+    group: Sequence[ImageFacts],
+    every: Sequence[ImageFacts],
+    severity: Severity,
+    **more: float | str,
+) -> Finding:
+    names = tuple(image.name for image in group)
+    figures = {"n": float(len(names)), "all": float(len(every)), "images": names, **more}
+    return Finding(code, severity, figures=figures)
+
+
+def _unlike(facts: Sequence[ImageFacts], stated: Callable[[ImageFacts], str]) -> tuple[str, list[ImageFacts]]:
+    """What most pictures state, and those that state something else."""
+    counts = Counter(text for image in facts if (text := stated(image)))
+    usual = max(counts, key=lambda text: counts[text], default="")
+    return usual, [image for image in facts if stated(image) not in ("", usual)]
+
+
+def _body(image: ImageFacts) -> str:
+    parts = image.make, image.model, image.serial, "x".join(map(str, image.size_px)), image.lens_serial
+    return " ".join(filter(None, parts))
+
+
+def _lens(image: ImageFacts) -> str:
+    return f"{image.focal_mm:g} mm" if np.isfinite(image.focal_mm) else ""
+
+
+def _focus(image: ImageFacts) -> str:
+    """Distance and lens position, as far as they are told."""
+    told = [f"{image.focus_m:g} m"] if np.isfinite(image.focus_m) else []
+    told += [f"lens position {image.lens_position:g}"] if np.isfinite(image.lens_position) else []
+    return ", ".join(told)
+
+
+def _fixes(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    """Find positions without fixed ambiguities among fixed ones, and pictures that are not for mapping."""
+    counts = Counter(image.fix for image in facts)
+    without = [image for image in facts if image.fix in ("float", "single")]
+    if without:
+        severity: Severity = "doubtful" if counts["fixed"] else "note"
+        figures = {"n_float": float(counts["float"]), "n_single": float(counts["single"])}
+        yield _about("pictures-not-fixed", without, facts, severity, **figures)
+    if poor := [image for image in facts if image.surveying_mode == 0 and image not in without]:
+        yield _about("pictures-not-for-mapping", poor, facts, "note")
+
+
+def _old_corrections(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    old = [image for image in facts if image.rtk_age_s > OLDEST_CORRECTION_S and image.fix]
+    if old:
+        oldest = max(image.rtk_age_s for image in old)
+        yield _about("corrections-old", old, facts, "doubtful", age_s=oldest, limit_s=OLDEST_CORRECTION_S)
+
+
+def _corrected(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    """Find pictures whose distortion the camera took out: what is calibrated is then not the lens."""
+    profiled = ("1", "true")
+    done = [image for image in facts if image.dewarped == 1 or image.lens_profile.lower() in profiled]
+    if done:
+        yield _about("pictures-dewarped", done, facts, "doubtful")
+
+
+def _sharpened(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    if hard := [image for image in facts if image.sharpness == _HARD]:
+        yield _about("pictures-sharpened", hard, facts, "note")
+
+
+def _smeared(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    """Find pictures that their flight smears while the shutter is open."""
+    smears = [(smear_of(image), image) for image in facts]
+    long = [(smear, image) for smear, image in smears if smear > SMEAR_LIMIT_PX]
+    if long:
+        most = max(smear for smear, _ in long)
+        severity: Severity = "doubtful" if most > _MUCH_SMEAR_PX else "note"
+        yield _about(
+            "pictures-smeared", [image for _, image in long], facts, severity,
+            smear_px=most, limit_px=SMEAR_LIMIT_PX,
+        )  # fmt: skip
+
+
+def smear_of(image: ImageFacts) -> float:
+    """Way of the ground while the shutter was open, px; NaN where the picture does not tell."""
+    distance = flying_height_m(image)
+    if not distance > 0 or not np.isfinite(image.exposure_s * image.speed_m_s):
+        return np.nan
+    gsd = distance / stated_camera("", image).camera.value("c")
+    return float(smear_px(image.exposure_s, image.speed_m_s, gsd))
+
+
+def flying_height_m(image: ImageFacts) -> float:
+    """Distance to the ground: by the laser, else the height above the take-off point; NaN for neither."""
+    return image.laser_m if np.isfinite(image.laser_m) else image.relative_altitude_m
+
+
+def _turned_over(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    """Find gimbals that hang upside down, roll over or look behind nadir."""
+
+    def over(image: ImageFacts) -> bool:
+        """Whether one of the signs of it is there."""
+        roll, pitch, _ = image.gimbal_deg
+        behind = pitch < -90.0 - PAST_NADIR_DEG
+        return bool(image.gimbal_reverse == 1 or image.camera_reverse == 1 or abs(roll) > 90.0 or behind)
+
+    if turned := [image for image in facts if over(image)]:
+        yield _about("gimbal-turned-over", turned, facts, "note")
+
+
+def _beside_table(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
+    """Find positions of a table that lie elsewhere than the pictures say themselves: another flight's."""
+    known = [image for image in facts if np.isfinite(image.table_apart_m)]
+    away = [image for image in known if image.table_apart_m > _TABLE_APART_M]
+    if away:
+        apart = float(np.median([image.table_apart_m for image in away]))
+        yield _about("table-beside-pictures", away, facts, "doubtful", apart_m=apart)
+
+
+def told_beside(facts: Sequence[ImageFacts]) -> list[str]:
+    """Sentences on what pictures tell beside their cameras and positions: laser and temperatures."""
+    lasers = np.array([image.laser_m for image in facts])
+    hit, told = lasers[np.isfinite(lasers)], list[str]()
+    if len(hit):
+        heights = np.array([image.relative_altitude_m for image in facts])
+        heights = heights[np.isfinite(heights)]
+        above = f"; flying height above take-off {np.median(heights):.1f} m (median)" if len(heights) else ""
+        each = ", ".join(f"{distance:.1f}" for distance in hit) + " m"
+        spread = f"{hit.min():.1f} to {hit.max():.1f} m, median {np.median(hit):.1f} m"
+        spread = each if len(hit) <= _LISTED else spread
+        told.append(f"laser distances of {len(hit)} of {len(facts)} pictures: {spread}{above}")
+    if (warm := temperatures(facts)) is not None:
+        told.append(f"temperature of the camera {warm[0]:.1f} to {warm[2]:.1f} deg C, median {warm[1]:.1f}")
+    return told
+
+
+def judge_cameras(facts: Sequence[ImageFacts], names: Sequence[str], member: Sequence[int]) -> list[Finding]:
+    """Judge the pictures of each camera; `member` tells which took each picture."""
+    findings = list[Finding]()
+    for k, name in enumerate(names):
+        own = [image for image, of in zip(facts, member, strict=True) if of == k]
+        findings += [replace(finding, subject=name) for finding in judge_pictures(own)]
+    return findings

@@ -1,0 +1,232 @@
+"""Event lists with one fault each: named by their lines, or refused; recorded lists say nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from photocal.base.errors import InputMalformedError
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.listed_positions import ListedPositions, judge_listed
+from photocal.measurement.picture_tests import judge_pictures
+from photocal.measurement.position_files import read_positions
+from photocal.navigation.events import CameraEventList, read_mrk
+from photocal.navigation.time import GpsTime
+from tests.photocal.conftest import Answer
+
+WEEK, START_S = 2211, 296288.242869
+LATITUDE, LONGITUDE, HEIGHT_M = 47.64368732, 16.47592717, 512.998
+METRES_OF_DEGREE = 111_200.0
+# Irregular, so that only one alignment with pictures fits.
+TIMES_S = np.cumsum([0.0, 1.53, 1.47, 1.72, 1.5, 1.91, 1.44, 1.6, 1.55, 1.83, 1.49, 1.66])
+Photocal = Callable[..., Answer]
+Change = Callable[[list[str]], Sequence[str]]
+
+
+def lines(count: int = 12) -> list[str]:
+    """A strip at 10 m/s northwards with fixed ambiguities, as a Phantom 4 RTK writes it."""
+    return [
+        f"{k + 1}\t{START_S + TIMES_S[k]:.6f}\t[{WEEK}]\t     3,N\t     0,E\t    75,V\t"
+        f"{LATITUDE + 10 * TIMES_S[k] / METRES_OF_DEGREE:.10f},Lat\t{LONGITUDE:.10f},Lon\t"
+        f"{HEIGHT_M:.3f},Ellh\t0.014391, 0.013698, 0.029694\t50,Q"
+        for k in range(count)
+    ]
+
+
+def cells(line: str, **changed: str) -> str:
+    """A line with other cells, by their place."""
+    places = {"time": 1, "lat": 6, "lon": 7, "height": 8, "sigma": 9}
+    own = line.split("\t")
+    for name, text in changed.items():
+        own[places[name]] = text
+    return "\t".join(own)
+
+
+def listed(folder: Path, rows: Sequence[str]) -> CameraEventList:
+    path = folder / "flight_Timestamp.MRK"
+    path.write_text("\n".join(rows) + "\n")
+    return read_mrk(path)
+
+
+def with_line(number: int, **changed: str) -> Change:
+    return lambda rows: [cells(r, **changed) if k == number else r for k, r in enumerate(rows, 1)]
+
+
+NOWHERE = {"lat": "0.0000000000,Lat", "lon": "0.0000000000,Lon", "height": "0.000,Ellh"}
+FAR = {"lat": f"{LATITUDE + 5000 / METRES_OF_DEGREE:.10f},Lat"}
+FAULTS: dict[str, tuple[Change, str, tuple[str, ...]]] = {
+    "zeros": (with_line(5, **NOWHERE), "events-without-position", ("line 5",)),
+    "outside the globe": (with_line(3, lat="147.6,Lat"), "events-without-position", ("line 3",)),
+    "sigma of zero": (with_line(7, sigma="0.000, 0.000, 0.000"), "events-without-sigma", ("line 7",)),
+    "5 km within 2 s": (with_line(6, **FAR), "events-jump", ("line 6",)),
+    "5 km at the end": (with_line(12, **FAR), "events-jump", ("line 12",)),
+    "twice": (lambda rows: [*rows[:4], rows[3], *rows[4:]], "events-twice", ("line 5",)),
+    "order": (
+        lambda rows: [*rows[:3], rows[4], rows[3], *rows[5:]], "events-out-of-order", ("line 5",),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_named_by_its_line(tmp_path: Path, name: str) -> None:
+    change, code, named = FAULTS[name]
+    found = listed(tmp_path, change(lines()))
+    assert [(one.code, one.figures["lines"], one.severity) for one in found.findings] == [
+        (code, named, "doubtful")
+    ]
+    # What is named is not used; all else is, in the order of time.
+    assert (np.diff(found.events.time.ns) > 0).all()
+    assert len(found.events) == 12
+    lost = {"events-without-position", "events-jump"}
+    assert int(found.placed.placed.sum()) == (11 if code in lost else 12)
+    unknown = np.isnan(found.placed.covariance_m2[:, 0, 0]).sum()
+    assert unknown == (code == "events-without-sigma")
+
+
+def test_a_list_of_zeros_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputMalformedError, match=r"12 of 12 positions .* cannot be meant") as refusal:
+        listed(tmp_path, [cells(row, **NOWHERE) for row in lines()])
+    assert "flight_Timestamp.MRK" in str(refusal.value)
+
+
+def test_the_longer_part_of_two_places_is_believed() -> None:
+    """Two flights in one list, 40 km apart and minutes after each other."""
+    n, first = 30, 20
+    time = np.arange(n) * 2.0
+    place = np.column_stack([LATITUDE + 1e-4 * np.arange(n), np.full(n, LONGITUDE), np.full(n, 500.0)])
+    place[first:, 1] += 0.5
+    rows = ListedPositions(
+        tuple(f"line {k}" for k in range(n)), time, place, np.full((n, 3), 0.02), np.arange(n)
+    )
+    judged = judge_listed(rows)
+    assert judged.placed.tolist() == [True] * first + [False] * (n - first)
+    assert [one.code for one in judged.findings] == ["events-jump"]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_aircraft_in_a_hurry_are_believed(seed: int) -> None:
+    """Speeds up to 40 m/s in all directions, pauses, code positions of 3 m beside fixed ones."""
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.choice([0.7, 2.0, 60.0], 200, p=[0.6, 0.38, 0.02]))
+    step = rng.normal(0, 20.0, (200, 3)).clip(-23, 23) * np.diff(time, prepend=0.0)[:, None]
+    sigma = np.where(rng.random((200, 1)) < 0.2, 3.0, 0.02) * np.ones(3)
+    track = np.cumsum(step, axis=0) + rng.normal(0, 1.0, (200, 3)) * sigma
+    place = np.array([LATITUDE, LONGITUDE, 500.0]) + track / [METRES_OF_DEGREE, 75e3, 1.0]
+    judged = judge_listed(ListedPositions(("x",) * 200, time, place, sigma, np.arange(200)))
+    assert judged.findings == ()
+
+
+@pytest.mark.shared
+def test_a_recorded_list_says_nothing(shared: Path) -> None:
+    found = read_mrk(shared / "data/rtk-mrk-gcp-helenenschacht/101FTASK_Timestamp.mrk")
+    assert found.findings == ()
+    assert found.placed.placed.all()
+
+
+def pictures(
+    folder: Path, *, beside_m: float = 0.0, late_s: float = 0.0, utc: bool = True, count: int = 12
+) -> Path:
+    """Pictures of these exposures with the positions of a receiver, and their time as M4E writes it."""
+    folder.mkdir()
+    utc_ns = GpsTime.from_week([WEEK] * count, (START_S + TIMES_S[:count]).tolist()).to_utc()
+    for k, stamp in enumerate(utc_ns.shifted(np.full(count, round(late_s * 1e9), np.int64)).iso()):
+        exif = Image.Exif()
+        exif[0x010F], exif[0x0110] = "DJI", "M4E"
+        # The camera's own clock is eight hours and twenty seconds beside it.
+        exif.get_ifd(0x8769)[0x9003] = f"2022:05:25 {(18 + k // 60) % 24:02}:{k:02}:40"
+        gps = exif.get_ifd(0x8825)
+        latitude = LATITUDE + (10 * TIMES_S[k] + beside_m) / METRES_OF_DEGREE
+        for tag, value in ((2, latitude), (4, LONGITUDE)):
+            gps[tag] = (IFDRational(int(value)), IFDRational(0), IFDRational(round(value % 1 * 36e8), 10**6))
+        gps[1], gps[3], gps[6] = "N", "E", IFDRational(513)
+        exact = f'drone-dji:UTCAtExposure="{stamp[:26].replace("Z", "")}"' if utc else ""
+        packet = f"<x:xmpmeta><rdf:Description {exact} drone-dji:RelativeAltitude='+60.0'/></x:xmpmeta>"
+        Image.new("L", (64, 48), 8 * k).save(folder / f"DJI_{k + 1:04}.JPG", exif=exif, xmp=packet.encode())
+    return folder
+
+
+def exposures(photocal: Photocal, folder: Path, **more: float) -> dict[str, object]:
+    """Findings of `photocal exposures` that are no small ones, by code, of the list and such pictures."""
+    mrk = folder / "x_Timestamp.MRK"
+    mrk.write_text("\n".join(lines()) + "\n")
+    images = pictures(folder / "pictures", **more)  # type: ignore[arg-type]
+    answer = photocal("exposures", "--mrk", mrk, "--images", images, "-o", folder / "out", "--json")
+    assert answer.code == 0, answer.err
+    figures = json.loads(answer.out)
+    return {one["code"]: one for one in figures["findings"]} | {"": figures}
+
+
+def test_pictures_with_their_utc_need_no_offset(photocal: Photocal, tmp_path: Path) -> None:
+    found = exposures(photocal, tmp_path)
+    assert set(found) == {""}
+    camera = found[""]["cameras"][0]  # type: ignore[index]
+    assert camera["matched"] == 12
+    assert camera["clock_offset_s"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_list_that_is_beside_its_pictures_is_named(photocal: Photocal, tmp_path: Path) -> None:
+    found = exposures(photocal, tmp_path, beside_m=60.0)
+    one = found["list-of-another-flight"]
+    assert one["severity"] == "grave"  # type: ignore[index]
+    assert one["figures"]["apart_m"] == pytest.approx(60.0, abs=0.5)  # type: ignore[index]
+    assert one["figures"]["lines"][0] == "line 1"  # type: ignore[index]
+
+
+def test_a_list_in_utc_is_named(photocal: Photocal, tmp_path: Path) -> None:
+    """The events lie as much later as GPS time was ahead of UTC in 2022."""
+    found = exposures(photocal, tmp_path, late_s=-18.0)
+    one = found["events-beside-time"]
+    assert (one["severity"], one["cause"]) == ("grave", "leap-seconds-list")  # type: ignore[index]
+    assert one["figures"]["late_s"] == pytest.approx(18.0, abs=0.01)  # type: ignore[index]
+
+
+def test_a_list_of_another_zone_is_refused_with_the_best_alignment(
+    photocal: Photocal, tmp_path: Path
+) -> None:
+    mrk = tmp_path / "x_Timestamp.MRK"
+    mrk.write_text("\n".join(lines()) + "\n")
+    images = pictures(tmp_path / "pictures", late_s=8 * 3600.0)
+    answer = photocal("exposures", "--mrk", mrk, "--images", images, "-o", tmp_path / "out")
+    assert answer.code != 0
+    assert "12 of 12 images fit if their clock is +28800 s off" in answer.err.replace("\n", " ")
+
+
+def test_fewer_pictures_than_events_are_aligned(photocal: Photocal, tmp_path: Path) -> None:
+    found = exposures(photocal, tmp_path, count=10)
+    assert found["events-without-image"]["figures"]["events"] == ["11", "12"]  # type: ignore[index]
+
+
+def test_tables_of_positions_are_judged_too(tmp_path: Path) -> None:
+    path = tmp_path / "positions.csv"
+    for row, wrong in (
+        ("b.jpg,0,0,0,0.02,0.02,0.03", "cannot be meant"),
+        ("b.jpg,47.6,16.4,500,0,0,0", "sigma"),
+    ):
+        path.write_text(
+            f"image,latitude,longitude,height,sx,sy,sz\na.jpg,47.6,16.4,500,0.02,0.02,0.03\n{row}\n"
+        )
+        with pytest.raises(InputMalformedError, match=rf"{wrong}.*picture b.jpg"):
+            read_positions(path, ["a.jpg", "b.jpg"])
+    mrk = tmp_path / "x.MRK"
+    mrk.write_text("\n".join(FAULTS["5 km within 2 s"][0](lines())))
+    with pytest.raises(InputMalformedError, match=r"80 m/s carry \(event 6\)"):
+        read_positions(mrk, [f"DJI_{k:04}.JPG" for k in range(1, 13)])
+
+
+def test_a_table_of_another_flight_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "positions.csv"
+    path.write_text("image,latitude,longitude,height\na.jpg,47.6005,16.4,500\nb.jpg,47.6,16.4,500\n")
+    place = read_positions(path, ["a.jpg", "b.jpg"])
+    own = [
+        ImageFacts(n, (64, 48), latitude_deg=47.6, longitude_deg=16.4, altitude_m=500.0)
+        for n in ("a.jpg", "b.jpg")
+    ]
+    (found,) = judge_pictures([place(one) for one in own])
+    assert (found.code, found.figures["images"]) == ("table-beside-pictures", ("a.jpg",))
+    assert found.figures["apart_m"] == pytest.approx(55.6, abs=0.2)
