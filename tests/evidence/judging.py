@@ -1,4 +1,4 @@
-"""What the product says of a simulated flight, and what is true: one record of plain values a flight."""
+"""What the product says of a simulated flight, and what is true of it: a row a flight."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,23 +17,14 @@ import numpy as np
 import photocal
 from photocal.adjustment.ledger import ledger
 from photocal.base.errors import PhotocalError
-from photocal.findings.finding import Finding, verdict
+from photocal.findings.finding import verdict
 from photocal.georeferencing.output import to_json
-from tests.independent.faults import Fault
 from tests.independent.flights import Design, Errors, World, measured, world
 from tests.independent.folder import Placement, write_folder
 from tests.independent.optics import Floats, omega_phi_kappa
+from tests.independent.rows import Row, Told, cell
 
 Made = TypeVar("Made")
-Record = dict[str, Any]
-# What follows of errors, what a block cannot tell, and what is said of samples: none of it is a cause.
-NO_CAUSES = (
-    *("check-outside-prediction", "control-outside-prediction", "prediction-too-good", "global-test"),
-    *("global-factor", "method-refused", "not-separated", "not-determined", "no-check-points", "no-control"),
-    *("coarse-positions", "c-on-positions", "heights-on-positions", "small-sample", "single-check-point"),
-    *("bias", "outliers", "not-normal", "c-bias", "significance", "jackknife", "not-explained"),
-)
-RANK = ("refused", "grave", "doubtful", "consequence", "note", "passed", "untested")
 AS_FLOWN = Placement()
 
 
@@ -42,105 +33,73 @@ class Flown:
     """A block folder, its truth, and the errors of its survey (m, in the frame of the block)."""
 
     folder: Path
+    design: Design
     truth: World
     at: Placement
     survey_error: dict[str, Floats]
 
 
+def chance(design: Design, seed: int) -> np.random.Generator:
+    """Give the generator of a flight, which draws its world first."""
+    return np.random.default_rng([seed, design.images, design.control, design.check])
+
+
 def fly(folder: Path, design: Design, errors: Errors, seed: int, at: Placement = AS_FLOWN) -> Flown:
     """Write the block of a flight; the same seed is the same flight, wherever it lies."""
-    rng = np.random.default_rng([seed, design.images, design.control, design.check])
+    rng = chance(design, seed)
     truth = world(design, rng)
     observed = measured(truth, design, errors, rng)
     write_folder(folder, design, errors, truth, observed, at)
     apart = (observed.surveyed - truth.points) @ at.turn.T
-    return Flown(folder, truth, at, dict(zip(at.point_names(truth), apart, strict=True)))
+    return Flown(folder, design, truth, at, dict(zip(at.point_names(truth), apart, strict=True)))
 
 
-def judged(design: Design, errors: Errors, seed: int, at: Placement = AS_FLOWN) -> Record:
-    """Fly, adjust, analyse and check."""
+def judged(kind: str, name: str, design: Design, errors: Errors, seed: int, at: Placement = AS_FLOWN) -> Row:
+    """Fly, adjust, analyse and check, by the public face."""
     with tempfile.TemporaryDirectory() as scratch:
-        return record(fly(Path(scratch) / "block", design, errors, seed, at))
+        flown = fly(Path(scratch) / "block", design, errors, seed, at)
+        block = photocal.read_block(flown.folder)
+        result, adjust_s, _ = _tried(lambda: photocal.adjust(block))
+        outcome, analyse_s, in_analysis = _tried(lambda: photocal.analyse(block))
+        checked, check_s, in_check = _tried(lambda: photocal.check(block))
+    content: dict[str, Any] = {} if checked is None else to_json(checked)
+    methods = content.get("methods", {})
+    best = methods.get("integrated") or methods.get("indirect")
+    at_checks = at_check_points(best, flown) if best else None
+    listed = () if outcome is None else outcome.findings
+    return Row(
+        kind,
+        name,
+        seed,
+        content.get("verdict", {}).get("code", "refused"),
+        "refused" if outcome is None else verdict(listed).code,
+        told_by_check(content),
+        cell(Told(one.code, one.severity, one.subject, one.cause) for one in listed),
+        *(at_checks or (np.nan, np.nan, np.nan, 0)),
+        np.nan if result is None else float(result.sigma0_squared or np.nan),
+        in_analysis,
+        in_check,
+        adjust_s,
+        analyse_s,
+        check_s,
+    )
 
 
-def record(flown: Flown) -> Record:
-    """Say what the public face makes of a flight."""
-    block = photocal.read_block(flown.folder)
-    result, adjusted_s, _ = _tried(lambda: photocal.adjust(block))
-    outcome, analysed_s, in_analysis = _tried(lambda: photocal.analyse(block))
-    check, checked_s, in_check = _tried(lambda: photocal.check(block))
-    content = {} if isinstance(check, str) else to_json(check)
-    listed = [] if isinstance(outcome, str) else [_plain(finding) for finding in outcome.findings]
-    told = [(f["code"], f["severity"], f.get("subject", "")) for f in content.get("findings", [])]
-    final = "refused" if isinstance(outcome, str) else verdict(outcome.findings).code
-    return {
-        "adjust": result if isinstance(result, str) else result.sigma0_squared,
-        "z": {} if isinstance(result, str) else errors_in_sigmas(result, flown),
-        "analyse": listed,
-        "analyse_verdict": final,
-        "check": told,
-        "check_verdict": content.get("verdict", {}).get("code", "refused"),
-        "methods": {name: _at_checks(part, flown) for name, part in content.get("methods", {}).items()},
-        "adjustments": (in_analysis, in_check),
-        "seconds": (adjusted_s, analysed_s, checked_s),
-    }
+def told_by_check(content: dict[str, Any]) -> str:
+    """Give the findings of `check --json` as a cell."""
+    return cell(
+        Told(one["code"], one["severity"], one.get("subject") or "", one.get("cause") or "")
+        for one in content.get("findings", [])
+    )
 
 
-def by_command(folder: Path) -> Record:
-    """Give findings and verdicts of the command line, as `record` does."""
+def by_command(folder: Path) -> tuple[str, str, str]:
+    """Give findings of analyse and check, and the verdict, as the command line has them."""
     run = folder.parent / "run"
     _photocal("adjust", str(folder), "-o", str(run), "--json")
     analysed = _photocal("analyse", str(run), "--json")
     checked = _photocal("check", str(folder), "--json")
-    return {
-        "analyse": [(f["code"], f["severity"], f["subject"]) for f in analysed.get("findings", [])],
-        "check": [(f["code"], f["severity"], f["subject"]) for f in checked.get("findings", [])],
-        "check_verdict": checked.get("verdict", {}).get("code", "refused"),
-    }
-
-
-def causes(findings: Sequence[Sequence[str]]) -> list[tuple[str, str, str]]:
-    """Give what is named as a cause, the gravest first."""
-    named = [tuple(one) for one in findings if one[0] not in NO_CAUSES and one[1] != "passed"]
-    return sorted(named, key=lambda one: RANK.index(one[1]))  # type: ignore[arg-type]
-
-
-def right(fault: Fault, findings: Sequence[Sequence[str]]) -> bool:
-    """Whether the first cause is the fault, and all that it concerns is named."""
-    named = causes(findings)
-    if not named or named[0][0] not in fault.names:
-        return not fault.names and not any(one[1] in ("grave", "refused", "doubtful") for one in named)
-    if not fault.subjects:
-        return True
-    subjects = " ".join(subject for code, _, subject in named if code in fault.names).split()
-    return named[0][2].split()[0].strip(",") in fault.subjects and set(fault.subjects) <= {
-        word.strip(",") for word in subjects
-    }
-
-
-def accused(fault: Fault, findings: Sequence[Sequence[str]]) -> list[str]:
-    """Give what is gravely or doubtfully named although it is sound."""
-    return [
-        f"{code} {subject}".strip()
-        for code, severity, subject in causes(findings)
-        if severity in ("grave", "doubtful", "refused")
-        and (code not in fault.names or (fault.subjects and not set(subject.split()) & set(fault.subjects)))
-    ]
-
-
-def _plain(finding: Finding) -> tuple[str, str, str]:
-    return finding.code, finding.severity, finding.subject
-
-
-def _tried(make: Callable[[], Made]) -> tuple[Made | str, float, int]:
-    """Make something: it or why not, processor seconds, and adjustments made for it."""
-    start, made = time.process_time(), ""
-    with ledger() as entries:
-        try:
-            return make(), time.process_time() - start, len(entries)
-        except PhotocalError as refusal:
-            made = f"{type(refusal).__name__}: {refusal}"
-    return made, time.process_time() - start, len(entries)
+    return told_by_check(analysed), told_by_check(checked), checked.get("verdict", {}).get("code", "refused")
 
 
 def errors_in_sigmas(result: photocal.Result, flown: Flown) -> dict[str, list[float]]:
@@ -149,7 +108,7 @@ def errors_in_sigmas(result: photocal.Result, flown: Flown) -> dict[str, list[fl
     given: dict[str, list[float]] = {}
     for camera in result.cameras.values():
         for name in camera.free:
-            true = getattr(truth.lens, name, None)
+            true = flown.design.readout_s if name == "readout" else getattr(truth.lens, name, None)
             sigma = camera.sigma_of(name)
             if true is not None and sigma:
                 given[name] = [float((camera.value(name) - true) / sigma)]
@@ -166,29 +125,39 @@ def errors_in_sigmas(result: photocal.Result, flown: Flown) -> dict[str, list[fl
     return given | dict(zip("XYZ", z.T.tolist(), strict=True))
 
 
-def _at_checks(method: Record, flown: Flown) -> Record:
-    """Errors at check points against the truth, what was predicted for them, and the joint tests."""
-    check = method["check"]
-    joint = check.get("joint") or {}
-    points = check["points"]
-    apart = [[p[f"d{axis}_m"] for axis in "XYZ"] + flown.survey_error[p["point"]] for p in points]
-    rmse = np.sqrt(np.mean(np.square(apart), axis=0)) if points else np.full(3, np.nan)
+def at_check_points(method: dict[str, Any], flown: Flown) -> tuple[float, float, float, int] | None:
+    """Damage, p of the joint test and of its mean, and whether the standards' test says biased."""
+    check, assessed = method["check"], method.get("assessment") or {}
+    if not check["points"]:
+        return None
+    apart = [[p[f"d{axis}_m"] for axis in "XYZ"] + flown.survey_error[p["point"]] for p in check["points"]]
+    rmse = np.sqrt(np.mean(np.square(apart), axis=0))
     predicted = np.array([check["predicted_m"][axis] or np.nan for axis in "XYZ"])
-    return {
-        "n": len(points),
-        "rmse": rmse.tolist(),
-        "damage": float(np.nanmax(rmse / predicted)) if points else None,
-        "p": joint.get("p_value"),
-        "p_mean": joint.get("mean_p_value"),
-    }
+    joint = check.get("joint") or {}
+    components = assessed.get("components", {}).values()
+    biased = any((part.get("bias_test") or {}).get("biased") for part in components)
+    p, p_mean = (joint.get(key, np.nan) for key in ("p_value", "mean_p_value"))
+    return float(np.nanmax(rmse / predicted)), float(p), float(p_mean), int(biased)
 
 
-def _photocal(*words: str) -> Record:
+def _tried(make: Callable[[], Made]) -> tuple[Made | None, float, int]:
+    """Make something, or nothing where that is refused; processor seconds, and adjustments made for it."""
+    start = time.process_time()
+    made = None
+    with ledger() as entries:
+        try:
+            made = make()
+        except PhotocalError as refusal:
+            sys.stderr.write(f"{type(refusal).__name__}: {str(refusal)[:100]}\n")
+    return made, time.process_time() - start, len(entries)
+
+
+def _photocal(*words: str) -> dict[str, Any]:
     ran = subprocess.run(
         [sys.executable, "-m", "photocal", *words], capture_output=True, text=True, check=False
     )
     try:
-        made: Record = json.loads(ran.stdout)
+        made: dict[str, Any] = json.loads(ran.stdout)
     except json.JSONDecodeError:
         return {"refused": ran.stderr.strip()}
     return made

@@ -35,7 +35,7 @@ def scaled(errors: Errors, factor: float) -> Errors:
     """The same error so many times as large."""
     made: dict[str, Any] = {}
     for name in ("lever_arm_m", "datum_m"):
-        made[name] = tuple(factor * v for v in getattr(errors, name))
+        made[name] = tuple([factor * v for v in getattr(errors, name)])
     for name in ("time_offset_s", "plane_scale", "c_step", "c_stated", "readout_s"):
         made[name] = factor * getattr(errors, name)
     made["lens"] = tuple((term, factor * value) for term, value in errors.lens)
@@ -59,15 +59,15 @@ def noncentrality(truth: World, design: Design, errors: Errors) -> float:
         wrong = expected(replace(truth, lens=lens), design, errors)
     of_rays = (wrong.pixels - clean.pixels) / design.sigma_px
     # A block that states another arm takes its antennas for those of that arm.
-    stated = Errors(lever_arm_m=tuple(a - b for a, b in zip(errors.stated_lever_m, LEVER_M, strict=True)))
-    antenna = wrong.antenna - expected(truth, design, stated).antenna
+    x, y, z = (np.array(errors.stated_lever_m) - LEVER_M).tolist()
+    antenna = wrong.antenna - expected(truth, design, Errors(lever_arm_m=(x, y, z))).antenna
     of_poses = np.hstack([antenna / GNSS_M, np.zeros((len(antenna), 3))]) * design.gnss
     of_control = (wrong.surveyed - clean.surveyed)[control] / CONTROL_M
     return _left(truth, design, of_rays, of_poses, of_control)
 
 
 def _left(truth: World, design: Design, of_rays: Floats, of_poses: Floats, of_control: Floats) -> float:
-    """Weighted squares that no unknown takes up; unknowns are poses, common values and points, in this order."""
+    """Weighted squares that no unknown takes up; unknowns: poses, common values, then points."""
     n, points = len(truth.centre), len(truth.role)
     own, of_point, common, by_common = _derivatives(truth, design)
     pose_own, pose_common = _of_poses(truth, design, by_common)
@@ -109,7 +109,7 @@ def _left(truth: World, design: Design, of_rays: Floats, of_poses: Floats, of_co
 
 
 def _derivatives(truth: World, design: Design) -> tuple[Floats, Floats, Floats, int]:
-    """Of each ray by its pose (6), its point (3) and the common values; how many of these are the boresight."""
+    """Of each ray by its pose (6), its point (3) and the common values; how many of these are of lenses."""
 
     def rays(changed: World) -> Floats:
         """Pixels in sigmas."""

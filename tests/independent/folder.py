@@ -91,13 +91,13 @@ def write_folder(
         ((*pair, *xy) for pair, xy in zip(names, observed.pixels, strict=True)),
     )
     if design.gnss:
-        sigma = (np.array(GNSS_M) * np.ones((len(images), 1))).T
+        stated = (np.array(GNSS_M) * np.ones((len(images), 1))).T
         velocity = (truth.velocity @ turn.T).T
         strip = [f"s{k}" for k in truth.strip]
         _write(
             folder / "positions.csv",
             "image,X,Y,Z,sX,sY,sZ,vX,vY,vZ,strip,time_s",
-            zip(images, *observed.antenna.T, *sigma, *velocity, strip, truth.time, strict=True),
+            zip(images, *observed.antenna.T, *stated, *velocity, strip, truth.time, strict=True),
         )
         attitude = (np.degrees(observed.angles) + 180.0) % 360.0 - 180.0
         _write(
