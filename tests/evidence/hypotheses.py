@@ -99,9 +99,9 @@ def run(kind: str, name: str, seed: int) -> Any:
     if kind in ("clean", "unusual", "cost"):
         return astuple(judged(kind, name, DESIGNS[name], Errors(), seed))
     if kind == "placed":
-        place, fault = name.split(": ", 1)
+        place, wrong = name.split(": ", 1)
         at = PLACES.get(place, Placement())
-        return astuple(judged(kind, name, FAULTS[fault].design, FAULTS[fault].errors, seed, at))
+        return astuple(judged(kind, name, FAULTS[wrong].design, FAULTS[wrong].errors, seed, at))
     fault = FAULTS[name]
     errors = fault.errors
     if kind == "power":
