@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import takewhile
 
 import numpy as np
 
+from photocal.adjustment.common_error import c_by_common_height
 from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
@@ -220,6 +221,8 @@ class Analysis:
     lens_models: the models compared, its own first; empty where nothing is left to explain.
     observation_sigma: of the image coordinates, assumed and found, in the unit of the image plane.
     result_sha256: digest of the result.json that it belongs to.
+    c_by_height: change of each camera's c with an error common to all observed heights of exposures, per m;
+        None where that error is an unknown of the adjustment, without the camera where nothing tells it.
     """
 
     schema: str = SCHEMA
@@ -240,6 +243,7 @@ class Analysis:
     methods: tuple[MethodCheck, ...]
     exterior_difference: ExteriorDifference | None = None
     result_sha256: str = ""
+    c_by_height: dict[str, float | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -323,8 +327,15 @@ def analyse_network(
         bootstrap_draws=draws,
         network=geometry,
         methods=tuple(check_method(method, geometry) for method in METHODS),
+        c_by_height=_c_by_height(fitted),
         search=searched,
     )
+
+
+def _c_by_height(fitted: AdjustedNetwork) -> dict[str, float | None]:
+    changes = c_by_common_height(fitted.factored)
+    names = [camera.id for camera in fitted.network.cameras]
+    return dict.fromkeys(names) if changes is None else dict(zip(names, changes.tolist(), strict=True))
 
 
 def _opinions(search: Search, robust: Floats, drawn: Floats | None) -> dict[str, Opinions]:

@@ -84,6 +84,9 @@ MISTYPED_SIGMAS = 10.0
 SLIP_SIGMAS = 4.0
 # A position with a larger sigma is one of code: its errors are metres and last for minutes.
 COARSE_M = 0.5
+# Standard uncertainty of the height that all GNSS positions of a flight share where nobody states it, m: base
+# coordinates, antenna heights and geoid of a careful survey.
+COMMON_HEIGHT_M = 0.02
 # A correlation of parameters that is called strong.
 STRONG_CORRELATION = 0.8
 

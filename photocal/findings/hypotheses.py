@@ -14,6 +14,7 @@ SYMPTOMS = (
     "check-outside-prediction",
     "control-outside-prediction",
     "prediction-too-good",
+    "check-mean",
     "global-test",
     "sigmas-too-small",
     "method-refused",

@@ -21,6 +21,7 @@ from photocal.georeferencing.differences import (
     differences,
     exposure_difference,
 )
+from photocal.georeferencing.direct import leaves_open
 from photocal.georeferencing.freed_groups import Separation, opened, separation
 from photocal.georeferencing.ground_mistakes import Mistyped, ground_findings, mistyped_control
 from photocal.georeferencing.local import as_mounted, in_local_frame, with_attitude_angles
@@ -98,7 +99,7 @@ def check_block(
     """Georeference a block three ways and judge it at its ground points.
 
     on_the_job: whether camera and mounting of the direct method are those of the integrated one, not those
-        that the block states.
+        that the block states; they always are where it leaves some of them open.
 
     raises IllPosedError: when no method can be computed; the message has what was found in the ground points.
     """
@@ -110,13 +111,15 @@ def check_block(
     except PhotocalError as refusal:
         raise type(refusal)(_with_findings(str(refusal), plausibility), where=block.name) from refusal
     judged, refused = dict[Method, Judged](), dict[Method, str]()
-    # A flight that is its own calibration takes it from the integrated method.
+    # A flight that is its own calibration takes it from the integrated method, and so does a block that
+    # leaves camera or mounting open: start values are not known values.
     for method in ("integrated", "direct", "indirect"):
         try:
             source, note = block, ""
             if method == "direct" and simulate is not None:
                 source, note = degraded(block, *simulate), simulate[0].note
-            own = judged["integrated"].result.calibration if on_the_job and "integrated" in judged else None
+            calibrates = on_the_job or leaves_open(source)
+            own = judged["integrated"].result.calibration if calibrates and "integrated" in judged else None
             result = of_method(source, method, note, own if method == "direct" else None)
             judged[method] = _judge(source, places, result, standards, question)
         except PhotocalError as refusal:
@@ -175,6 +178,10 @@ def _judge(
     if question.gsd_m is None:
         question = replace(question, gsd_m=_ground_pixel(block, result))
     assessment = assess(check.discrepancies(), standards, question) if len(check.names) else None
+    if assessment is not None:
+        # Its t takes points as independent; those of a block share most errors: the joint test judges.
+        components = tuple(replace(component, bias=None) for component in assessment.components)
+        assessment = replace(assessment, components=components)
     return Judged(result, at_given_places("control"), check, assessment)
 
 

@@ -18,7 +18,6 @@ from photocal.georeferencing.methods import Georeferenced
 
 # Two-sided 0.1 %, Baarda's usual choice (1968) for single tests.
 CRITICAL_W = float(stats.norm.ppf(1.0 - policy.SIGNIFICANCE / 2.0))
-CRITICAL_POINT = float(stats.chi2(3).ppf(1.0 - policy.SIGNIFICANCE))
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,16 @@ class JointTest:
     mean: Floats
     mean_sigma: Floats
     mean_p_value: float
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether errors are larger than their covariance explains (0.1 %)."""
+        return self.p_value < policy.SIGNIFICANCE and self.chi_squared > self.degrees_of_freedom
+
+    @property
+    def biased(self) -> bool:
+        """Whether the mean is larger than its covariance explains (0.1 %)."""
+        return self.mean_p_value < policy.SIGNIFICANCE
 
 
 def joint_test(d: Floats, covariance: Floats) -> JointTest:
@@ -93,8 +102,17 @@ class Differences:
 
     @property
     def suspected(self) -> tuple[str, ...]:
-        """Points whose difference the prediction does not explain (0.1 % in space)."""
-        return tuple(n for n, q in zip(self.names, self.distance.tolist(), strict=True) if q > CRITICAL_POINT)
+        """Points whose difference the prediction does not explain.
+
+        All of them together are one family of tests: in 0.5 % of sound blocks any point is suspected (Holm
+        1979).
+        """
+        tested = np.flatnonzero(np.isfinite(self.distance))
+        p = stats.chi2(3).sf(self.distance[tested])
+        order = np.argsort(p, kind="stable")
+        enough = p[order] <= policy.FAMILY_SIGNIFICANCE / np.arange(len(p), 0, -1)
+        rejected = tested[order[: len(p) if enough.all() else int(np.argmin(enough))]]
+        return tuple(self.names[k] for k in sorted(rejected.tolist()))
 
     @property
     def ratio(self) -> float:

@@ -83,6 +83,13 @@ def calibration_of(at: Factored) -> Calibration:
     return Calibration(at.state.cameras, at.state.common[:STRIPS], covariance)
 
 
+def leaves_open(block: Block) -> bool:
+    """Whether nothing states a value of mounting or camera, or how well it is known: then it is unknown."""
+    mounted = bool(len(block.positions.image) and len(block.attitudes.image))
+    unknown = [camera.estimated & np.isinf(camera.prior_sigma) for camera in block.cameras]
+    return bool(np.any(unknown)) or (mounted and bool(np.isinf(block.mounting.sigma[:STRIPS]).any()))
+
+
 def with_calibration(block: Block, calibration: Calibration) -> Block:
     """Return a block with camera and mounting of a calibration of its own flight, or one made `on_flight`."""
     if len(calibration.cameras) != len(block.cameras):
@@ -117,7 +124,6 @@ class DirectOrientation:
         errors.
     by_common (n, 6, k): derivative with respect to the common values of the mounting.
     common_covariance (k, k): of those, from the sigmas that the block states.
-    unstated: whether a common value is free in the block, so that its uncertainty is left out.
     """
 
     known: Flags
@@ -126,7 +132,6 @@ class DirectOrientation:
     covariance: Floats
     by_common: Floats
     common_covariance: Floats
-    unstated: bool
 
 
 def direct_orientation(block: Block) -> DirectOrientation:
@@ -177,8 +182,7 @@ def direct_orientation(block: Block) -> DirectOrientation:
         by_common[i, 3:, at + 3 : at + 6] = -elapsed * np.eye(3)
         known[i] = True
     stated = np.where(np.isfinite(mounting.sigma), mounting.sigma, 0.0)
-    unstated = bool(row_p and row_a and np.isinf(mounting.sigma).any())
-    return DirectOrientation(known, rotation, centre, covariance, by_common, np.diag(stated**2), unstated)
+    return DirectOrientation(known, rotation, centre, covariance, by_common, np.diag(stated**2))
 
 
 @dataclass(frozen=True)

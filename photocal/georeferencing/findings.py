@@ -10,11 +10,13 @@ from scipy import stats
 from photocal.adjustment.groups import GroupTest
 from photocal.base import policy
 from photocal.findings.digits import with_sigma
-from photocal.findings.finding import Figure, Finding
+from photocal.findings.finding import FACTOR, Figure, Finding, untested
 from photocal.findings.hypotheses import fault
 from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_placed
+from photocal.georeferencing.differences import Differences
 from photocal.georeferencing.freed_groups import Estimate, Separation
 from photocal.georeferencing.ground_mistakes import Mistyped
+from photocal.georeferencing.methods import Method
 from photocal.georeferencing.systematic import Hypothesis, SystematicError
 
 # Without ground points all points of a flight share the errors of its rig and of few images: at worst they
@@ -195,6 +197,8 @@ def _changes(order: tuple[int, ...], sign: tuple[float, ...]) -> tuple[str, ...]
 
 def _judged(judged: Judged) -> list[Finding]:
     method, listed = judged.result.method, []
+    if not judged.result.predicted:
+        return [untested("check-outside-prediction", "start-values-used", {"method": method})]
     for code, differences in (
         ("check-outside-prediction", judged.check),
         ("control-outside-prediction", judged.control),
@@ -202,13 +206,31 @@ def _judged(judged: Judged) -> list[Finding]:
         if differences.suspected:
             figures: dict[str, Figure] = {"method": method, "points": tuple(differences.suspected)}
             listed.append(Finding(code, "doubtful", method, figures))
-    ratio = judged.check.ratio
-    if ratio > (_RATIO_DIRECT if method == "direct" else policy.WORTH_A_WORD):
-        listed.append(Finding("prediction-too-good", "doubtful", method, {"method": method, "ratio": ratio}))
+    listed += _together(method, judged.check)
     test = judged.result.test
-    if test is not None and not test.accepted and judged.result.chi_squared > test.upper:
-        figures = {"method": method, "chi_squared": judged.result.chi_squared, "upper": test.upper}
-        listed.append(Finding("global-test", "doubtful", method, figures))
+    if test is not None and not test.accepted:
+        chi_squared, freedom = judged.result.chi_squared, judged.result.degrees_of_freedom
+        if chi_squared > freedom * (1.0 + FACTOR) ** 2:
+            figures = {"method": method, "chi_squared": chi_squared, "upper": test.upper}
+            listed.append(Finding("global-test", "doubtful", method, figures))
+    return listed
+
+
+def _together(method: Method, check: Differences) -> list[Finding]:
+    """Judge all check points together: one by one they count again and again the errors that they share."""
+    joint = check.joint
+    if joint is None:
+        limit = _RATIO_DIRECT if method == "direct" else policy.WORTH_A_WORD
+        figures: dict[str, Figure] = {"method": method, "ratio": check.ratio}
+        return [Finding("prediction-too-good", "doubtful", method, figures)] if check.ratio > limit else []
+    listed = []
+    if joint.exceeds:
+        figures = {"method": method, "ratio": math.sqrt(joint.chi_squared / joint.degrees_of_freedom)}
+        listed.append(Finding("prediction-too-good", "doubtful", method, figures))
+    if joint.biased:
+        pairs = zip("XYZ", joint.mean, joint.mean_sigma, strict=True)
+        numbers = tuple(f"{axis} {mean:+.3f} +- {sigma:.3f}" for axis, mean, sigma in pairs)
+        listed.append(Finding("check-mean", "doubtful", method, {"method": method, "numbers": numbers}))
     return listed
 
 

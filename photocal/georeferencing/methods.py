@@ -25,6 +25,7 @@ from photocal.georeferencing.direct import (
     calibration_of,
     direct_orientation,
     joint_covariance,
+    leaves_open,
     with_calibration,
 )
 from photocal.georeferencing.space_intersection import intersect_points
@@ -57,6 +58,7 @@ class Georeferenced:
     joint: covariance of the check points among them, shape (3 n, 3 n), in the order of `points`; None for
         direct georeferencing, and for more of them than `_MOST_JOINT`.
     calibration: camera and mounting of the integrated method, where there are positions and attitudes.
+    predicted: whether the covariance is whole; not where values are used whose uncertainty nothing states.
     """
 
     method: Method
@@ -73,6 +75,7 @@ class Georeferenced:
     solution: Solution | None
     joint: Floats | None = None
     calibration: Calibration | None = None
+    predicted: bool = True
 
 
 def of_method(
@@ -208,8 +211,9 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
         label += f"; {int((~orientation.known).sum())} images without position or attitude left out"
     if joint is not None:
         label += ", with camera and mounting of a calibration"
-    elif orientation.unstated:
-        label += "; the mounting is free in block.toml: its values are used, their uncertainty is unknown"
+    open_values = joint is None and leaves_open(block)
+    if open_values:
+        label += "; block.toml leaves camera or mounting open: start values are used, nothing tests them"
     poses = np.hstack([angles_from_matrix(orientation.rotation), orientation.centre])
     poses[~orientation.known] = np.nan
     return Georeferenced(
@@ -231,6 +235,7 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
         # The points of an image share its errors: their sum of squares is not chi-squared.
         None,
         None,
+        predicted=not open_values,
     )
 
 
@@ -340,11 +345,17 @@ def degraded(block: Block, noise: Degradation, rng: np.random.Generator) -> Bloc
     adjusted, weak = without_weak_images(block)
     assembly = assemble(adjusted)
     with because("simulated direct orientation"):
-        exposures = adjust(assembly.network).exposures
+        solution = adjust(assembly.network)
+    # Orientations belong with the camera that they were adjusted with.
+    cameras = tuple(
+        replace(camera.with_values(values), estimated=np.zeros_like(camera.estimated))
+        for camera, values in zip(block.cameras, solution.cameras, strict=True)
+    )
     sigma = np.broadcast_to(
         np.repeat([noise.attitude_rad, noise.position_m], 3), block.images.sigma.shape
     ).copy()
-    values = exposures + np.concatenate([np.zeros(3), local_origin(assembly)])
+    values = solution.exposures + np.concatenate([np.zeros(3), local_origin(assembly)])
     sigma[weak] = np.inf
     values = values + rng.normal(0.0, 1.0, values.shape) * np.where(np.isfinite(sigma), sigma, 0.0)
-    return replace(without_georeference(block), images=replace(block.images, values=values, sigma=sigma))
+    images = replace(block.images, values=values, sigma=sigma)
+    return replace(without_georeference(block), images=images, cameras=cameras)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.assessment import ComponentResult
 from photocal.accuracy.classes import class_cm
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
@@ -40,9 +39,9 @@ def _standards(check: BlockCheck) -> list[TablePart]:
         return []
     heads = ["", *(f"{method}<" for method, _ in known)]
     rows: list[tuple[str, ...]] = []
-    for k, component in enumerate(known[0][1].components):
-        means = [_mean(assessment.components[k]) for _, assessment in known]
-        rows.append((f"mean d{component.name}", *means))
+    for k, axis in enumerate("XYZ"):
+        means = [_mean(entry.check, k) for entry in check.judged if entry.assessment is not None]
+        rows.append((f"mean d{axis}", *means))
     for k, judged_by in enumerate(known[0][1].tables):
         name, basis = f"{judged_by.standard_id} {judged_by.table.product}", judged_by.table.basis
         results = [assessment.tables[k] for _, assessment in known]
@@ -70,9 +69,12 @@ def _standards(check: BlockCheck) -> list[TablePart]:
     return [table("", heads, rows)]
 
 
-def _mean(component: ComponentResult) -> str:
-    mean, bias = f"{component.moments.mean_m:+.4f} m", component.bias
-    return f"{mean}, " + ("-" if bias is None else f"t {bias.t:+.2f}{' biased' if bias.significant else ''}")
+def _mean(check: Differences, axis: int) -> str:
+    """Give a mean with its sigma; whether check points are biased is asked once, for all axes."""
+    mean, joint = f"{check.d[:, axis].mean():+.4f}", check.joint
+    if joint is None:
+        return f"{mean} m"
+    return f"{mean} +- {joint.mean_sigma[axis]:.4f} m{', biased' if joint.biased else ''}"
 
 
 def _size(basis: str, size: float | None) -> str:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, FiniteFloat, PositiveFloat
 
+from photocal.base import policy
 from photocal.base.checked_toml import Table, checked_tables, read_tables
 from photocal.base.errors import ConfigurationError
 
@@ -137,9 +138,13 @@ class ConditionKeys(Table):
 
 
 class UncertaintyKeys(Table):
-    """Section `[uncertainty]`: standard uncertainties of c by source, in the unit of the camera."""
+    """Section `[uncertainty]`: standard uncertainties of c by source, in the unit of the camera.
+
+    common_height_m: standard uncertainty of the height that all GNSS positions share (base, antenna, geoid).
+    """
 
     of_c: dict[Source, PositiveFloat] = Field(default_factory=dict)
+    common_height_m: PositiveFloat = policy.COMMON_HEIGHT_M
 
 
 class ResponsibleKeys(Table):

@@ -1,6 +1,7 @@
 """Sections of a certificate that the ministry's report, a laboratory's accreditation and a client ask for."""
 
 import math
+from dataclasses import dataclass
 from typing import get_args
 
 from photocal.findings.digits import decimals_of
@@ -124,7 +125,10 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
     stated, whose = run.stated(camera_id)
     adjusted_sigma = max(math.sqrt(max(result.sigma0_squared or 1.0, 1.0)) * camera.sigma_of("c"), stated)
     factor = adjusted_sigma / camera.sigma_of("c") if camera.sigma_of("c") > 0.0 else 1.0
-    entered = particulars.uncertainty.of_c
+    of_datum = _of_common_height(camera_id, run, particulars, say)
+    entered: dict[Source, float] = {**particulars.uncertainty.of_c}
+    if of_datum.u is not None:
+        entered["datum"] = of_datum.u
     # What images say together hangs on their number, not on that of the rays.
     images = max(
         int((result.images.camera == list(result.cameras).index(camera_id)).sum()) - len(camera.free), 1
@@ -142,10 +146,14 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
         return say(f"uncertainty.{key}"), kind, say.significant(u, 2), say.fixed(share, 1)
 
     rows = [row("adjustment", "A", adjusted_sigma), *(row(key, "B", entered.get(key)) for key in ENTERED)]
+    if of_datum.words:
+        at = 1 + ENTERED.index("datum")
+        label, kind, u, share = rows[at]
+        rows[at] = (f"{label}, {of_datum.words}", kind, u if of_datum.u is not None else "", share)
     rows.append(row("combined", "", total))
     c = say.measured(camera.value("c"), k * total)
     note = say(
-        "uncertainty.note",
+        "uncertainty.note" if of_datum.known else "uncertainty.note_open",
         c=c.value,
         u=c.sigma,
         unit=camera.unit,
@@ -155,6 +163,35 @@ def _budget(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalo
     )
     heads = (source, kind_of, Column("u", camera.unit), share_of)
     return TablePart(say("uncertainty.table", camera=camera_id), heads, tuple(rows), note)
+
+
+@dataclass(frozen=True)
+class _OfDatum:
+    """What an error that all GNSS heights share does to c.
+
+    u: standard uncertainty, in the unit of the camera; None without one, or where somebody states it.
+    words: what it is, beside the source.
+    known: whether nothing of it is unknown; no residual shows such an error, so that without it no
+        probability may be claimed.
+    """
+
+    u: float | None = None
+    words: str = ""
+    known: bool = True
+
+
+def _of_common_height(camera_id: str, run: AnalysedRun, particulars: Metadata, say: Catalogue) -> _OfDatum:
+    placed = any(group.name in ("position", "exposure") for group in run.result.groups)
+    if not placed or "datum" in particulars.uncertainty.of_c:
+        return _OfDatum()
+    by_height = run.analysis.c_by_height if run.analysis else {}
+    if camera_id not in by_height:
+        return _OfDatum(known=False)
+    per_metre, common = by_height[camera_id], particulars.uncertainty.common_height_m
+    if per_metre is None:
+        return _OfDatum(words=say("uncertainty.in_adjustment"))
+    centimetres = say.as_given(round(100.0 * common, 3))
+    return _OfDatum(abs(per_metre) * common, say("uncertainty.common_height", cm=centimetres))
 
 
 def acceptance(title: str, facts: DerivedFigures, final: Finding, say: Catalogue) -> Section:

@@ -85,7 +85,7 @@ def certified_analysis(analysis: Analysis | None) -> dict[str, Any] | None:
         "cameras": dict.fromkeys(analysis.cameras, _CAMERA),
         "observation_sigma": (),
         "jackknife": dict.fromkeys(analysis.jackknife, _OPINIONS),
-        **dict.fromkeys(("methods", "exterior_difference", "bootstrap_draws"), ()),
+        **dict.fromkeys(("methods", "exterior_difference", "bootstrap_draws", "c_by_height"), ()),
     }
     return {"schema": _SCHEMA_CERTIFIED, **_only(as_plain(analysis), parts)}
 

@@ -1,0 +1,135 @@
+"""Flights of a simulator that shares no code with the product: what is found in them, and what is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import photocal
+from photocal.accuracy.standard import Question
+from photocal.block.model import Block
+from photocal.georeferencing.comparison import BlockCheck, check_block
+from photocal.georeferencing.differences import differences
+from photocal.georeferencing.findings import block_findings
+from photocal.georeferencing.local import with_attitude_angles
+from photocal.georeferencing.methods import Degradation, of_method
+from photocal.georeferencing.output import to_text
+from tests.evidence.judging import chance, fly
+from tests.independent.detectable import noncentrality
+from tests.independent.faults import BASE, CLEAN, NO_CONTROL, TEN, Fault, table
+from tests.independent.flights import Design, Errors, expected, world
+from tests.independent.folder import Placement, write_folder
+
+FAULTS = {fault.name: fault for fault in table()}
+
+
+def flown(folder: Path, design: Design, seed: int, errors: Errors | None = None) -> Block:
+    return photocal.read_block(fly(folder / "block", design, errors or Errors(), seed).folder)
+
+
+def found(check: BlockCheck) -> list[tuple[str, str]]:
+    """What is said of a block beyond notes."""
+    return [(one.code, one.subject) for one in block_findings(check) if not one.small]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "time 20 ms",
+        "c step 0.1%",
+        "one of 6 control points, 10 cm Z",
+        "rolling 3 ms",
+        "shear 1e-4",
+        "K3, 4 px at the corner",
+    ],
+)
+def test_a_fault_raises_the_squares_as_normal_equations_of_another_hand_say(
+    tmp_path: Path, name: str
+) -> None:
+    """Without noise v'Pv is what the unknowns cannot take up of the fault."""
+    fault: Fault = FAULTS[name]
+    truth = world(fault.design, chance(fault.design, 5))
+    observed = expected(truth, fault.design, fault.errors)
+    folder = write_folder(tmp_path / "block", fault.design, fault.errors, truth, observed, Placement())
+    result = photocal.adjust(photocal.read_block(folder))
+    assert result.chi_squared == pytest.approx(noncentrality(truth, fault.design, fault.errors), rel=3e-3)
+
+
+@pytest.mark.parametrize("design", [BASE, NO_CONTROL, CLEAN[4], CLEAN[6]], ids=lambda design: design.name)
+def test_nothing_is_said_of_a_clean_flight(tmp_path: Path, design: Design) -> None:
+    """The boresight is free but in the last: the direct method is judged with the flight's calibration."""
+    check = photocal.check(flown(tmp_path, design, 1))
+    assert found(check) == []
+    assert {judged.result.method for judged in check.judged} >= {"direct", "integrated"}
+    assert "biased" not in to_text(check)
+
+
+def test_start_values_are_not_judged(tmp_path: Path) -> None:
+    block = with_attitude_angles(flown(tmp_path, BASE, 1))
+    check = photocal.check(block)
+    direct = of_method(block, "direct")
+    assert not direct.predicted
+    # Start values of c and boresight make metres of what the sigmas call centimetres.
+    assert differences(block, direct, "check").ratio > 3.0
+    open_values = replace(check.of("direct"), result=direct, check=differences(block, direct, "check"))  # type: ignore[type-var]
+    said = [one for one in block_findings(replace(check, judged=(open_values,))) if one.subject == "direct"]
+    causes = [
+        one.cause
+        for one in block_findings(replace(check, judged=(open_values,)))
+        if one.severity == "untested"
+    ]
+    assert said == []
+    assert causes == ["start-values-used"]
+
+
+def test_a_simulated_orientation_goes_with_the_adjusted_camera(tmp_path: Path) -> None:
+    block = flown(tmp_path, replace(TEN, gnss=False), 3)
+    noise = Degradation(0.05, np.radians(0.02)), np.random.default_rng(1)
+    direct = check_block(block, (), Question(), noise).of("direct")
+    assert direct is not None
+    # c is started 0.4 % too long: 40 cm at 100 m.
+    assert 0.5 < direct.check.ratio < 1.5
+
+
+def test_check_points_are_biased_where_their_mean_is_beyond_what_they_share(tmp_path: Path) -> None:
+    block = flown(tmp_path, BASE, 1)
+    values = block.points.values.copy()
+    values[block.points.of_role("check"), 2] += 0.10
+    check = photocal.check(replace(block, points=replace(block.points, values=values)))
+    assert ("check-mean", "integrated") in found(check)
+    assert "biased" in to_text(check)
+    joint = check.of("integrated").check.joint  # type: ignore[union-attr]
+    assert joint is not None
+    assert joint.mean[2] == pytest.approx(-0.10, abs=4 * joint.mean_sigma[2])
+
+
+def test_sigmas_that_are_a_little_wrong_are_no_finding(tmp_path: Path) -> None:
+    """Of 3 % the test of a large block is sure, but it is below the limit of equivalence; 10 % is not."""
+    large = replace(TEN, images=100)
+    codes = {}
+    for worse in (1.03, 1.10):
+        check = photocal.check(flown(tmp_path / str(worse), replace(large, rays_worse=worse), 2))
+        judged = check.of("integrated")
+        assert judged is not None
+        assert judged.result.test is not None
+        assert not judged.result.test.accepted
+        codes[worse] = ("global-test", "integrated") in found(check)
+    assert codes == {1.03: False, 1.10: True}
+
+
+def test_points_are_suspected_by_holm(tmp_path: Path) -> None:
+    """Holm (1979) by hand: of four points at 0.5 % the limits are 0.125, 0.167, 0.25 and 0.5 %."""
+    block = flown(tmp_path, replace(BASE, check=4), 1)
+    check = photocal.check(block).of("integrated").check  # type: ignore[union-attr]
+    for shares, expected_number in (
+        ((0.0012, 0.0016, 0.3, 0.0024), 3),
+        ((0.0012, 0.0018, 0.3, 0.0024), 1),
+        ((0.0013, 0.0013, 0.0013, 0.0013), 0),
+        ((0.0012, 0.0016, 0.0049, 0.0024), 4),
+    ):
+        distance = stats.chi2(3).isf(np.array(shares))
+        assert len(replace(check, distance=distance).suspected) == expected_number
