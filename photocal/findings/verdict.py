@@ -167,7 +167,7 @@ def headline(verdict: Verdict, say: Catalogue) -> str:
     """Say in one paragraph whether the block may be mapped with, the camera be carried, and what to do."""
     answers = [say(f"judgement.block_{verdict.block}")] if verdict.block != "unknown" else []
     answers += [say(f"judgement.camera_{verdict.camera}")] if verdict.camera != "unknown" else []
-    remedy = next((text for line in verdict.lines if (text := remedy_text(line.worst, say))), "")
+    remedy = remedy_text(verdict.lines[0].worst, say) if verdict.lines else ""
     if remedy:
         answers.append(say("judgement.first", remedy=remedy))
     elif not verdict.lines:
