@@ -16,7 +16,7 @@ if command -v apt-get >/dev/null && { [ "$$(id -u)" = 0 ] || { command -v sudo >
 else echo "$$lacking is not installed; on Debian run: sudo apt-get install $$lacking"; exit 1; fi; }
 endef
 
-.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual lock lowest clean
+.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual lock lowest audit clean
 
 help:
 	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
@@ -30,6 +30,7 @@ help:
 	@echo "make manual  renew the command pages and the figure of the architecture"
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
 	@echo "make lowest  test with the lowest versions that pyproject.toml allows"
+	@echo "make audit   licences, hashes, wheels per platform, bill of materials, two builds of one wheel"
 	@echo "make lock    renew requirements.lock from pyproject.toml"
 
 setup: $(READY)
@@ -103,5 +104,12 @@ lowest:
 	.lowest-venv/bin/python -m pip install $(PIP) --no-deps --no-build-isolation -e .
 	OPENBLAS_NUM_THREADS=1 .lowest-venv/bin/python -m pytest -q --assert plain -o filterwarnings= $(LOWEST)
 
+# The maker of the bill of materials has an environment of its own: it is no part of what is delivered.
+audit: $(READY)
+	$(PYTHON) -m venv --clear .audit-venv
+	.audit-venv/bin/python -m pip install $(PIP) cyclonedx-bom==7.5.0
+	$(BIN)/python -m tests.audit .audit-venv/bin/cyclonedx-py
+	rm -rf .audit-venv
+
 clean:
-	rm -rf $(VENV) .lock-venv .lowest-venv .mavproxy build dist *.egg-info demo-output
+	rm -rf $(VENV) .lock-venv .lowest-venv .audit-venv .mavproxy build dist *.egg-info demo-output
