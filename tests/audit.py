@@ -200,7 +200,7 @@ def page(
         "|---|---|",
         *(
             f"| {text} | {count}: {', '.join(sorted(n for n, of in stated.items() if of == text))} |"
-            for text, count in sorted(Counter(stated.values()).items(), key=lambda entry: -entry[1])
+            for text, count in Counter(stated.values()).most_common()
         ),
         "",
     ]
