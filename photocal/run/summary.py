@@ -12,9 +12,9 @@ from photocal.base.arrays import as_plain
 from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding, of_global_test, verdict
-from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.findings.texts import catalogue, finding_json, findings_of
 from photocal.geometry.camera import PARAMETERS
+from photocal.hypotheses.table import FAULTS, Fault, fault
 from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import changed_inputs
