@@ -65,10 +65,12 @@ def analyse(
     from photocal.analysis.analyse_run import checks_of
     from photocal.analysis.outcome import analyse_network
     from photocal.block.network import assemble
+    from photocal.georeferencing.causes import slips_of
     from photocal.results.adjusted import network_of
 
     assembly = assemble(block) if result is None else network_of(block, result)
-    return analyse_network(assembly.network, checks_of(block, assembly), alpha, threshold)
+    slips = slips_of(block, assembly)
+    return analyse_network(assembly.network, checks_of(block, assembly), alpha, threshold, slips=slips)
 
 
 def significance(

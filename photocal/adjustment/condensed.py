@@ -5,7 +5,7 @@ when shared values are freed, held or observed with other standard deviations: f
 the fall of v'Pv, the estimates and their covariances of any other, to first order (Rao 1948).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from photocal.adjustment.covariance import Shared, degrees_of_freedom
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import Factored
 from photocal.adjustment.mounting import Mounting
-from photocal.adjustment.score import followed_by, score
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError
 from photocal.geometry.camera import PARAMETERS, Camera
@@ -48,11 +47,17 @@ class Condensed:
         cameras, mounting: as in a network; what is no unknown here stays held.
         raises IllPosedError: when the equations are singular.
         """
-        there = _observed(self, self.cameras, self.mounting)
-        here = _observed(self, cameras, mounting)
+        there = observed(self, self.cameras, self.mounting)
+        here = observed(self, cameras, mounting)
         covariance = self.covariance(cameras, mounting)
         right = self.right + there.pull - here.pull
         step = covariance @ right
+        chi_squared = self.chi_squared - there.chi_squared + here.chi_squared - float(right @ step)
+        freedom = self.degrees_of_freedom + here.redundancy - there.redundancy
+        return self.stepped(step, covariance, chi_squared, freedom)
+
+    def stepped(self, step: Floats, covariance: Floats, chi_squared: float, freedom: int) -> Shared:
+        """Give what images share after a step of it, with the covariance (k, k) of the unknowns."""
         values, spread = self.values.copy(), np.zeros((len(self.values), len(PARAMETERS), len(PARAMETERS)))
         for k, (active, columns) in enumerate(self.camera_columns):
             values[k, active] += step[columns]
@@ -62,22 +67,15 @@ class Condensed:
         common, joint = self.common.copy(), np.zeros((len(self.common), len(self.common)))
         common[unknown] += step[columns]
         joint[np.ix_(unknown, unknown)] = covariance[np.ix_(columns, columns)]
-        return Shared(
-            self.chi_squared - there.chi_squared + here.chi_squared - float(right @ step),
-            self.degrees_of_freedom + here.redundancy - there.redundancy,
-            values,
-            spread,
-            common,
-            joint,
-        )
+        return Shared(chi_squared, freedom, values, spread, common, joint)
 
     def covariance(self, cameras: tuple[Camera, ...], mounting: Mounting) -> Floats:
         """Give the covariance (k, k) with other standard deviations; it is zero for what is held.
 
         raises IllPosedError: when the equations are singular.
         """
-        there = _observed(self, self.cameras, self.mounting)
-        here = _observed(self, cameras, mounting)
+        there = observed(self, self.cameras, self.mounting)
+        here = observed(self, cameras, mounting)
         square = np.ix_(here.unknown, here.unknown)
         covariance = np.zeros_like(self.matrix)
         try:
@@ -108,44 +106,8 @@ def condensed(at: Factored) -> Condensed:
     )
 
 
-def with_second_camera(whole: Condensed, at: Factored, residuals: Floats, later: Flags) -> Condensed:
-    """Add a camera of its own for some images of a network with one camera.
-
-    whole: of `at`.
-    residuals (rays, 2): at its state, computed minus measured.
-    later (images,): whether an image is of the second camera, which begins as the first one is.
-    """
-    ((active, columns),) = whole.camera_columns
-    band, size = at.problem.layout.envelope.band, len(whole.right)
-    steps = np.zeros((len(columns), at.problem.layout.size))
-    steps[np.arange(len(columns)), band + columns] = 1.0
-    fields = followed_by(at, steps, np.zeros((len(columns), *at.state.points.shape)))
-    fields *= later[at.problem.network.rays.image][None, :, None]
-    beside = score(at, residuals, fields)
-    follow = beside.steps[:, band:]
-    across = whole.matrix @ follow.T
-    added = beside.information + follow @ across
-    matrix = np.block([[whole.matrix, across], [across.T, added]])
-    right = np.concatenate([whole.right, -beside.slope])
-    # The score adds differences to the first camera; unknowns are the second one's own parameters.
-    turn = np.eye(size + len(columns))
-    turn[size + np.arange(len(columns)), columns] = -1.0
-    second = size + np.arange(len(columns))
-    camera = whole.cameras[0]
-    free = replace(camera, prior_sigma=np.full(len(PARAMETERS), np.inf), prior_correlation=None)
-    return replace(
-        whole,
-        matrix=turn.T @ matrix @ turn,
-        right=turn.T @ right,
-        camera_columns=((active, columns), (active, second)),
-        cameras=(camera, free),
-        values=np.repeat(whole.values, 2, axis=0),
-        degrees_of_freedom=whole.degrees_of_freedom - len(columns),
-    )
-
-
 @dataclass(frozen=True)
-class _Observed:
+class Observed:
     """What given values of shared unknowns, as observations, bring to the normal equations.
 
     weight (k, k), pull (k,): their normal matrix, and that times state less given.
@@ -160,7 +122,8 @@ class _Observed:
     redundancy: int
 
 
-def _observed(whole: Condensed, cameras: tuple[Camera, ...], mounting: Mounting) -> _Observed:
+def observed(whole: Condensed, cameras: tuple[Camera, ...], mounting: Mounting) -> Observed:
+    """Give what values of what is shared bring as observations, with their standard deviations."""
     size = len(whole.right)
     weight, pull = np.zeros((size, size)), np.zeros(size)
     unknown = np.ones(size, dtype=np.bool_)
@@ -189,4 +152,4 @@ def _observed(whole: Condensed, cameras: tuple[Camera, ...], mounting: Mounting)
     pull[at] += information * off
     chi_squared += float(np.sum(information * off**2))
     observations += int(stated.sum())
-    return _Observed(weight, pull, unknown, chi_squared, observations - int(unknown.sum()))
+    return Observed(weight, pull, unknown, chi_squared, observations - int(unknown.sum()))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
+from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import ANALYSIS, Analysis, ExteriorDifference, Outcome, analyse_network
-from photocal.analysis.systematic_errors.refit import Checks
 from photocal.base.arrays import as_plain
 from photocal.base.files import output_file, write_json
 from photocal.block.model import Block, digest
@@ -19,6 +19,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_text, need_words, plain
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.rotation import angles_from_matrix
+from photocal.georeferencing.causes import slips_of
 from photocal.georeferencing.differences import exposure_difference
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.local import in_local_frame
@@ -82,7 +83,8 @@ def analyse_run(
     given = read(source.path)
     assembly = network_of(given, result)
     checks, start = checks_of(given, assembly), state_of(assembly, result)
-    outcome = analyse_network(assembly.network, checks, alpha, threshold, done, draws, start)
+    slips = slips_of(given, assembly)
+    outcome = analyse_network(assembly.network, checks, alpha, threshold, done, draws, start, slips)
     outcome = replace(
         outcome, exterior_difference=exterior_difference(given, result), result_sha256=digest(folder / RESULT)
     )

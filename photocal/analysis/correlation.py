@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.factored import camera_covariance_column
 from photocal.adjustment.state import turn_basis
 from photocal.analysis.estimates import Estimates
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS

@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from photocal.adjustment.adjusted import AdjustedNetwork, fit, lowest, without_images
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_POSITIONS
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import NO_RELATIONS
+from photocal.adjustment.removed import NEAR, state_without
 from photocal.adjustment.state import State
-from photocal.analysis.robust import NEAR, state_without
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork, Checks, fit, lowest, without_images
+from photocal.analysis.left_out import Checks
 from photocal.base import policy
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import IllPosedError, InputMalformedError, NotConvergedError

@@ -3,34 +3,36 @@
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import takewhile
 
 import numpy as np
 
+from photocal.adjustment.adjusted import AdjustedNetwork, fit
 from photocal.adjustment.common_error import c_by_common_height
 from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
+from photocal.adjustment.removed import MOST_REMOVALS, REMOVED_TOGETHER
 from photocal.adjustment.state import State
 from photocal.analysis import correlation
 from photocal.analysis.components import Proposal, propose_removal
 from photocal.analysis.estimates import GROUPS, Estimates, FTest, scaled, significance, without
+from photocal.analysis.left_out import Checks, WithoutParameter, left_out
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
-from photocal.analysis.robust import MOST_REMOVALS, REMOVED_TOGETHER, apart, bootstrap, sandwich
+from photocal.analysis.robust import apart, bootstrap, sandwich
 from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit, sensor_grid, view
 from photocal.analysis.systematic_errors.camera_findings import of_datum
-from photocal.analysis.systematic_errors.candidates import Within, within_flight
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork, Checks, WithoutParameter, fit, left_out
 from photocal.analysis.systematic_errors.scatter import AssumedSigma, ResidualMap, VarianceComponent
 from photocal.analysis.systematic_errors.search import Search, camera_estimates, search
 from photocal.analysis.systematic_errors.shifts import MOST_JOINT, ImageShift
+from photocal.analysis.within_flight import Within, within_flight
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import NotConvergedError
 from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
+from photocal.hypotheses.findings import Slips, no_slips
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
 # Of the bootstrap: the same images are drawn again when a certificate is verified.
@@ -271,11 +273,13 @@ def analyse_network(
     done: Callable[[float], None] = lambda _: None,
     draws: int = 0,
     start: State | None = None,
+    slips: Slips = no_slips,
 ) -> Outcome:
     """Adjust a network and analyse it.
 
     draws: of the bootstrap over images: as many more adjustments.
     start: where the minimum is known to be near.
+    slips: what names the slips of the pen of a control point.
     done: gets the share of the work that was done since it was called last.
     raises IllPosedError, NotConvergedError: as the adjustment does.
     """
@@ -296,10 +300,9 @@ def analyse_network(
     drawn = bootstrap(fitted, draws, np.random.default_rng(SEED), step) if draws else None
     # Lenses are compared where something is left that a lens may explain, when that is corrected which is
     # no matter of the lens.
-    base = fitted
-    for correction in takewhile(lambda taken: taken.parameter.candidate.kind not in _TERMS, searched.rounds):
-        base = correction.after
-    listed = findings(searched)
+    of_lens_terms = any(error.hypothesis.name in _TERMS for error in searched.causes.errors)
+    base = fitted if of_lens_terms else searched.last
+    listed = findings(searched, slips)
     suspected = {finding.subject for finding in listed if finding.code in (*_TERMS, "residual-map")}
     fits = tuple(
         lens_fits(base, k, checks, step) if camera.id in suspected else ()

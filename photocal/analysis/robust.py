@@ -5,23 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from photocal.adjustment.adjusted import AdjustedNetwork, lowest, without_images
 from photocal.adjustment.factored import camera_covariance_column
 from photocal.adjustment.near import Removals
 from photocal.adjustment.normal import other_equations
+from photocal.adjustment.removed import FEWEST, groups_of, standard_error, state_without
 from photocal.adjustment.score import followed_by
-from photocal.adjustment.state import State
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork, left_without, lowest, without_images
 from photocal.base import policy
-from photocal.base.arrays import Flags, Floats
+from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 
-# Beyond this many images, neighbours are left out together, in so many groups: the standard error is then
-# itself good to a fifth, 1 / sqrt(2 (m - 1)), where three times the formal one is worth a line.
-MOST_REMOVALS, REMOVED_TOGETHER = 30, 15
-# Left of each adjustment, see `minimise`: some 1e-4 standard deviations.
-NEAR = 1e-8
-# With fewer images beyond the parameters their scatter tells too little of itself.
-FEWEST = 10
 # From here on two standard deviations tell something different.
 APART = 4.0 / 3.0
 
@@ -60,44 +53,6 @@ def jackknife(fit: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> 
         done()
     values = np.array(cameras).reshape(-1, *fit.state.cameras.shape)
     return Jackknife(tuple(left_out), values, standard_error(values), tuple(not_possible))
-
-
-def groups_of(fit: AdjustedNetwork) -> list[Flags]:
-    """Images that are left out together: each alone, in a large network neighbours."""
-    count = len(fit.network.image_names)
-    parts = np.array_split(np.arange(count), count if count <= MOST_REMOVALS else REMOVED_TOGETHER)
-    return [np.isin(np.arange(count), part) for part in parts]
-
-
-def state_without(fit: AdjustedNetwork, removals: Removals, out: Flags) -> State:
-    """Leave images out of a minimum: near it where the way is short, else adjusted anew.
-
-    returns: as large as before; what was left out keeps its values.
-    raises IllPosedError, NotConvergedError: when the rest is not determined.
-    """
-    nearby = removals.without(out, NEAR)
-    if nearby is not None:
-        return nearby.state
-    network, state = without_images(fit.network, fit.state, out)
-    rest, (points, _) = lowest(network, state, NEAR).state, left_without(fit.network, out)
-    whole = replace(
-        rest,
-        rotation=fit.state.rotation.copy(),
-        centre=fit.state.centre.copy(),
-        points=fit.state.points.copy(),
-        deviations=fit.state.deviations.copy(),
-    )
-    whole.rotation[~out], whole.centre[~out] = rest.rotation, rest.centre
-    whole.points[points], whole.deviations[~out] = rest.points, rest.deviations
-    return whole
-
-
-def standard_error(values: Floats) -> Floats:
-    """Jackknife standard error of m estimates, (m, ...): sqrt((m - 1) / m sum (t - mean)^2)."""
-    m = len(values)
-    if m < 3:
-        return np.full(values.shape[1:], np.nan)
-    return np.asarray(np.sqrt((m - 1) / m * np.sum((values - values.mean(axis=0)) ** 2, axis=0)))
 
 
 def apart(formal: float, robust: float | None) -> bool:

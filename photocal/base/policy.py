@@ -38,6 +38,14 @@ SCREENED = 0.5
 # A cause that gains less than this share of the gravest one's gain may be what the linear model leaves of
 # it.
 MINOR_GAIN = 0.1
+# A cause that makes a group of observations agree explains this share of what its v'Pv is too large by: then
+# its standard deviations are not blamed. Of all that is too large, a cause that is named explains this share
+# where the model with it does not pass: less is "not explained by what was looked for".
+EXPLAINED_GROUP, EXPLAINED = 0.8, 0.9
+# Share of the rays' v'Pv that neighbours on their images may have in common, and standard deviations that
+# residuals may be larger than stated, as a factor, before something is left to explain (limits of
+# equivalence).
+PATTERN, EQUIVALENT = 0.1, 1.05
 # Models of a lens are alike when Akaike's criterion differs by no more (Burnham and Anderson 2002, 2.6).
 ALIKE_MODELS = 4.0
 # Displacements of two candidates count as alike when they are this parallel and their F this close.

@@ -92,6 +92,7 @@ TERMS = (
     "same", "minor", "source", "codes",
 )  # fmt: skip
 # Figures that are phrases of the catalogue with what is put into them, "code first second".
+# "shares" are terms with a number: "time-offset 0.12".
 PHRASES = {"alike": "candidate", "slips": "slip", "changes": "change"}
 PHRASES |= {"lever": "lever", "exchanged": "lever"}
 # A parameter of the camera model in a subject; names of points and images have digits, too.
@@ -238,6 +239,9 @@ def _figure(key: str, value: Any, say: Catalogue, name: Callable[[str], str]) ->
         return say("join.and").join(_term(text, say) for text in texts)
     if key in PARAMETERS:
         return " ".join(name(text) for text in texts)
+    if key == "shares":
+        shares = (text.rpartition(" ") for text in texts)
+        return ", ".join(f"{_term(code, say)} {float(part):.0%}" for code, _, part in shares)
     if key in ("numbers", "stated", "difference"):
         return ", ".join(_number(text, say) for text in texts)
     more = say("join.more", count=len(texts) - _NAMED) if len(texts) > _NAMED else ""

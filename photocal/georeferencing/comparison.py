@@ -7,7 +7,6 @@ import numpy as np
 
 from photocal.accuracy.assessment import Assessment, assess
 from photocal.accuracy.standard import Question, Standard
-from photocal.adjustment.solution import Solution
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, PhotocalError
@@ -15,6 +14,7 @@ from photocal.block.model import Block, Role
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text
+from photocal.georeferencing.causes import Mistyped, causes_of, mistyped_of, typed_slips
 from photocal.georeferencing.differences import (
     Differences,
     ExposureDifference,
@@ -22,9 +22,8 @@ from photocal.georeferencing.differences import (
     exposure_difference,
 )
 from photocal.georeferencing.direct import leaves_open
-from photocal.georeferencing.freed_groups import Separation, opened, separation
-from photocal.georeferencing.ground_mistakes import Mistyped, ground_findings, mistyped_control
-from photocal.georeferencing.local import as_mounted, in_local_frame, with_attitude_angles
+from photocal.georeferencing.ground_mistakes import ground_findings
+from photocal.georeferencing.local import in_local_frame, with_attitude_angles
 from photocal.georeferencing.methods import (
     METHODS,
     Degradation,
@@ -34,9 +33,10 @@ from photocal.georeferencing.methods import (
     degraded,
     of_method,
     with_shutters,
-    without_weak_images,
 )
-from photocal.georeferencing.systematic import SystematicErrors, systematic_errors
+from photocal.georeferencing.separation import Separation
+from photocal.hypotheses.findings import Slips, no_slips
+from photocal.hypotheses.search import SystematicErrors
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,8 @@ class BlockCheck:
         None without positions, or where they cannot be tested.
     mistyped
         Control points that contradict the others; systematic errors were looked for without them.
+    slips
+        What names the slips of the pen that made a control point wrong.
     """
 
     block: Block
@@ -81,6 +83,7 @@ class BlockCheck:
     separation: Separation | None
     plausibility: tuple[Finding, ...]
     mistyped: tuple[Mistyped, ...] = ()
+    slips: Slips = no_slips
 
     def of(self, method: Method) -> Judged | None:
         """Give one method's result; None where the block does not allow it."""
@@ -125,15 +128,20 @@ def check_block(
         except PhotocalError as refusal:
             refused[method] = str(refusal)
         done(method)
-    sound, mistyped = _sound(block, typed, list(judged.values()))
+    # The minimum of the method is that of the search: it has the same observations.
+    same = "integrated" if len(block.positions.image) else "indirect"
+    solution = judged[same].result.solution if same in judged else None
+    systematic, apart = causes_of(block, solution)
+    to_given = (lambda local: local) if typed.frame == "local" else block_frame(typed).to_given
+    slips = typed_slips(typed, block.points.names, block.points.values, to_given)
+    mistyped = mistyped_of(systematic, slips)
+    if coarsely_placed(block):
+        systematic = None
     if not judged:
         reasons = "; ".join(f"{method}: {refused[method]}" for method in METHODS)
         wrong = "".join(f"; control point {point.point} contradicts the others" for point in mistyped)
         message = _with_findings(f"no method can be computed: {reasons}{wrong}", plausibility)
         raise IllPosedError(message, where=block.name)
-    # The minimum of the integrated method is that of the search, where it has the same observations.
-    same = "integrated" in judged and sound is block and len(block.positions.image) > 0
-    systematic, apart = _calibration(sound, judged["integrated"].result.solution if same else None)
     done("systematic errors")
     return BlockCheck(
         block,
@@ -146,15 +154,8 @@ def check_block(
         apart,
         plausibility,
         mistyped,
+        slips,
     )
-
-
-def _sound(block: Block, typed: Block, judged: list[Judged]) -> tuple[Block, tuple[Mistyped, ...]]:
-    """The block without control points that contradict the others, where any point is suspected at all."""
-    if judged and not any(entry.control.suspected for entry in judged):
-        return block, ()
-    place = (lambda local: local) if typed.frame == "local" else block_frame(typed).to_given
-    return mistyped_control(without_weak_images(block)[0], typed.points.values, place, typed.frame)
 
 
 def _with_findings(message: str, findings: tuple[Finding, ...]) -> str:
@@ -202,21 +203,3 @@ def coarsely_placed(block: Block) -> bool:
     stated = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)]
     none_else = not len(block.positions.image) and not block.points.of_role("control").any()
     return bool(none_else and len(stated) and np.median(stated[:, :2]) > policy.COARSE_M)
-
-
-def _calibration(block: Block, first: Solution | None) -> tuple[SystematicErrors | None, Separation | None]:
-    """Systematic errors and separation; None where the block gives no hold for them."""
-    mounted = as_mounted(without_weak_images(block)[0])
-    if not len(mounted.positions.image) or block.datum == "free":
-        return None, None
-    try:
-        free = opened(mounted, first)
-        apart = separation(free)
-        if apart is not None and not len(block.positions.image):
-            # Positions that images state have no lever arm that could be told from anything.
-            groups = tuple(g for g in apart.groups if not all("lever_arm" in name for name in g))
-            apart = replace(apart, groups=groups)
-        return None if coarsely_placed(block) else systematic_errors(free), apart
-    except PhotocalError:
-        # The integrated method has failed for the same reason, which is said there.
-        return None, None

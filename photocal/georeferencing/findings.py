@@ -1,40 +1,28 @@
 """What a check of a block found: mistakes and errors under their names, then what follows of them."""
 
 import math
-from dataclasses import replace
-from itertools import permutations, product
 
 import numpy as np
 from scipy import stats
 
-from photocal.adjustment.groups import GroupTest
 from photocal.base import policy
-from photocal.findings.digits import with_sigma
 from photocal.findings.finding import FACTOR, Figure, Finding, untested
-from photocal.findings.hypotheses import fault
 from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_placed
 from photocal.georeferencing.differences import Differences
-from photocal.georeferencing.freed_groups import Estimate, Separation
-from photocal.georeferencing.ground_mistakes import Mistyped
 from photocal.georeferencing.methods import Method
-from photocal.georeferencing.systematic import Hypothesis, SystematicError
+from photocal.georeferencing.separation import Separation
+from photocal.hypotheses.findings import cause_findings
 
 # Without ground points all points of a flight share the errors of its rig and of few images: at worst they
 # err as one point, and their root of the mean d' C^-1 d / 3 as that of one (0.1 %).
 _RATIO_DIRECT = math.sqrt(float(stats.chi2(3).ppf(0.999)) / 3.0)
-# A fall of v'Pv is worth less for each unknown more: by the logarithm of the usual number of observations.
-_UNKNOWN = 10.0
-# An estimate is the permuted given one when it comes this near: standard deviations, and metres at least.
-_NEAR, _NEAR_M = 4.0, 0.02
-_AXES = ("forward", "right", "down")
 
 
 def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     """Give what was found: mistakes and errors first, each under one name, then what follows of them."""
-    listed = [*check.plausibility, *(_mistyped(mistyped) for mistyped in check.mistyped)]
+    listed = [*check.plausibility]
     if check.systematic is not None:
-        listed += [_stated_sigma(group) for group in check.systematic.sigmas]
-        listed += named(check.systematic.errors)
+        listed += cause_findings(check.systematic, check.slips)
     elif coarsely_placed(check.block):
         listed.append(Finding("coarse-positions", "note"))
     for judged in check.judged:
@@ -62,137 +50,6 @@ def _refused(check: BlockCheck) -> list[Finding]:
         for method, reason in check.refused
         if meant[method]
     ]
-
-
-def estimate_text(estimate: Estimate) -> str:
-    """Write one estimate with its standard deviation, without words."""
-    corrected = with_sigma(estimate.correction, estimate.sigma, "+")
-    return f"{estimate.name} {corrected} {estimate.unit} (t {estimate.t:.1f})"
-
-
-def _mistyped(point: Mistyped) -> Finding:
-    axes = zip("XYZ", point.d, point.sigma, strict=True)
-    figures: dict[str, Figure] = {
-        "numbers": tuple(f"{axis} {d:+.3f} +- {s:.3f}" for axis, d, s in axes),
-        "slips": point.slips,
-    }
-    remedy = "" if point.slips else "look-at-point"
-    cause = "slip" if point.slips else ""
-    return Finding("control-mistyped", "grave", point.point, figures, cause=cause, remedy=remedy)
-
-
-def _stated_sigma(group: GroupTest) -> Finding:
-    """Name standard deviations that are wrong by a factor: too large ones only cost precision."""
-    figures = {"group": group.name, "factor": group.factor, "lower": group.lower, "upper": group.upper}
-    if group.factor > 1.0:
-        return Finding("sigmas-too-small", "doubtful", group.name, figures)
-    return Finding("sigmas-too-large", "note", group.name, figures)
-
-
-def named(errors: tuple[SystematicError, ...]) -> list[Finding]:
-    """Name the grave errors; beside them small ones are no causes yet, for the model is linear."""
-    if not errors:
-        return []
-    gravest = max(errors, key=lambda error: error.hypothesis.gain)
-    limit = policy.MINOR_GAIN * gravest.hypothesis.gain
-    minor = tuple(error.hypothesis.name for error in errors if error.hypothesis.gain < limit)
-    listed = []
-    for error in errors:
-        if error.hypothesis.gain < limit:
-            continue
-        finding = _named(error)
-        finding = replace(finding, figures={**finding.figures, "fall": _fall(error.hypothesis)})
-        if minor and error is gravest:
-            figures = {**finding.figures, "minor": minor}
-            finding = replace(finding, figures=figures, clauses=(*finding.clauses, "left-over"))
-        listed.append(finding)
-    return listed
-
-
-def _fall(hypothesis: Hypothesis) -> float:
-    """Fall of v'Pv, less what unknowns gain: of a shift, a height alone is one and two are chance."""
-    known = fault(hypothesis.name)
-    of_block = known is not None and known.each == "block"
-    significant = sum(estimate.significant for estimate in hypothesis.estimates)
-    needed = max(significant if of_block else hypothesis.unknowns, 1)
-    return hypothesis.gain - _UNKNOWN * (needed - 1) - (hypothesis.unknowns - needed)
-
-
-def _named(error: SystematicError) -> Finding:
-    """Name the mistake that a systematic error looks like; else the error itself."""
-    same = (error.hypothesis, *error.alternatives)
-    shift = next((hypothesis for hypothesis in same if hypothesis.name == "datum-shift"), None)
-    special = None
-    if shift is not None:
-        # What explains as much as a shift in plane leaves no mistake of the base alone.
-        alone = error.hypothesis.name == "datum-shift" and not error.alternatives
-        changes = (other for other in same if (known := fault(other.name)) and known.each == "part")
-        special = _shift(shift.estimates, alone, next(changes, None))
-    elif error.hypothesis.name == "lever-arm":
-        special = _swapped_axes(error.hypothesis.estimates)
-    return special or _systematic(error)
-
-
-def _systematic(error: SystematicError) -> Finding:
-    hypothesis = error.hypothesis
-    shown = [e for e in hypothesis.estimates if e.significant] or list(hypothesis.estimates)
-    figures: dict[str, Figure] = {"numbers": tuple(estimate_text(e) for e in shown), "same": error.same}
-    return Finding(
-        hypothesis.name, "grave", figures=figures, clauses=("correction", *(["same"] * bool(error.same)))
-    )
-
-
-def _shift(estimates: tuple[Estimate, ...], in_plane: bool, change: Hypothesis | None) -> Finding | None:
-    """A shift common to all positions: of the height alone, or of the base."""
-    axes = {estimate.name.removeprefix("shift_"): estimate for estimate in estimates}
-    significant = {axis: estimate for axis, estimate in axes.items() if estimate.significant}
-    noteworthy = {
-        axis for axis, estimate in significant.items() if abs(estimate.correction) > policy.OTHER_PLACE_M
-    }
-    if noteworthy == {"z"}:
-        z = axes["z"]
-        side = "above" if z.correction > 0 else "below"
-        figures: dict[str, Figure] = {"shift_m": abs(z.correction), "sigma_m": z.sigma, "side": side}
-        if change is None:
-            return Finding("antenna-height", "grave", figures=figures)
-        # The camera was calibrated over two heights: a second principal distance looks the same.
-        before, after = change.estimates
-        figures |= {"percent": 100.0 * (after.value / before.value - 1.0), "second": after.name}
-        return Finding("antenna-height", "grave", figures=figures, clauses=("or-change",))
-    if not noteworthy or not in_plane:
-        return None
-    shift = tuple(f"{axis.upper()} {e.correction:+.3f} +- {e.sigma:.3f}" for axis, e in axes.items())
-    return Finding("base-position", "grave", figures={"numbers": shift}, clauses=("against-control",))
-
-
-def _swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
-    """A lever arm that was given with its axes in another order or with another sign."""
-    value = np.array([estimate.value for estimate in estimates])
-    given = value - np.array([estimate.correction for estimate in estimates])
-    tolerance = np.maximum(_NEAR * np.array([estimate.sigma for estimate in estimates]), _NEAR_M)
-    best: tuple[int, tuple[str, ...]] | None = None
-    if np.all(np.abs(given - value) <= tolerance):
-        return None
-    for order in permutations(range(3)):
-        for sign in product((1.0, -1.0), repeat=3):
-            meant = given[list(order)] * np.array(sign)
-            # Equal or zero components make many orders the same vector: the least change is named.
-            changed = [k for k in range(3) if order[k] != k or sign[k] < 0]
-            fits = bool(np.all(np.abs(meant - value) <= tolerance))
-            if fits and (best is None or len(changed) < best[0]):
-                best = len(changed), _changes(order, sign)
-    if best is None:
-        return None
-    numbers, stated = (tuple(f"{v:+.3f}" for v in vector) for vector in (value, given))
-    figures: dict[str, Figure] = {"stated": stated, "numbers": numbers, "changes": best[1]}
-    return Finding("lever-arm-axes", "grave", figures=figures, clauses=("stated-and-found",))
-
-
-def _changes(order: tuple[int, ...], sign: tuple[float, ...]) -> tuple[str, ...]:
-    """Codes of what was exchanged and turned."""
-    moved = [_AXES[k] for k in range(3) if order[k] != k]
-    parts = [f"exchanged {moved[0]} {moved[1]}"] if len(moved) == 2 else ["reordered"] if moved else []
-    return (*parts, *(f"opposite {_AXES[k]}" for k in range(3) if sign[k] < 0))
 
 
 def _judged(judged: Judged) -> list[Finding]:

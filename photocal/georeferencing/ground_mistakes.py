@@ -1,41 +1,21 @@
-"""Mistakes of ground points: seen in their tables, or contradicting the others, with the likely slip."""
+"""Mistakes of ground points that are seen in their tables, before anything is adjusted."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy import stats
-from scipy.linalg import block_diag
 
 from photocal.accuracy import ground_points
-from photocal.adjustment.adjust import adjust
-from photocal.adjustment.factored import factored
-from photocal.adjustment.joint import joint_covariance
-from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import body_to_camera
-from photocal.adjustment.network import covariance_matrices
-from photocal.base import policy
-from photocal.base.arrays import Floats, Integers
-from photocal.base.errors import PhotocalError
+from photocal.base.arrays import Floats
 from photocal.block.model import Block, Role
-from photocal.block.network import assemble, observed_plane
+from photocal.block.network import observed_plane
 from photocal.findings.finding import Finding
 from photocal.geometry.distortion import slopes_of
 from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import matrix_from_angles
-from photocal.georeferencing.methods import checkable, local_origin, with_roles, without_georeference
 
 # Farther than any flight is from its ground points, in a local frame.
 _FAR_M = 50_000.0
-Place = Callable[[Floats], Floats]
-
-# Control points that are taken out one after the other, at most.
-_MOST_REMOVED = 3
-# Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
-# offset (s); the shift is free.
-_LOOSE_C, _LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
 
 
 def ground_findings(block: Block) -> tuple[Finding, ...]:
@@ -144,209 +124,3 @@ def by_start_values(block: Block) -> ground_points.GroundPoints:
         np.ones(known.sum()),
     )
     return ground_points.GroundPoints(block.points.names, xyz)
-
-
-@dataclass(frozen=True)
-class Mistyped:
-    """A control point whose coordinates do not fit the others.
-
-    d, sigma (3,): computed from the other points minus given, and its standard deviation, m.
-    slips: the likely slips, "code axis given wanted"; empty when none explains it.
-    """
-
-    point: str
-    d: Floats
-    sigma: Floats
-    slips: tuple[str, ...]
-
-
-def mistyped_control(
-    block: Block, given: Floats, to_given: Place = lambda local: local, system: str = "local"
-) -> tuple[Block, tuple[Mistyped, ...]]:
-    """Find control points that contradict the other ones."""
-    control = np.flatnonzero(block.points.of_role("control"))
-    if len(control) < policy.FEWEST_CONTROL_TO_BLAME:
-        return block, ()
-    try:
-        rows, computed, covariance, common = _by_the_images(block, control)
-    except PhotocalError:
-        return block, ()
-    if len(rows) < policy.FEWEST_CONTROL_TO_BLAME:
-        return block, ()
-    d = computed - block.points.values[rows]
-    removed = contradicting(d, covariance, common)
-    listed = []
-    for k in removed:
-        error, spread = _beside_others(d, covariance, common, removed, k)
-        stated = block.points.sigma[rows[k]]
-        stated = np.where(np.isfinite(stated), stated, np.inf)
-        sigma = np.sqrt(np.diag(spread))
-        if not np.any(
-            (np.abs(error) > policy.MISTYPED_SIGMAS * stated) & (np.abs(error) > policy.SLIP_SIGMAS * sigma)
-        ):
-            return block, ()
-        wanted = to_given((block.points.values[rows[k]] + error)[None, :])[0]
-        slips = _slips(given[rows[k]], wanted, sigma, system)
-        listed.append(Mistyped(block.points.names[rows[k]], error, sigma, slips))
-    left = control[~np.isin(control, rows[list(removed)])]
-    return (checkable(with_roles(block, left)) if listed else block), tuple(listed)
-
-
-def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
-    """Choose the fewest points without which the differences agree; none where that is not clear."""
-    removed: tuple[int, ...] = ()
-    n = len(d)
-    chi_squared = _misfit(d, covariance, common, removed)
-    while True:
-        freedom = 3 * (n - len(removed)) - common.shape[1]
-        rest = freedom - 3
-        if freedom > 0 and chi_squared <= stats.chi2.isf(policy.SIGNIFICANCE, freedom):
-            return removed
-        if rest < 1 or len(removed) == _MOST_REMOVED:
-            return ()
-        tries = sorted(
-            (_misfit(d, covariance, common, (*removed, k)), k) for k in range(n) if k not in removed
-        )
-        (best, k), (second, _) = tries[:2]
-        # Errors that the sigmas do not know stretch everything: what stands out does so against the rest.
-        known = best <= stats.chi2.isf(policy.SIGNIFICANCE, rest)
-        scale = 1.0 if known else best / rest
-        limit = (
-            stats.chi2.isf(policy.SIGNIFICANCE, 3) / 3
-            if known
-            else stats.f.isf(policy.SIGNIFICANCE / n, 3, rest)
-        )
-        if (chi_squared - best) / 3.0 / scale <= limit:
-            return removed
-        if second - best < stats.chi2.isf(policy.SIGNIFICANCE, 3) * scale:
-            return ()
-        removed, chi_squared = (*removed, k), best
-
-
-def _equations(
-    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]
-) -> tuple[Floats, Floats]:
-    """Equations of unit weight for the errors of points left out and the common part."""
-    of_errors = np.eye(d.size).reshape(d.size, -1, 3)[:, list(removed)].reshape(d.size, -1)
-    root = np.linalg.cholesky(covariance)
-    return np.linalg.solve(root, np.hstack([of_errors, common])), np.linalg.solve(root, d.ravel())
-
-
-def _misfit(d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]) -> float:
-    """Least d' C^-1 d with the common part free and some points left out."""
-    a, y = _equations(d, covariance, common, removed)
-    return float(np.sum((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2))
-
-
-def _beside_others(
-    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...], k: int
-) -> tuple[Floats, Floats]:
-    """Error of a point that was left out, by the others, and its covariance."""
-    a, y = _equations(d, covariance, common, removed)
-    normal = np.linalg.pinv(a.T @ a, hermitian=True)
-    columns = slice(3 * removed.index(k), 3 * removed.index(k) + 3)
-    return np.asarray((normal @ a.T @ y)[columns]), np.asarray(normal[columns, columns])
-
-
-def _by_the_images(block: Block, control: Integers) -> tuple[Integers, Floats, Floats, Floats]:
-    """Places of control points without control: rows, places, covariance with the survey, common part."""
-    alone = checkable(with_roles(block, np.zeros(0, dtype=np.int64)))
-    cameras = []
-    for camera in alone.cameras:
-        prior = camera.prior_sigma.copy()
-        prior[0] = min(prior[0], _LOOSE_C * camera.value("c"))
-        cameras.append(replace(camera, prior_sigma=prior))
-    alone = replace(alone, cameras=tuple(cameras))
-    placed = len(alone.positions.image) > 0 or np.isfinite(alone.images.sigma[:, 3:]).all(axis=1).any()
-    if placed:
-        sigma = alone.mounting.sigma.copy()
-        sigma[: len(_LOOSE)] = np.minimum(sigma[: len(_LOOSE)], _LOOSE)
-        # A shift is what all control points have in common; drifts and scales need control.
-        sigma[len(_LOOSE) :] = 0.0
-        alone = replace(alone, mounting=replace(alone.mounting, sigma=sigma))
-    else:
-        alone = replace(without_georeference(alone), datum="free")
-    assembly = assemble(alone)
-    with because("control points predicted without themselves"):
-        solution = adjust(assembly.network)
-    seen = np.flatnonzero(np.isin(assembly.points, control))
-    names = [assembly.network.point_names[j] for j in seen]
-    at = factored(assembly.network, solution.state)
-    covariance = joint_covariance(at, [("point", name) for name in names])[1]
-    rows = assembly.points[seen]
-    computed = solution.points[seen] + local_origin(assembly)
-    stated = np.where(np.isfinite(block.points.sigma[rows]), block.points.sigma[rows], 1e3)
-    cross = np.zeros((len(rows), 3)) if block.points.cross is None else block.points.cross[rows]
-    # A held coordinate has no error, but rounding.
-    survey = covariance_matrices(np.maximum(stated, 1e-4), cross)
-    relative = computed - computed.mean(axis=0)
-    shift = np.tile(np.eye(3), (len(rows), 1))
-    turns = np.cross(np.eye(3)[None, :, :], relative[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
-    common = shift if placed else np.hstack([shift, turns, relative.reshape(-1, 1)])
-    return rows, computed, covariance + block_diag(*survey), common
-
-
-def _slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[str, ...]:
-    """Name the slips of the pen that made the given coordinates of the wanted ones, see `Mistyped`."""
-    tolerance = policy.SLIP_SIGMAS * sigma
-    wrong = np.abs(given - wanted) > tolerance
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        changed = given.copy()
-        changed[[a, b]] = given[[b, a]]
-        if wrong[a] and wrong[b] and np.all(np.abs(changed - wanted) <= tolerance):
-            return (f"exchanged {'XYZ'[a]} {'XYZ'[b]}",)
-    zone = _zone_slip(given, wanted, tolerance, system)
-    if zone:
-        return (f"zone X {zone}",)
-    near = tolerance.tolist()
-    slips = [(k, _digit_slip(float(given[k]), float(wanted[k]), near[k])) for k in np.flatnonzero(wrong)]
-    if not all(slip for _, slip in slips):
-        return ()
-    return tuple(f"{slip[0]} {'XYZ'[k]} {' '.join(slip[1:])}" for k, slip in slips)
-
-
-def _digit_slip(given: float, wanted: float, tolerance: float) -> tuple[str, ...]:
-    """Two digits swapped, one digit or the sign wrong, feet for metres: code, given, nearly wanted value."""
-    text = f"{given:.3f}"
-    places = [i for i, mark in enumerate(text) if mark.isdigit()]
-    for i, j in pairwise(places):
-        marks = list(text)
-        marks[i], marks[j] = marks[j], marks[i]
-        swapped = "".join(marks)
-        if swapped != text and abs(float(swapped) - wanted) <= tolerance:
-            return "digits-exchanged", text, swapped
-    if abs(-given - wanted) <= tolerance:
-        return "sign", text, f"{-given:.3f}"
-    if abs(given * 0.3048 - wanted) <= tolerance:
-        return "feet", text, f"{given * 0.3048:.3f}"
-    for i in places:
-        for digit in "0123456789":
-            other = f"{text[:i]}{digit}{text[i + 1 :]}"
-            if digit != text[i] and abs(float(other) - wanted) <= tolerance:
-                return "one-digit", text, other
-    return ()
-
-
-def _zone_slip(given: Floats, wanted: Floats, tolerance: Floats, system: str) -> str:
-    """Name the map zone in which the given coordinates are the wanted ones; empty when there is none."""
-    if system == "local" or not np.isfinite(wanted).all():
-        return ""
-    from pyproj import CRS, Transformer
-    from pyproj.exceptions import ProjError
-
-    horizontal = CRS.from_user_input(system).to_2d()
-    zone, ellipsoid = horizontal.utm_zone, horizontal.ellipsoid
-    if zone is None or ellipsoid is None:
-        return ""
-    axes = f"+a={ellipsoid.semi_major_metre} +b={ellipsoid.semi_minor_metre}"
-    utm = f"+proj=utm {axes} {'+south' if zone[-1] == 'S' else ''} +units=m +no_defs +zone="
-    for step in (-1, 1):
-        number = (int(zone[:-1]) - 1 + step) % 60 + 1
-        way = Transformer.from_crs(f"{utm}{number}", f"{utm}{zone[:-1]}", always_xy=True)
-        try:
-            x, y = way.transform(given[0], given[1])
-        except ProjError:
-            continue
-        if abs(x - wanted[0]) <= tolerance[0] + 0.05 and abs(y - wanted[1]) <= tolerance[1] + 0.05:
-            return str(number)
-    return ""

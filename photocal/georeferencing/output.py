@@ -22,8 +22,10 @@ from photocal.findings.texts import Catalogue, catalogue, finding_json
 from photocal.findings.verdict import Known, Verdict, judge, verdict_json, verdict_section
 from photocal.georeferencing.comparison import BlockCheck, Judged
 from photocal.georeferencing.differences import CRITICAL_W, Differences
-from photocal.georeferencing.findings import block_findings, estimate_text
-from photocal.georeferencing.systematic import Hypothesis, SystematicErrors
+from photocal.georeferencing.findings import block_findings
+from photocal.hypotheses.findings import estimate_text
+from photocal.hypotheses.judged import Hypothesis
+from photocal.hypotheses.search import SystematicErrors
 
 SCHEMA = "photocal.block-check/2"
 _TITLE = "Georeferencing of {}, judged at the ground points"
@@ -170,10 +172,15 @@ def _systematic(errors: SystematicErrors) -> dict[str, Any]:
     return {
         "tested": [_hypothesis(hypothesis) for hypothesis in errors.tested],
         "found": [
-            {**_hypothesis(error.hypothesis), "not_separated_from": [_name(code) for code in error.same]}
+            {
+                **_hypothesis(error.hypothesis),
+                "not_separated_from": [_name(code) for code in error.same],
+                "share": error.share,
+            }
             for error in errors.errors
         ],
-        **picked(errors, "untested", "free_in_block", together="estimates", stated_sigmas="sigmas"),
+        **picked(errors, "untested", "free_in_block", "adequate", "explained", "fit", "memory"),
+        **picked(errors, together="estimates", stated_sigmas="sigmas"),
     }
 
 

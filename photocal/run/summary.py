@@ -12,11 +12,11 @@ from photocal.base.arrays import as_plain
 from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding, of_global_test
-from photocal.findings.hypotheses import FAULTS, Fault, fault
 from photocal.findings.listed import Findings
 from photocal.findings.texts import catalogue, finding_json
 from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json
 from photocal.geometry.camera import PARAMETERS
+from photocal.hypotheses.table import FAULTS, Fault, fault
 from photocal.measurement.maker_tag import tag_finding
 from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from photocal.findings.hypotheses import FAULTS, SYMPTOMS, Fault
 from photocal.findings.texts import catalogue
+from photocal.hypotheses.table import FAULTS, SYMPTOMS, Fault
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
 HEAD = """# Faults that are looked for
 
-Made from the one table of them (`photocal/findings/hypotheses.py`) and its texts; what to do stands in
+Made from the one table of them (`photocal/hypotheses/table.py`) and its texts; what to do stands in
 [the guide](guide/warnings.md). A new fault is one entry there and its texts `term.CODE`, `finding.CODE` and,
 where there is something to do, `remedy.CODE` in `findings_en.toml` and `findings_pt-BR.toml`.
 

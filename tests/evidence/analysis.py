@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from photocal.adjustment.adjusted import fit
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.refit import fit
 from photocal.analysis.systematic_errors.search import search
 from photocal.base.arrays import Floats
 from tests.photocal.analysis.simulated import (

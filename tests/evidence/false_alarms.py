@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from photocal.adjustment.adjusted import fit
 from photocal.adjustment.network import Network
+from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import Outcome, analyse_network
-from photocal.analysis.systematic_errors.refit import Checks, fit
 from tests.evidence.portions import outcomes
 from tests.photocal.analysis.aerial import Flight, fly
 

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from photocal.block.folder import read_block
+from photocal.georeferencing.causes import causes_of
 from photocal.georeferencing.differences import differences
-from photocal.georeferencing.freed_groups import opened
 from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.methods import METHODS, of_method
-from photocal.georeferencing.systematic import systematic_errors
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 SEEDS = 100
@@ -85,7 +84,8 @@ def injected(folder: Path) -> list[str]:
             block = with_attitude_angles(
                 read_block(fly(place, np.random.default_rng(5000 + seed), errors, PLAN))
             )
-            found = systematic_errors(opened(block))
+            found, _ = causes_of(block)
+            assert found is not None
             names = [error.hypothesis.name for error in found.errors]
             alone += names == [name] or (name == "none" and not names)
             among += name in names

@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from photocal.adjustment.adjusted import fit
+from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import analyse_network
-from photocal.analysis.systematic_errors.refit import Checks, fit
 from tests.benchmarks.adjust_block import measure
 from tests.photocal.analysis.aerial import Flight, fly
 

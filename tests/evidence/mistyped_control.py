@@ -20,7 +20,8 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.block.folder import read_block
 from photocal.block.model import Block
-from photocal.georeferencing.ground_mistakes import mistyped_control
+from photocal.block.network import assemble
+from photocal.georeferencing.causes import causes_of, mistyped_of, slips_of
 from photocal.georeferencing.local import with_attitude_angles
 from tests.photocal.georeferencing.flights import Plan, fly
 
@@ -79,7 +80,8 @@ def drawn(control: int, seed: int) -> tuple[str, bool, bool]:
     row = int(rng.choice(rows))
     values = block.points.values.copy()
     values[row] = mistyped(values[row], kind, rng)
-    _, found = mistyped_control(replace(block, points=replace(block.points, values=values)), values)
+    wrong = replace(block, points=replace(block.points, values=values))
+    found = mistyped_of(causes_of(wrong)[0], slips_of(wrong, assemble(wrong)))
     right = [one.point for one in found] == [block.points.names[row]]
     slips = {slip.split()[0] for slip in found[0].slips} if right else set[str]()
     # Other slips may make the same coordinates; a kind of height has no form of its own.

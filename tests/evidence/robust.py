@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from photocal.adjustment.adjusted import fit
 from photocal.adjustment.network import Network
 from photocal.analysis.robust import apart, sandwich
-from photocal.analysis.systematic_errors.refit import fit
 from tests.photocal.analysis.aerial import Flight, correlated, fly, scattered
 
 FLIGHTS = 60

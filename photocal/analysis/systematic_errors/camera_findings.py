@@ -2,86 +2,16 @@
 
 import numpy as np
 
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.factored import covariance_column
 from photocal.analysis.estimates import Estimates, f_test, scaled
-from photocal.analysis.systematic_errors.candidates import ExtraParameter
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork, ground_effect
-from photocal.analysis.systematic_errors.search import Round, Search, camera_estimates
+from photocal.analysis.systematic_errors.search import Search, camera_estimates
 from photocal.base import policy
-from photocal.base.arrays import Floats
 from photocal.findings.finding import Figure, Finding, Severity, Size
-from photocal.geometry.camera import PARAMETERS, Camera
+from photocal.geometry.camera import PARAMETERS
+from photocal.hypotheses.findings import cause_findings, ground_effect, in_sigmas
 
 ALPHA = 0.10
-# No model takes these up: what they do to c or to the points of a block withholds acceptance.
-GRAVE = ("c-drift", "rolling-shutter")
-
-
-def of_round(correction: Round) -> Finding:
-    """Describe an error that was found and corrected."""
-    parameter, before, after = correction.parameter, correction.before, correction.after.solution
-    at = parameter.candidate.camera
-    camera, c = before.network.cameras[at], float(before.solution.cameras[at, 0])
-    change = float(before.solution.cameras[at, 0] - after.cameras[at, 0])
-    sigma_c = float(np.sqrt(before.solution.camera_covariance[at, 0, 0]))
-    left, share = _left_px(correction), abs(change) / abs(c)
-    moved = _in_sigmas(before, after.points - before.solution.points)
-    felt = (
-        abs(change) >= policy.SMALL_SIGMAS * sigma_c > 0.0 and share >= policy.SMALL_SHARE
-    ) or moved >= policy.SMALL_MOVE
-    ground = ground_effect(before, at, change)
-    figure, unit = _figure(parameter, camera)
-    figures: dict[str, Figure] = {
-        "camera": camera.id,
-        "parameter": parameter.candidate.parameter,
-        "figure": figure,
-        "sigma": parameter.sigma,
-        "px": parameter.effect_px,
-        "left_px": left,
-        "f": parameter.statistic,
-        "fall": parameter.fall,
-        "tested": float(parameter.tested),
-        "shift_c": change,
-        "unit": camera.unit,
-        "ground_m": ground,
-        "alike": parameter.alike,
-        "share": parameter.amount / c,
-    }
-    clauses = []
-    if parameter.candidate.kind == "y-scale":
-        # Square pixels, scaled to a rounded format.
-        ratio = camera.pitch[0] / camera.pitch[1]
-        square = ratio != 1.0 and abs(1.0 + parameter.amount - ratio) < 3.0 * parameter.sigma
-        clauses.append("square_pixels" if square else "stretched")
-        if square:
-            figures |= {"pitch_x": camera.pitch[0], "pitch_y": camera.pitch[1]}
-    clauses.append("up_to")
-    if change:
-        clauses.append("shifts_c")
-    if parameter.alike:
-        clauses.append("alike")
-    size = Size(figure, unit, parameter.sigma, change, ground, parameter.effect_px)
-    kind = parameter.candidate.kind
-    if left < policy.SMALL_PX and not felt:
-        return Finding(kind, "note", camera.id, figures, (*clauses, "small"), size)
-    return Finding(
-        kind, "grave" if felt and kind in GRAVE else "doubtful", camera.id, figures, tuple(clauses), size
-    )
-
-
-def _left_px(correction: Round) -> float:
-    """Largest displacement of a ray that no other unknown takes up, px."""
-    at, network = correction.parameter.candidate.camera, correction.before.network
-    change = correction.after.solution.residuals - correction.before.solution.residuals
-    change = change[network.exposures.camera[network.rays.image] == at] / network.cameras[at].pitch
-    return float(np.linalg.norm(change, axis=1).max(initial=0.0))
-
-
-def _in_sigmas(fitted: AdjustedNetwork, moved: Floats) -> float:
-    """How far points move, (points, 3), in their standard deviations, root mean square."""
-    sigma = np.sqrt(np.diagonal(fitted.solution.point_covariance, axis1=1, axis2=2))
-    ratio = np.divide(moved, sigma, out=np.zeros_like(moved), where=sigma > 0.0)
-    return float(np.sqrt(np.mean(ratio**2))) if ratio.size else 0.0
 
 
 def moved_with_c(fitted: AdjustedNetwork, camera: int, change: float) -> float:
@@ -92,68 +22,13 @@ def moved_with_c(fitted: AdjustedNetwork, camera: int, change: float) -> float:
     right[columns[active == 0]] = 1.0
     step, moved = covariance_column(fitted.factored, right, np.zeros_like(fitted.state.points))
     variance = float(right @ step)
-    return _in_sigmas(fitted, moved * (change / variance)) if variance > 0.0 else 0.0
-
-
-def _figure(parameter: ExtraParameter, camera: Camera) -> tuple[float, str]:
-    kind = parameter.candidate.kind
-    if kind == "y-scale":
-        return 1.0 + parameter.amount, "1"
-    if kind in ("c-drift", "c-step"):
-        return parameter.amount, camera.unit
-    units = {"rolling-shutter": "exposure intervals", "shear": "1"}
-    return parameter.amount, units.get(kind, f"powers of {camera.unit}")
-
-
-def of_shift(search: Search) -> list[Finding]:
-    """Describe a shift of all observed positions against control."""
-    datum_shift = search.shift
-    if datum_shift is None:
-        return []
-    numbers = _by_axis(datum_shift.shift, datum_shift.sigma)
-    worst = int(np.argmax(np.abs(datum_shift.shift)))
-    size = Size(float(datum_shift.shift[worst]), "m", float(datum_shift.sigma[worst]))
-    return [Finding("datum-shift", "doubtful", "positions", {"numbers": numbers}, ("positions_off",), size)]
-
-
-def of_strips(search: Search) -> list[Finding]:
-    """Describe strips whose positions lie beside those of the others."""
-    return [
-        Finding(
-            "strip-position",
-            "doubtful",
-            f"{strip.first}-{strip.last}",
-            {"images": float(strip.positions), "numbers": _by_axis(strip.shift, strip.sigma)},
-        )
-        for strip in search.strips
-        if strip.p_value < policy.FAMILY_SIGNIFICANCE and strip.beyond_stated
-    ]
-
-
-def of_members(search: Search) -> list[Finding]:
-    """Name positions and control points that contradict all others."""
-    network, listed = search.first.network, []
-    for member in search.members:
-        of_image = member.kind == "position"
-        names = network.image_names if of_image else network.point_names
-        sigma = np.sqrt(np.diag(member.covariance))
-        figures: dict[str, Figure] = {"numbers": _by_axis(member.error, sigma)}
-        worst = int(np.argmax(np.abs(member.error)))
-        size = Size(float(member.error[worst]), "m", float(sigma[worst]))
-        code = "position-contradicts" if of_image else "control-contradicts"
-        listed.append(Finding(code, "doubtful", names[member.index], figures, size=size))
-    return listed
-
-
-def _by_axis(shift: Floats, sigma: Floats) -> tuple[str, ...]:
-    axes = zip("XYZ", shift, sigma, strict=True)
-    return tuple(f"{axis} {value:+.3f} +- {spread:.3f} m" for axis, value, spread in axes)
+    return in_sigmas(fitted, moved * (change / variance)) if variance > 0.0 else 0.0
 
 
 def of_datum(search: Search) -> list[Finding]:
     """Say what hangs on the datum of the positions, where no test could tell that it is wrong."""
     shift, solution = search.positions, search.first.solution
-    if shift is None or search.shift is not None:
+    if shift is None or {"datum-shift", "antenna-height"} & {e.hypothesis.name for e in search.causes.errors}:
         return []
     height = {"stated_m": float(shift.stated[2])}
     if not any(group.name == "control" for group in solution.groups):
@@ -197,9 +72,9 @@ def of_sigma(search: Search) -> list[Finding]:
         "unit": unit,
     }
     clauses = ["by_rms", "too_poor"] if ratio < 1.0 else ["by_redundancy", "too_good"]
-    if ratio < 1.0 and search.rounds:
+    if ratio < 1.0 and search.corrected:
         clauses.append("unseen")
-    small = ratio < policy.BADLY_WRONG_SIGMA and not search.rounds
+    small = ratio < policy.BADLY_WRONG_SIGMA and not search.corrected
     spread = (sigma.upper - sigma.lower) / 4.0 * scale
     size = Size(figure * scale, unit, spread, 0.0, 0.0, figure / min(camera.pitch))
     severity: Severity = "note" if small else "doubtful"
@@ -222,7 +97,7 @@ def of_bias(search: Search) -> list[Finding]:
         if not sigma > 0.0 or abs(bias) < unsure:
             continue
         ground = ground_effect(search.first, k, bias)
-        moved = _in_sigmas(search.first, search.last.state.points - search.first.state.points)
+        moved = in_sigmas(search.first, search.last.state.points - search.first.state.points)
         if moved < policy.SMALL_MOVE and abs(bias) < policy.SMALL_SHARE * abs(after):
             continue
         figures: dict[str, Figure] = {
@@ -246,9 +121,9 @@ def of_bias(search: Search) -> list[Finding]:
 
 def of_significance(search: Search) -> list[Finding]:
     """Name the parameters whose significance changes with the corrections; small ones change little by it."""
-    if not search.rounds:
+    if not search.corrected:
         return []
-    small = all(of_round(correction).severity == "note" for correction in search.rounds)
+    small = all(told.small for told in cause_findings(search.causes))
     listed = []
     redundancy = search.last.solution.degrees_of_freedom
     for k, camera in enumerate(search.first.network.cameras):
@@ -294,7 +169,7 @@ def of_jackknife(search: Search) -> list[Finding]:
             "formal": float(formal[worst]),
         }
         effect = float(before[0]) if worst == 0 else None
-        clauses = ["once_corrected" if search.rounds else "as_adjusted"]
+        clauses = ["once_corrected" if search.corrected else "as_adjusted"]
         ground = None
         if effect is not None:
             ground = ground_effect(search.first, k, effect)

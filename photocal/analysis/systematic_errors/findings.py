@@ -3,14 +3,15 @@
 import numpy as np
 from scipy import special
 
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.observations import mounting_equations
 from photocal.analysis.systematic_errors import camera_findings
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork
 from photocal.analysis.systematic_errors.scatter import VarianceComponent
 from photocal.analysis.systematic_errors.search import Search
 from photocal.base import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
+from photocal.hypotheses.findings import Slips, cause_findings, no_slips
 
 # Places in the flight at which a head is tried to have moved, exposures that must lie before and after.
 PLACES, FEWEST = 16, 3
@@ -24,6 +25,10 @@ def of_stated(search: Search) -> list[Finding]:
             group.p_value >= policy.FAMILY_SIGNIFICANCE / len(search.groups)
             or abs(group.factor - 1.0) < policy.WRONG_SIGMA
         ):
+            continue
+        memory = search.causes.memory
+        if group.factor < 1.0 and group.name == "position" and memory is not None and memory.likely:
+            # Positions that share their errors look better than they are.
             continue
         # What is known beforehand is stated with caution: no error of measurement says otherwise.
         if group.factor < 1.0 and group.name in ("camera", "mounting", "head", "rig"):
@@ -192,13 +197,13 @@ def of_heads(fitted: AdjustedNetwork) -> list[Finding]:
     return [Finding("head-moved", "grave", camera, figures, size=size)]
 
 
-def findings(search: Search) -> tuple[Finding, ...]:
-    """Turn a search into a list."""
-    listed = [camera_findings.of_round(correction) for correction in search.rounds]
-    listed += camera_findings.of_members(search)
-    listed += camera_findings.of_shift(search)
-    listed += camera_findings.of_strips(search)
-    listed += camera_findings.of_sigma(search)
+def findings(search: Search, slips: Slips = no_slips) -> tuple[Finding, ...]:
+    """Turn a search into a list, causes first.
+
+    slips: what names the slips of the pen of a control point.
+    """
+    causes = cause_findings(search.causes, slips)
+    listed = camera_findings.of_sigma(search)
     listed += camera_findings.of_bias(search)
     listed += camera_findings.of_significance(search)
     listed += camera_findings.of_jackknife(search)
@@ -207,4 +212,6 @@ def findings(search: Search) -> tuple[Finding, ...]:
     listed += of_heads(search.last)
     listed += of_images(search)
     listed += of_maps(search)
-    return tuple(sorted(listed, key=lambda finding: finding.small))
+    told = {(finding.code, finding.subject) for finding in causes}
+    listed = [finding for finding in listed if (finding.code, finding.subject) not in told]
+    return tuple(sorted((*causes, *listed), key=lambda finding: finding.small))

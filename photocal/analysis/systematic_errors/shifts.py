@@ -1,27 +1,25 @@
-"""What observed positions, those of a strip, or the rays of one image have in common: shifts and scales."""
+"""What a common shift of all positions would do, and scales and shifts of single images."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.envelope import solve
-from photocal.adjustment.groups import Member, member_tests, tested
+from photocal.adjustment.groups import tested
 from photocal.adjustment.mounting import SHIFT, STRIPS
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.solution import Group
 from photocal.adjustment.state import State
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.geometry.rotation import skew
 
 # Of a shift, what no other unknown takes up, squared: less is not determined.
 LEFT = 1e-4
-# Strips with fewer positions, or more strips than this, are not looked at one by one.
-LEAST_OF_STRIP, MOST_STRIPS = 3, 60
 # Less of a column than this, beside the exterior orientation, is not determined.
 INDEPENDENT = 1e-2
 # So many images are adjusted with a scale and a principal point of their own.
@@ -72,56 +70,6 @@ def position_shift(fit: AdjustedNetwork) -> PositionShift | None:
     return PositionShift(shift, sigma, fall, p_value, c_by_shift, positions.stated())
 
 
-@dataclass(frozen=True)
-class StripShift:
-    """The positions of one strip against the rest, `PositionShift` of that strip alone; p for all strips.
-
-    on_c: the largest change of a principal distance that it makes, in its standard deviations.
-    stated (3,): medians of the stated standard deviations of a position, m.
-    """
-
-    first: str
-    last: str
-    positions: int
-    shift: Floats
-    sigma: Floats
-    fall: float
-    p_value: float
-    on_c: float
-    stated: Floats
-
-    @property
-    def beyond_stated(self) -> bool:
-        """Whether it is more than is stated of each position (95 %), or of c: errors of GNSS stay alike."""
-        return bool(np.max(np.abs(self.shift) / self.stated) > policy.STATED or self.on_c > policy.STATED)
-
-
-def strip_shifts(fit: AdjustedNetwork) -> tuple[StripShift, ...]:
-    """Estimate a shift of the positions of each strip; nothing for one strip, or where they are free."""
-    network, positions = fit.network, fit.network.positions
-    strips, count = np.unique(positions.strip, return_counts=True)
-    chosen = strips[count >= LEAST_OF_STRIP]
-    if not 2 <= len(strips) <= MOST_STRIPS or _strips_free(network):
-        return ()
-    fields, moved = _whitened(fit), list[StripShift]()
-    group = next(part for part in fit.solution.groups if part.name == "position")
-    if group.redundancy - 3.0 < policy.FEWEST_REDUNDANT:
-        return ()
-    owns = [positions.strip == strip for strip in chosen.tolist()]
-    masked = np.hstack([fields * np.repeat(in_strip, 3)[:, None] for in_strip in owns])
-    informations, slopes, steps = _further(fit, masked)
-    for k, strip_mask in enumerate(owns):
-        columns = slice(3 * k, 3 * k + 3)
-        if not _determined(masked[:, columns], informations[columns, columns]):
-            continue
-        shift, sigma, fall, p_value = _estimated(informations[columns, columns], slopes[columns], group)
-        p_value = min(1.0, len(chosen) * p_value)
-        names = [network.image_names[i] for i in positions.image[strip_mask]]
-        figures = shift, sigma, fall, p_value, _on_c(fit, shift @ steps[columns]), positions.stated()
-        moved.append(StripShift(names[0], names[-1], len(names), *figures))
-    return tuple(moved)
-
-
 def _determined(fields: Floats, information: Floats) -> bool:
     """Whether something of shifts along whitened fields is left beside all other unknowns."""
     return bool(np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] >= LEFT)
@@ -135,14 +83,6 @@ def _estimated(information: Floats, slope: Floats, group: Group) -> tuple[Floats
     fall = float(-slope @ shift)
     scale = max(1.0, (group.chi_squared - fall) / rest)
     return shift, np.sqrt(np.diag(covariance)), fall, _smaller_p(shift, scale * covariance, rest)
-
-
-def _on_c(fit: AdjustedNetwork, step: Floats) -> float:
-    """The largest change of a principal distance with a step, in its standard deviations."""
-    sigma = np.sqrt(fit.solution.camera_covariance[:, 0, 0])
-    columns = fit.factored.problem.layout.camera_columns
-    change = np.array([np.abs(step[column[active == 0]]).sum() for active, column in columns])
-    return float(np.max(np.divide(change, sigma, out=np.zeros_like(change), where=sigma > 0.0)))
 
 
 def _whitened(fit: AdjustedNetwork) -> Floats:
@@ -164,48 +104,6 @@ def _further(fit: AdjustedNetwork, fields: Floats) -> tuple[Floats, Floats, Floa
     return (information + information.T) / 2, fields.T @ (rows.weight * rows.residual), steps.T
 
 
-def gross_error(fit: AdjustedNetwork, level: float) -> Member | None:
-    """Find the worst of the positions and control points, where it contradicts all others at a level."""
-    tested = [member for member in member_tests(fit.factored, fit.solution) if member.dimensions]
-    redundancy = {group.name: group.redundancy for group in fit.solution.groups}
-    rated = list[tuple[float, Member]]()
-    for kind in ("position", "control"):
-        members = [member for member in tested if member.kind == kind]
-        if members:
-            rated += zip(_p_of_members(members, redundancy[kind]), members, strict=True)
-    p_value, worst = min(rated, key=lambda pair: (pair[0], -pair[1].statistic), default=(1.0, None))
-    if worst is None or len(tested) * p_value >= level:
-        return None
-    if worst.kind == "position":
-        common = position_shift(fit)
-        falls = [shift.fall for shift in strip_shifts(fit)] + ([] if common is None else [common.fall])
-        if max(falls, default=0.0) >= worst.statistic:
-            return None
-    return worst
-
-
-def _p_of_members(members: list[Member], redundancy: float) -> list[float]:
-    """Probability of so large errors, where all others tell how many times the variances are those stated."""
-    from scipy import stats
-
-    error = np.array([member.error for member in members])
-    covariance = np.array([member.covariance for member in members])
-    variance = np.diagonal(covariance, axis1=1, axis2=2)
-    shares, known = error**2 / variance, np.isfinite(variance)
-    others = (shares.sum(axis=0) - shares) / max(len(members) - 1, 1)
-    error = np.where(known, error / np.sqrt(np.maximum(others, 1.0)), 0.0)
-    covariance = np.where(known[:, :, None] & known[:, None, :], covariance, np.eye(3))
-    dimensions = known.sum(axis=1)
-    square = np.einsum("na,na->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
-    rest = redundancy - np.array([member.dimensions for member in members])
-    asked = (dimensions > 0) & (rest >= policy.FEWEST_REDUNDANT)
-    count = np.maximum(dimensions, 1)
-    p_value = np.where(
-        asked, stats.f.sf(square / count, count, np.maximum(rest, policy.FEWEST_REDUNDANT)), 1.0
-    )
-    return [float(p) for p in p_value]
-
-
 def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:
     """The smaller probability of height and plane, for both having been looked at."""
     from scipy import stats
@@ -219,13 +117,6 @@ def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:
 
 def _strips_free(network: Network) -> bool:
     return bool(np.any(network.mounting.sigma[STRIPS:]))
-
-
-def with_free_shift(network: Network) -> Network:
-    """Give the network the shift as an unknown."""
-    sigma = network.mounting.sigma.copy()
-    sigma[SHIFT] = np.inf
-    return replace(network, mounting=replace(network.mounting, sigma=sigma))
 
 
 @dataclass(frozen=True)

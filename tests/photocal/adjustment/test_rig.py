@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.adjusted import AdjustedNetwork, fit
 from photocal.adjustment.layout import layout
 from photocal.adjustment.observations import mounting_equations
 from photocal.adjustment.rig import pairs_of
 from photocal.adjustment.state import State, moved_exposures, start_state
 from photocal.analysis.systematic_errors.findings import of_heads
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork, fit
 from tests.photocal import rigs
 
 

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from photocal.adjustment.adjusted import fit
 from photocal.analysis.analyse_run import analyse_run
 from photocal.analysis.estimates import without
+from photocal.analysis.left_out import Checks, left_out
 from photocal.analysis.outcome import Analysis
-from photocal.analysis.systematic_errors.refit import Checks, fit, left_out
 from photocal.analysis.systematic_errors.search import camera_estimates
 from photocal.base.arrays import as_plain
 from photocal.base.errors import InputMalformedError, InputNotFoundError

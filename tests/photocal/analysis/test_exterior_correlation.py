@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from photocal.adjustment.adjusted import AdjustedNetwork, fit, lowest
 from photocal.analysis.correlation import cause, correlation_with, exterior_correlations
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork, fit, lowest
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from photocal.geometry.camera import PARAMETERS

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from photocal.adjustment.adjusted import AdjustedNetwork, fit, with_measurements
 from photocal.analysis.robust import jackknife
 from photocal.analysis.systematic_errors.findings import findings
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork, fit, with_measurements
 from photocal.analysis.systematic_errors.search import Search, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
@@ -66,12 +66,13 @@ def test_the_y_scale_agrees_with_a_second_method(published: AdjustedNetwork) -> 
     allowed = replace(own, estimated=estimated, affinity="before")
     solution = fit(replace(published.network, cameras=(allowed,)), published.state).solution
     b1 = float(solution.cameras[0][PARAMETERS.index("B1")])
-    (found,) = search(published).rounds
+    causes = search(published).causes
+    ((found,),) = [error.hypothesis.estimates for error in causes.errors]
     # There the errors of measurement were stretched with the coordinates.
-    near = 0.05 * found.parameter.sigma
-    assert 1.0 / (1.0 + b1) == pytest.approx(1.0 + found.parameter.amount, abs=near)
+    near = 0.05 * found.sigma
+    assert 1.0 / (1.0 + b1) == pytest.approx(1.0 + found.correction, abs=near)
     # There x was stretched, and the residuals in x with it; here y was shrunk.
-    assert solution.chi_squared == pytest.approx(found.after.solution.chi_squared, rel=0.004)
+    assert solution.chi_squared == pytest.approx(causes.last.solution.chi_squared, rel=0.004)
 
 
 def test_sigma_assumed_and_found(told_nothing: Search) -> None:

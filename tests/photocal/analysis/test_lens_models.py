@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from photocal.adjustment.adjusted import fit
 from photocal.adjustment.network import Network
+from photocal.analysis.left_out import Checks
 from photocal.analysis.lens_models import better_lens, lens_fits, of_lenses
-from photocal.analysis.systematic_errors.refit import Checks, fit
 from photocal.findings.texts import catalogue, finding_text
 from photocal.geometry.camera import PARAMETERS, Camera, Model, camera
 from tests.photocal import networks

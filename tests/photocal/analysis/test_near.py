@@ -9,18 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from photocal.adjustment.adjusted import AdjustedNetwork, fit, lowest, without_images
 from photocal.adjustment.near import Removals
 from photocal.adjustment.network import Network, Relations
+from photocal.analysis import left_out as of_parameters
+from photocal.analysis.left_out import Checks, without_parameter
 from photocal.analysis.outcome import analyse_network
-from photocal.analysis.systematic_errors import refit
-from photocal.analysis.systematic_errors.refit import (
-    AdjustedNetwork,
-    Checks,
-    fit,
-    lowest,
-    without_images,
-    without_parameter,
-)
 from photocal.base.errors import NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal.analysis.aerial import Flight, fly
@@ -111,7 +105,7 @@ def test_an_analysis_is_that_of_the_long_way(flown: AdjustedNetwork, monkeypatch
     # Nothing is left that another lens could explain: none is adjusted.
     assert list(short.lens_models.values()) == [()]
     monkeypatch.setattr(Removals, "without", lambda *_: None)
-    monkeypatch.setattr(refit, "with_held", refused)
+    monkeypatch.setattr(of_parameters, "with_held", refused)
     long = analyse_network(flown.network, checks, 0.1, 0.8)
     assert [(one.code, one.subject) for one in short.findings] == [
         (one.code, one.subject) for one in long.findings

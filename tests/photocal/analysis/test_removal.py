@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.adjusted import without_images
 from photocal.adjustment.state import start_state
-from photocal.analysis.systematic_errors.refit import without_images
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
 from tests.photocal.georeferencing.flights import Plan, fly

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from photocal.adjustment.adjusted import AdjustedNetwork, fit
 from photocal.analysis.robust import apart, bootstrap, sandwich
-from photocal.analysis.systematic_errors.refit import AdjustedNetwork, fit
 from tests.photocal.analysis.aerial import Flight, correlated, fly
 
 FLIGHT = Flight(24, 1500, sigma_px=0.5)

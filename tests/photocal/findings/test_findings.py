@@ -15,7 +15,6 @@ import photocal
 from photocal.base.errors import InputMalformedError
 from photocal.findings.digits import Number
 from photocal.findings.finding import Finding
-from photocal.findings.hypotheses import FAULTS
 from photocal.findings.texts import (
     PHRASES,
     Catalogue,
@@ -25,6 +24,7 @@ from photocal.findings.texts import (
     findings_of,
     identity,
 )
+from photocal.hypotheses.table import FAULTS
 
 ENGLISH, PORTUGUESE = catalogue("en"), catalogue("pt-BR")
 ROOM = Path(photocal.__file__).parent

@@ -10,8 +10,8 @@ import pytest
 
 from photocal.base.errors import InputMalformedError
 from photocal.findings.finding import Finding, Severity
-from photocal.findings.hypotheses import FAULTS
 from photocal.findings.texts import catalogue, finding_text
+from photocal.hypotheses.table import FAULTS
 from photocal.run.summary import gather, kind
 
 PPK = {"fixed_percent": 100.0, "findings": []}

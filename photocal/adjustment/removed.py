@@ -1,0 +1,56 @@
+"""Images left out of an adjusted network, one by one or with their neighbours."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from photocal.adjustment.adjusted import AdjustedNetwork, left_without, lowest, without_images
+from photocal.adjustment.near import Removals
+from photocal.adjustment.state import State
+from photocal.base.arrays import Flags, Floats
+
+# Beyond this many images, neighbours are left out together, in so many groups: the standard error is then
+# itself good to a fifth, 1 / sqrt(2 (m - 1)), where three times the formal one is worth a line.
+MOST_REMOVALS, REMOVED_TOGETHER = 30, 15
+# Left of each adjustment, see `minimise`: some 1e-4 standard deviations.
+NEAR = 1e-8
+# With fewer images beyond the parameters their scatter tells too little of itself.
+FEWEST = 10
+
+
+def groups_of(fit: AdjustedNetwork) -> list[Flags]:
+    """Images that are left out together: each alone, in a large network neighbours."""
+    count = len(fit.network.image_names)
+    parts = np.array_split(np.arange(count), count if count <= MOST_REMOVALS else REMOVED_TOGETHER)
+    return [np.isin(np.arange(count), part) for part in parts]
+
+
+def state_without(fit: AdjustedNetwork, removals: Removals, out: Flags) -> State:
+    """Leave images out of a minimum: near it where the way is short, else adjusted anew.
+
+    returns: as large as before; what was left out keeps its values.
+    raises IllPosedError, NotConvergedError: when the rest is not determined.
+    """
+    nearby = removals.without(out, NEAR)
+    if nearby is not None:
+        return nearby.state
+    network, state = without_images(fit.network, fit.state, out)
+    rest, (points, _) = lowest(network, state, NEAR).state, left_without(fit.network, out)
+    whole = replace(
+        rest,
+        rotation=fit.state.rotation.copy(),
+        centre=fit.state.centre.copy(),
+        points=fit.state.points.copy(),
+        deviations=fit.state.deviations.copy(),
+    )
+    whole.rotation[~out], whole.centre[~out] = rest.rotation, rest.centre
+    whole.points[points], whole.deviations[~out] = rest.points, rest.deviations
+    return whole
+
+
+def standard_error(values: Floats) -> Floats:
+    """Jackknife standard error of m estimates, (m, ...): sqrt((m - 1) / m sum (t - mean)^2)."""
+    m = len(values)
+    if m < 3:
+        return np.full(values.shape[1:], np.nan)
+    return np.asarray(np.sqrt((m - 1) / m * np.sum((values - values.mean(axis=0)) ** 2, axis=0)))

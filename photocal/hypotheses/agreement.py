@@ -1,0 +1,71 @@
+"""Whether the images of a block agree about a systematic error, whatever their rays by the hundred say."""
+
+import numpy as np
+
+from photocal.adjustment.adjusted import AdjustedNetwork, left_without, without_images
+from photocal.adjustment.factored import factored
+from photocal.adjustment.kernels.residuals import evaluate
+from photocal.adjustment.near import Removals
+from photocal.adjustment.normal import values_of
+from photocal.adjustment.removed import FEWEST, groups_of, standard_error, state_without
+from photocal.adjustment.score import followed_by, score
+from photocal.base import policy
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.hypotheses.fields import LEFT, Field
+
+
+def agreed(fit: AdjustedNetwork, field: Field, amount: float) -> float:
+    """Probability of an amount that is none, by how the images differ about it; 1 where too few can be asked.
+
+    The F test takes rays for independent. What matching, focus or a moving shutter do to one image they do to
+    all of its rays, and the next image has it otherwise: a test over images as they are (Liang and Zeger
+    1986) sees that. With many images by the sandwich, see `robust.sandwich`, with few by the jackknife.
+    """
+    camera = fit.network.cameras[field.camera]
+    images = int(np.sum(fit.network.exposures.camera == field.camera))
+    freedom = images - int(camera.estimated.sum()) - 1
+    if freedom >= FEWEST:
+        scored = score(fit.factored, fit.solution.residuals, -field.displacement[None])
+        checked = np.maximum(fit.solution.redundancy, policy.LEAST_CHECKED)
+        shown = -field.displacement - followed_by(fit.factored, scored.steps, scored.moved)[0]
+        # What the error itself makes of the residuals says nothing of how images differ about it.
+        weighed = (fit.solution.residuals + amount * shown) / np.sqrt(checked)
+        sigma = _spread(fit, float(scored.information[0, 0]), shown, weighed) * (images / freedom) ** 0.5
+        return _probability(amount, sigma, freedom)
+    amounts = _left_out(fit, field)
+    return _probability(amount, float(standard_error(amounts)), len(amounts) - 1)
+
+
+def _spread(fit: AdjustedNetwork, information: float, shown: Floats, residuals: Floats) -> float:
+    """Standard deviation of an amount when the residuals of an image are one observation of it.
+
+    shown: change of the residuals by a unit of it, when all other unknowns follow.
+    """
+    pull = fit.network.rays.sigma**-2.0 * residuals
+    by_image = np.bincount(fit.network.rays.image, np.einsum("rk,rk->r", shown, pull))
+    return float(np.linalg.norm(by_image)) / information
+
+
+def _probability(amount: float, sigma: float, freedom: int) -> float:
+    from scipy import stats
+
+    return float(2 * stats.t.sf(abs(amount) / sigma, freedom)) if sigma > 0.0 and freedom > 0 else 1.0
+
+
+def _left_out(fit: AdjustedNetwork, field: Field) -> Floats:
+    """What is left of an amount when images are left out, (m,)."""
+    removals, amounts = Removals(fit.factored), []
+    for out in groups_of(fit):
+        try:
+            network, state = without_images(fit.network, state_without(fit, removals, out), out)
+            at = factored(network, state)
+        except (IllPosedError, NotConvergedError):
+            continue
+        residuals, depth = np.empty(network.rays.plane.shape), np.empty(len(network.rays.image))
+        evaluate(at.problem.design, values_of(at.problem, at.state), residuals, depth)
+        kept = left_without(fit.network, out)[1]
+        scored = score(at, residuals, -field.displacement[None, kept])
+        if scored.share[0] > LEFT:
+            amounts.append(-float(scored.slope[0]) / float(scored.information[0, 0]))
+    return np.array(amounts)

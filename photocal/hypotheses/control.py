@@ -1,0 +1,400 @@
+"""Control points against what the images say of them without control: gross ones, several, exchanged ones."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+
+import numpy as np
+from scipy import stats
+from scipy.linalg import block_diag
+
+from photocal.adjustment.adjust import adjust
+from photocal.adjustment.factored import factored
+from photocal.adjustment.joint import joint_covariance
+from photocal.adjustment.ledger import because
+from photocal.adjustment.network import Network
+from photocal.base import policy
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import PhotocalError
+
+# Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
+# offset (s); the shift is free.
+LOOSE_C, LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
+# Without control its points are still held, by this many times their sigmas: one ray alone does not.
+_HARDLY = 1e4
+# Of up to so many subsets all are tried, beyond them the best of one point fewer and each other point.
+_ALL_SUBSETS = 4000
+# Factors by which the sigmas of a survey may be too small.
+_FACTORS = np.geomspace(1.2, 60.0, 24)
+# Random errors that are drawn to see how often a slip fits by chance.
+DRAWS, SLIP_BY_CHANCE = 300, 0.05
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Places of control points as the images tell them without control.
+
+    points (n,): of the network.
+    d (n, 3), covariance (3 n, 3 n): computed less given, survey included, m.
+    common (3 n, k): what all of them may have in common.
+    given (n, 3): as they were surveyed.
+    survey (n, 3, 3): covariance of that.
+    """
+
+    points: Integers
+    d: Floats
+    covariance: Floats
+    common: Floats
+    given: Floats
+    survey: Floats
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """The fewest control points without which the others agree.
+
+    members: rows of the prediction; two of them for an exchange.
+    exchanged: whether the two have changed places.
+    error (m, 3), sigma (m, 3): computed from the others less given, and its standard deviation, m.
+    detectable (m, 3): error along an axis that would be found with 80 % power (Baarda 1968), m.
+    choices: subsets of that kind that there are.
+    """
+
+    points: tuple[int, ...]
+    exchanged: bool
+    error: Floats
+    sigma: Floats
+    w: Floats
+    detectable: Floats
+    choices: int
+
+
+@dataclass(frozen=True)
+class WrongSigmas:
+    """No point stands apart: the sigmas of the survey are wrong by a factor."""
+
+
+def control_points(network: Network) -> Integers:
+    """Points with surveyed coordinates in all three axes."""
+    known = (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0) | network.points.held
+    return np.flatnonzero(known.all(axis=1))
+
+
+def without_control(network: Network) -> Network:
+    """The network with its control hardly held, and what control determines observed with caution."""
+    control = control_points(network)
+    weight, held = network.points.weight.copy(), network.points.held.copy()
+    survey = survey_covariance(network, control)
+    weight[control], held[control] = np.linalg.inv(survey) / _HARDLY**2, False
+    cameras = []
+    for camera in network.cameras:
+        prior = camera.prior_sigma.copy()
+        prior[0] = min(prior[0], LOOSE_C * camera.value("c"))
+        cameras.append(replace(camera, prior_sigma=prior, prior_correlation=None))
+    sigma = network.mounting.sigma.copy()
+    sigma[: len(LOOSE)] = np.minimum(sigma[: len(LOOSE)], LOOSE)
+    # A shift is what all control points have in common; drifts and scales need control.
+    sigma[len(LOOSE) :] = 0.0
+    return replace(
+        network,
+        points=replace(network.points, weight=weight, held=held),
+        cameras=tuple(cameras),
+        mounting=replace(network.mounting, sigma=sigma),
+    )
+
+
+def survey_covariance(network: Network, control: Integers) -> Floats:
+    """Covariance of surveyed coordinates, (n, 3, 3): a held one has no error, but rounding."""
+    held, weight = network.points.held[control], network.points.weight[control]
+    both = ~held[:, :, None] & ~held[:, None, :]
+    return np.asarray(np.linalg.inv(np.where(both, weight, 1e8 * np.eye(3))))
+
+
+def predicted(network: Network) -> Predicted | None:
+    """Adjust without control, and give the places of its points; None where that cannot be."""
+    control = control_points(network)
+    if len(control) < policy.FEWEST_CONTROL_TO_BLAME:
+        return None
+    alone = without_control(network)
+    if not len(network.positions.image):
+        # Nothing else holds the block: a similarity is common to all points.
+        free = replace(
+            alone.points,
+            weight=np.where(
+                np.isin(np.arange(len(alone.points.weight)), control)[:, None, None], 0.0, alone.points.weight
+            ),
+        )
+        alone = replace(alone, points=free, datum_points=np.zeros(0, dtype=np.int64))
+    try:
+        with because("control points predicted without themselves"):
+            solution = adjust(alone)
+        names = [("point", network.point_names[j]) for j in control]
+        covariance = joint_covariance(factored(alone, solution.state), names)[1]
+    except PhotocalError:
+        return None
+    computed = solution.points[control]
+    relative = computed - computed.mean(axis=0)
+    common = np.tile(np.eye(3), (len(control), 1))
+    if not len(network.positions.image):
+        turns = np.cross(np.eye(3)[None, :, :], relative[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
+        common = np.hstack([common, turns, relative.reshape(-1, 1)])
+    given = network.points.values[control]
+    survey = survey_covariance(network, control)
+    whole = covariance + block_diag(*survey)
+    return Predicted(control, computed - given, whole, common, given, survey)
+
+
+def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
+    """Find two points that changed places, or the fewest that contradict the others; None if not clear."""
+    if len(seen.d) < policy.FEWEST_CONTROL_TO_BLAME:
+        return None
+    pair = _exchange(seen)
+    if pair is not None:
+        return pair
+    removed = contradicting(seen.d, seen.covariance, seen.common)
+    if not removed:
+        return None
+    if _scale_is_likelier(seen, removed):
+        return WrongSigmas()
+    error, spread = zip(
+        *(_beside_others(seen.d, seen.covariance, seen.common, removed, k) for k in removed), strict=True
+    )
+    sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
+    return _contradiction(seen, removed, np.array(error), sigma)
+
+
+def _scale_is_likelier(seen: Predicted, removed: tuple[int, ...]) -> bool:
+    """Whether sigmas of the survey that are wrong by a factor explain the differences better.
+
+    Both by their likelihood, less the logarithm of the coordinates for each unknown (Schwarz 1978): errors of
+    some points leave the others as they were stated, a factor of an axis belongs to all of them.
+    """
+    count = math.log(seen.d.size)
+    now = misfit(seen.d, seen.covariance, seen.common, ())
+    least = misfit(seen.d, seen.covariance, seen.common, removed)
+    of_points = now - least - 3 * len(removed) * count - 2 * math.log(math.comb(len(seen.d), len(removed)))
+    covariance, of_scales = seen.covariance, 0.0
+    for axis in range(3):
+        survey = np.zeros_like(covariance)
+        at = np.arange(axis, len(covariance), 3)
+        survey[at, at] = seen.survey[:, axis, axis]
+        before = _likelihood(seen, covariance)
+        tried = [covariance + (factor**2 - 1.0) * survey for factor in _FACTORS]
+        best = min(tried, key=lambda one: _likelihood(seen, one))
+        gain = before - _likelihood(seen, best) - count
+        if gain > 0.0:
+            covariance, of_scales = best, of_scales + gain
+    return of_scales > of_points
+
+
+def _likelihood(seen: Predicted, covariance: Floats) -> float:
+    """Minus twice the logarithm of the likelihood of the differences, but for a constant."""
+    _, size = np.linalg.slogdet(covariance)
+    return misfit(seen.d, covariance, seen.common, ()) + float(size)
+
+
+def _contradiction(
+    seen: Predicted, rows: tuple[int, ...], error: Floats, sigma: Floats, *, exchanged: bool = False
+) -> Contradiction:
+    away = stats.norm.isf(policy.SIGNIFICANCE / 2) + stats.norm.isf(1.0 - policy.POWER)
+    points = tuple(int(seen.points[k]) for k in rows)
+    count = len(list(combinations(range(len(seen.d)), len(rows))))
+    return Contradiction(points, exchanged, error, sigma, error / sigma, away * sigma, count)
+
+
+def _exchange(seen: Predicted) -> Contradiction | None:
+    """Two points whose coordinates, exchanged, make all agree, and as they are do not."""
+    n = len(seen.d)
+    freedom = seen.d.size - seen.common.shape[1]
+    limit = float(stats.chi2.isf(policy.SIGNIFICANCE, freedom))
+    now = misfit(seen.d, seen.covariance, seen.common, ())
+    if now <= limit:
+        return None
+    tried = []
+    for i, j in combinations(range(n), 2):
+        d = seen.d.copy()
+        d[[i, j]] += seen.given[[i, j]] - seen.given[[j, i]]
+        tried.append((misfit(d, seen.covariance, seen.common, ()), i, j))
+    best, i, j = min(tried)
+    # As good as removing both: an exchange has no unknown.
+    removed = misfit(seen.d, seen.covariance, seen.common, (i, j))
+    if best > limit and best - removed > float(stats.chi2.isf(policy.SIGNIFICANCE, 6)):
+        return None
+    if now - best < float(stats.chi2.isf(policy.SIGNIFICANCE / len(tried), 6)):
+        return None
+    error = seen.given[[j, i]] - seen.given[[i, j]]
+    spread = [_beside_others(seen.d, seen.covariance, seen.common, (i, j), k)[1] for k in (i, j)]
+    sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
+    return _contradiction(seen, (i, j), error, sigma, exchanged=True)
+
+
+def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
+    """Choose the fewest points without which the differences agree; none where that is not clear.
+
+    One, two, up to a third of them: all subsets are tried together, for two that err alike hide each other.
+    """
+    n, removed = len(d), tuple[int, ...]()
+    chi_squared = misfit(d, covariance, common, removed)
+    for size in range(max(n // 3, 1) + 1):
+        freedom = 3 * (n - size) - common.shape[1]
+        if size:
+            tried = sorted((misfit(d, covariance, common, rows), rows) for rows in _subsets(n, removed, size))
+            chi_squared, removed = tried[0]
+        if freedom > 0 and chi_squared <= stats.chi2.isf(policy.SIGNIFICANCE, freedom):
+            if size and len(tried) > 1 and tried[1][0] - chi_squared < _apart(freedom):
+                # Of points that disagree nobody knows which one is wrong.
+                return ()
+            return removed
+        if freedom - 3 < 1:
+            return ()
+    return _scaled(d, covariance, common)
+
+
+def _apart(freedom: int) -> float:
+    """By how much worse another subset must fit to be out of the question."""
+    return float(stats.chi2.isf(policy.SIGNIFICANCE, 3)) if freedom else np.inf
+
+
+def _subsets(n: int, best: tuple[int, ...], size: int) -> Iterable[tuple[int, ...]]:
+    if size <= 2 or len(best) < size - 1 or np.prod(range(n - size + 1, n + 1)) < _ALL_SUBSETS * 6:
+        return combinations(range(n), size)
+    return {tuple(sorted((*best, k))) for k in range(n) if k not in best}
+
+
+def _scaled(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
+    """Errors that the sigmas do not know stretch everything: what stands out does so against the rest."""
+    n, removed = len(d), tuple[int, ...]()
+    chi_squared = misfit(d, covariance, common, removed)
+    while len(removed) < max(n // 3, 1):
+        rest = 3 * (n - len(removed) - 1) - common.shape[1]
+        if rest < 1:
+            return ()
+        tries = sorted(
+            (misfit(d, covariance, common, (*removed, k)), k) for k in range(n) if k not in removed
+        )
+        (best, k), (second, _) = tries[:2]
+        scale = max(best / rest, 1.0)
+        if (chi_squared - best) / 3.0 / scale <= stats.f.isf(policy.SIGNIFICANCE / n, 3, rest):
+            return removed
+        if second - best < stats.chi2.isf(policy.SIGNIFICANCE, 3) * scale:
+            return ()
+        removed, chi_squared = (*removed, k), best
+    return removed
+
+
+def _equations(
+    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]
+) -> tuple[Floats, Floats]:
+    """Equations of unit weight for the errors of points left out and the common part."""
+    of_errors = np.eye(d.size).reshape(d.size, -1, 3)[:, list(removed)].reshape(d.size, -1)
+    root = np.linalg.cholesky(covariance)
+    return np.linalg.solve(root, np.hstack([of_errors, common])), np.linalg.solve(root, d.ravel())
+
+
+def misfit(d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]) -> float:
+    """Least d' C^-1 d with the common part free and some points left out."""
+    a, y = _equations(d, covariance, common, removed)
+    return float(np.sum((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2))
+
+
+def _beside_others(
+    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...], k: int
+) -> tuple[Floats, Floats]:
+    """Error of a point that was left out, by the others, and its covariance."""
+    a, y = _equations(d, covariance, common, removed)
+    normal = np.linalg.pinv(a.T @ a, hermitian=True)
+    columns = slice(3 * removed.index(k), 3 * removed.index(k) + 3)
+    return np.asarray((normal @ a.T @ y)[columns]), np.asarray(normal[columns, columns])
+
+
+def slips(given: Floats, wanted: Floats, sigma: Floats, system: str) -> tuple[str, ...]:
+    """Name the slips of the pen that made the given coordinates of the wanted ones; none that chance makes.
+
+    A digit can be found for nearly every error: a slip is told only where of random errors as large fewer
+    than one in twenty would fit some slip as closely.
+
+    returns: "code axis given wanted" each.
+    """
+    tolerance = policy.SLIP_SIGMAS * sigma
+    zone = _zone_slip(given, wanted, tolerance, system)
+    if zone:
+        return (f"zone X {zone}",)
+    told, away = _fitting(given, wanted, tolerance, sigma)
+    if not told:
+        return ()
+    rng = np.random.default_rng(1)
+    as_close = np.minimum(max(away, 1.0), policy.SLIP_SIGMAS) * sigma
+    error = wanted - given
+    wrong = np.abs(error) > tolerance
+    size = np.exp(rng.uniform(-0.7, 0.7, (DRAWS, 3))) * np.abs(error) * rng.choice([-1.0, 1.0], (DRAWS, 3))
+    drawn = given + np.where(wrong, size, 0.0)
+    chance = np.mean([bool(_fitting(given, other, as_close, sigma, tolerance)[0]) for other in drawn])
+    return told if chance < SLIP_BY_CHANCE else ()
+
+
+def _fitting(
+    given: Floats, wanted: Floats, tolerance: Floats, sigma: Floats, wrong_from: Floats | None = None
+) -> tuple[tuple[str, ...], float]:
+    """Slips that explain all axes that are wrong, and how far they stay away, in standard deviations."""
+    wrong = np.abs(given - wanted) > (tolerance if wrong_from is None else wrong_from)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        changed = given.copy()
+        changed[[a, b]] = given[[b, a]]
+        if wrong[a] and wrong[b] and np.all(np.abs(changed - wanted) <= tolerance):
+            return (f"exchanged {'XYZ'[a]} {'XYZ'[b]}",), float(np.max(np.abs(changed - wanted) / sigma))
+    found, away = [], 0.0
+    for k in np.flatnonzero(wrong).tolist():
+        slip, value = _digit_slip(float(given[k]), float(wanted[k]), float(tolerance[k]))
+        if not slip:
+            return (), 0.0
+        away = max(away, abs(value - float(wanted[k])) / float(sigma[k]))
+        found.append(f"{slip[0]} {'XYZ'[k]} {' '.join(slip[1:])}")
+    return tuple(found), away
+
+
+def _digit_slip(given: float, wanted: float, tolerance: float) -> tuple[tuple[str, ...], float]:
+    """Two digits swapped, one digit or the sign wrong, feet for metres: code, given, wanted; and the value."""
+    text = f"{given:.3f}"
+    places = [i for i, mark in enumerate(text) if mark.isdigit()]
+    for i, j in pairwise(places):
+        marks = list(text)
+        marks[i], marks[j] = marks[j], marks[i]
+        swapped = "".join(marks)
+        if swapped != text and abs(float(swapped) - wanted) <= tolerance:
+            return ("digits-exchanged", text, swapped), float(swapped)
+    for code, value in (("sign", -given), ("feet", given * 0.3048)):
+        if abs(value - wanted) <= tolerance:
+            return (code, text, f"{value:.3f}"), value
+    for i in places:
+        for digit in "0123456789":
+            other = f"{text[:i]}{digit}{text[i + 1 :]}"
+            if digit != text[i] and abs(float(other) - wanted) <= tolerance:
+                return ("one-digit", text, other), float(other)
+    return (), 0.0
+
+
+def _zone_slip(given: Floats, wanted: Floats, tolerance: Floats, system: str) -> str:
+    """Name the map zone in which the given coordinates are the wanted ones; empty when there is none."""
+    # Neighbouring zones lie hundreds of kilometres apart.
+    if system == "local" or not np.isfinite(wanted).all() or abs(given[0] - wanted[0]) < 1e4:
+        return ""
+    from pyproj import CRS, Transformer
+    from pyproj.exceptions import ProjError
+
+    horizontal = CRS.from_user_input(system).to_2d()
+    zone, ellipsoid = horizontal.utm_zone, horizontal.ellipsoid
+    if zone is None or ellipsoid is None:
+        return ""
+    axes = f"+a={ellipsoid.semi_major_metre} +b={ellipsoid.semi_minor_metre}"
+    utm = f"+proj=utm {axes} {'+south' if zone[-1] == 'S' else ''} +units=m +no_defs +zone="
+    for step in (-1, 1):
+        number = (int(zone[:-1]) - 1 + step) % 60 + 1
+        way = Transformer.from_crs(f"{utm}{number}", f"{utm}{zone[:-1]}", always_xy=True)
+        try:
+            x, y = way.transform(given[0], given[1])
+        except ProjError:
+            continue
+        if abs(x - wanted[0]) <= tolerance[0] + 0.05 and abs(y - wanted[1]) <= tolerance[1] + 0.05:
+            return str(number)
+    return ""

@@ -1,0 +1,686 @@
+"""The search: as few causes of one table as explain the contradictions of a block.
+
+One adjustment is given. Its factored equations judge all hypotheses at once, an adjustment confirms what was
+chosen, and the model with it must pass (`adequacy`), or what was found is told as no cause. Gross rays come
+first, then control points that contradict each other where they bend the block.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from photocal.adjustment.adjusted import AdjustedNetwork, fit, with_measurements, without_member
+from photocal.adjustment.condensed import Condensed
+from photocal.adjustment.covariance import Shared
+from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
+from photocal.adjustment.ledger import because
+from photocal.adjustment.network import Network
+from photocal.adjustment.snooping import significance_of, worst_of_points
+from photocal.adjustment.solution import Solution
+from photocal.base import policy
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.hypotheses.adequacy import Fit, Memory, fit_of, groups_of_ground, memory_of
+from photocal.hypotheses.agreement import agreed
+from photocal.hypotheses.causes import (
+    Candidates,
+    Cause,
+    candidates,
+    freed,
+    left_free,
+    of_camera,
+    subject_of,
+)
+from photocal.hypotheses.control import (
+    Contradiction,
+    WrongSigmas,
+    contradiction,
+    control_points,
+    predicted,
+)
+from photocal.hypotheses.judged import Estimate, Hypothesis, Stated, estimate, estimates_of, judge, stated_of
+from photocal.hypotheses.table import FAULTS, Fault
+
+# Causes that are accepted beside each other in one system, and adjustments that confirm them.
+_CAUSES, _CONFIRMED = 4, 2
+# Rounds of gross rays, and the share of the rays of an image or point that is no longer single.
+_SNOOPED, _SINGLE = 3, 0.3
+# Gross rays are set aside by this factor of their sigmas.
+_ASIDE = 1e3
+# Rounds in which a factor of stated sigmas settles, and the share by which it may still change.
+_SETTLING, _SETTLED, _STEADY = 4, 0.05, 0.9
+# Groups of which people state what they hope.
+_STATED = ("position", "attitude", *CONTROL)
+# Control beyond this variance factor bends the block: its points are predicted by an adjustment without it.
+_BENT = 25.0
+
+
+@dataclass(frozen=True)
+class SystematicError:
+    """An error that was found, and what else might have caused it.
+
+    hypothesis: tested beside those before it.
+    alternatives: groups that explain it as well.
+    share: of what v'Pv is too large by, in the block as it was given.
+    """
+
+    hypothesis: Hypothesis
+    alternatives: tuple[Hypothesis, ...]
+    cause: Cause | None = None
+    share: float = math.nan
+
+    @property
+    def same(self) -> tuple[str, ...]:
+        """Names of the alternatives."""
+        return tuple(dict.fromkeys(alternative.name for alternative in self.alternatives))
+
+
+@dataclass(frozen=True)
+class SystematicErrors:
+    """The outcome of all tests.
+
+    tested: each cause alone, in the first round; of many of one kind the best.
+    errors: those that are needed, the gravest first.
+    estimates: of everything found, estimated together.
+    untested: causes that could not be freed, with the reason.
+    free_in_block: values that the block itself leaves free, from its integrated adjustment.
+    sigmas: groups whose stated standard deviations are wrong by a factor, which explains the block better
+        than any error does; the errors were looked for with the standard deviations that agree.
+    first, last: the network as it was given, and with everything that was found.
+    gross (rays,): which rays were set aside as gross errors.
+    fit: how well the last explains its observations.
+    explained: share of what v'Pv was too large by that is explained; NaN where it was not too large.
+    memory: what neighbouring positions share.
+    shared: equations of what images share, with all free that a cause may free.
+    """
+
+    tested: tuple[Hypothesis, ...]
+    errors: tuple[SystematicError, ...]
+    estimates: tuple[Estimate, ...]
+    untested: tuple[str, ...]
+    free_in_block: tuple[Estimate, ...]
+    sigmas: tuple[GroupTest, ...]
+    first: AdjustedNetwork
+    last: AdjustedNetwork
+    gross: Flags
+    fit: Fit
+    explained: float
+    memory: Memory | None
+    shared: Condensed
+
+    @property
+    def adequate(self) -> bool:
+        """Whether what was found may be called a cause: the model with it passes, or leaves hardly anything."""
+        return self.fit.passes or self.explained >= policy.EXPLAINED
+
+
+def straightened(network: Network) -> SystematicErrors | None:
+    """Look for errors in a network that cannot be adjusted: without wrong control it may be."""
+    at_once = _without_wrong_control(network)
+    if at_once is None:
+        return None
+    try:
+        return systematic_errors(*at_once)
+    except (IllPosedError, NotConvergedError):
+        return None
+
+
+def systematic_errors(
+    first: AdjustedNetwork,
+    at_once: SystematicError | None = None,
+    table: tuple[Fault, ...] = FAULTS,
+    done: Callable[[], None] = lambda: None,
+) -> SystematicErrors:
+    """Look for errors of the table in an adjusted network.
+
+    at_once: control that was taken out of it before, since nothing could be adjusted with it.
+    raises IllPosedError, NotConvergedError: when not even the given network can be judged.
+    """
+    straight = first
+    if at_once is None and first.solution.variance_factor > _BENT:
+        # Wrong control bends the block so far that nothing else can be judged.
+        without = _without_wrong_control(first.network, first.solution)
+        straight, at_once = without or (first, None)
+    given, gross = _without_gross_rays(straight)
+    done()
+    start, sigmas, against = given, list[GroupTest](), None if at_once else _contradicted(given)
+    scaled = isinstance(against, WrongSigmas)
+    if isinstance(against, WrongSigmas):
+        # What one factor explains is laid at no point's door.
+        against, table = None, tuple(entry for entry in table if entry.each not in ("point", "pair"))
+    stated: Stated | None = None
+    steps = dict[str, list[float]]()
+    for _ in range(_SETTLING + 1):
+        these = candidates(given, table, against)
+        before, shared = these.solved(())[0], these.whole.shared
+        now = stated_of(before, given.network)
+        larger = now.positions if stated is None else np.maximum(stated.positions, now.positions)
+        stated = replace(stated or now, positions=larger)
+        search = _Search(these, stated)
+        alone = search.beside(())
+        wrong = _wrong_sigma(given, alone, steps, scaled=scaled)
+        if wrong is None or sum(map(len, steps.values())) == _SETTLING:
+            break
+        factor = _step(wrong.factor, steps.setdefault(wrong.name, []))
+        sigmas = [*(one for one in sigmas if one.name != wrong.name), _together(sigmas, wrong, factor)]
+        given = _with_sigmas(given, wrong.name, factor)
+        done()
+    accepted, search = _placed(search, search.chosen(alone), table, against)
+    last, errors, confirmed = given, list[SystematicError](), list[Cause]()
+    total = dict[tuple[str, str], float]()
+    for turn in range(_CONFIRMED):
+        errors += search.errors(accepted)
+        rest = search.these.left() if turn else {}
+        if not accepted and not rest:
+            break
+        tried = _confirmed(last, search.these, accepted, rest)
+        if tried is None:
+            break
+        confirmed += accepted
+        last, amounts = tried
+        total |= {key: total.get(key, 0.0) + amount for key, amount in amounts.items()}
+        done()
+        if turn + 1 == _CONFIRMED:
+            break
+        fields = tuple(cause.key for cause in confirmed if cause.field is not None)
+        search = _Search(candidates(last, _less(table, confirmed), None, fields), stated)
+        accepted = search.chosen(search.beside(()))
+    errors = [_told(error, total, given, last, alone=len(errors) == 1) for error in errors]
+    estimates = tuple(e for cause in confirmed for e in _final(given, last, cause, errors))
+    excess = _excess(start if at_once is None else first, last)
+    found = tuple(
+        replace(error, share=error.hypothesis.gain / excess if excess > 0.0 else math.nan)
+        for error in sorted([*filter(None, (at_once,)), *errors], key=lambda error: -error.hypothesis.gain)
+    )
+    fall = (start if at_once is None else first).solution.chi_squared - last.solution.chi_squared
+    explained = fall / excess if excess > 0.0 else math.nan
+    return SystematicErrors(
+        _best_of_each(alone),
+        found,
+        estimates,
+        tuple(f"{name}: {reason}" for name, reason in search.refused.items()),
+        _free(first, table),
+        tuple(sigmas),
+        first,
+        last,
+        gross,
+        fit_of(last),
+        explained,
+        memory_of(last),
+        shared,
+    )
+
+
+def _placed(
+    search: "_Search", accepted: tuple[Cause, ...], table: tuple[Fault, ...], against: Contradiction | None
+) -> tuple[tuple[Cause, ...], "_Search"]:
+    """Look more finely for the place of a change of the camera, where there is one."""
+    changes = [cause.field.parameter for cause in accepted if cause.fault.each == "part" and cause.field]
+    if not changes:
+        return accepted, search
+    these = candidates(search.these.adjusted, table, against, near=changes[0])
+    finer = _Search(these, search.stated)
+    again = finer.chosen(finer.beside(()))
+    return (again, finer) if again else (accepted, search)
+
+
+def _without_wrong_control(
+    network: Network, solution: Solution | None = None
+) -> tuple[AdjustedNetwork, SystematicError] | None:
+    """Adjust without control that contradicts itself, or with exchanged points; None where it does not."""
+    seen = predicted(network)
+    against = None if seen is None else contradiction(seen)
+    if not isinstance(against, Contradiction):
+        return None
+    entries = {entry.each: entry for entry in FAULTS}
+    names = " ".join(network.point_names[j] for j in against.points)
+    entry, count = entries["pair" if against.exchanged else "point"], 3 * len(against.points)
+    cause = Cause(
+        entry,
+        names,
+        choices=against.choices,
+        members=against.points,
+        unknowns=0 if against.exchanged else count,
+    )
+    try:
+        with because(f"with {entry.code}"):
+            fitted = fit(_applied(network, cause))
+    except (IllPosedError, NotConvergedError):
+        return None
+    gain = math.inf if solution is None else solution.chi_squared - fitted.solution.chi_squared
+    given = tuple(
+        estimate(f"{axis}[{network.point_names[j]}]", "m", -float(e), 0.0, float(s))
+        for j, error, sigma in zip(against.points, against.error, against.sigma, strict=True)
+        for axis, e, s in zip("XYZ", error, sigma, strict=True)
+    )
+    factor = max(fitted.solution.variance_factor, 1.0)
+    f = gain / count / factor
+    told = Hypothesis(
+        entry.code, gain, factor, cause.unknowns, f, 0.0, True, given, math.inf, 0.0, names, 0.0, gain
+    )
+    return fitted, SystematicError(told, (), cause)
+
+
+class _Search:
+    """Tests of one network's causes, each beside others, in one system."""
+
+    def __init__(self, these: Candidates, stated: Stated) -> None:
+        self.these, self.stated = these, stated
+        self._families = max(
+            len(
+                {
+                    (c.fault.code, c.field and c.field.name)
+                    if c.fault.each == "field"
+                    else (c.fault.code, "")
+                    for c in these.causes
+                }
+            ),
+            1,
+        )
+        self._agreed = dict[tuple[str, str], bool]()
+        self.refused = dict[str, str]()
+
+    def beside(self, accepted: tuple[Cause, ...]) -> dict[Cause, Hypothesis]:
+        """Test all other causes beside those that were accepted."""
+        # Two principal distances leave nothing of a common one.
+        taken = {code for cause in accepted for code in (*cause.fault.contains, *_once(cause))}
+        keys = {cause.key for cause in accepted}
+        members = {(cause.fault.where, m) for cause in accepted for m in _own(cause)}
+        tried = dict[Cause, Hypothesis]()
+        for cause in self.these.causes:
+            if cause.key in keys or cause.fault.code in taken:
+                continue
+            if any((cause.fault.where, m) in members for m in _own(cause)):
+                continue
+            tested = self._tested(cause, accepted)
+            if tested is not None and not _backwards(tested):
+                tried[cause] = tested
+        return tried
+
+    def chosen(self, alone: dict[Cause, Hypothesis]) -> tuple[Cause, ...]:
+        """Accept the most probable cause, then the next beside it, and give up what becomes needless."""
+        accepted, tries = tuple[Cause, ...](), alone
+        for _ in range(_CAUSES):
+            best = self._most_probable(tries)
+            if best is None:
+                break
+            kept = self.needed((*accepted, best))
+            if {cause.key for cause in kept} == {cause.key for cause in accepted}:
+                break
+            accepted = kept
+            tries = self.beside(accepted)
+        return accepted
+
+    def _most_probable(self, tries: dict[Cause, Hypothesis]) -> Cause | None:
+        """Choose the most probable significant cause (Schwarz 1978), about which the images agree."""
+        significant = [
+            cause for cause, tested in tries.items() if tested.significant and _noteworthy(cause, tested)
+        ]
+        for cause in sorted(significant, key=lambda one: -tries[one].value):
+            if self._images_agree(cause, tries[cause]):
+                return cause
+        return None
+
+    def _images_agree(self, cause: Cause, tested: Hypothesis) -> bool:
+        """Whether the images of a camera agree about a field of its rays; of all else they are not asked."""
+        if cause.field is None:
+            return True
+        if cause.key not in self._agreed:
+            first, *rest = tested.estimates
+            amount = rest[0].value - first.value if rest else first.correction
+            level = policy.FAMILY_SIGNIFICANCE / self._families / cause.choices
+            self._agreed[cause.key] = agreed(self.these.adjusted, cause.field, amount) < level
+        return self._agreed[cause.key]
+
+    def needed(self, accepted: tuple[Cause, ...]) -> tuple[Cause, ...]:
+        """Give up causes, the least significant one first, until each is needed beside the others."""
+        while len(accepted) > 1:
+            tries = {cause: self._tested(cause, _others(accepted, cause)) for cause in accepted}
+            known = {cause: tested for cause, tested in tries.items() if tested is not None}
+            weakest = min(known, key=lambda cause: known[cause].f / known[cause].critical, default=None)
+            if weakest is None or known[weakest].significant:
+                break
+            accepted = _others(accepted, weakest)
+        return accepted
+
+    def errors(self, accepted: tuple[Cause, ...]) -> list[SystematicError]:
+        """Give the accepted causes, each beside those before it, and what could stand in their places."""
+        errors, left, before = list[SystematicError](), accepted, tuple[Cause, ...]()
+        while left:
+            tries = self.beside(before)
+            remaining = [cause for cause in left if cause in tries]
+            if not remaining:
+                break
+            gravest = max(remaining, key=lambda cause: tries[cause].gain)
+            best = tries[gravest]
+            errors.append(SystematicError(best, as_good(gravest, best, tries), gravest))
+            before, left = (*before, gravest), _others(left, gravest)
+        return errors
+
+    def _tested(self, cause: Cause, others: tuple[Cause, ...]) -> Hypothesis | None:
+        """Test a cause beside others; None when it cannot be freed."""
+        try:
+            return judge(self.these, cause, others, self._families, self.stated)
+        except IllPosedError as refusal:
+            if not others:
+                self.refused[cause.fault.code] = refusal.what
+            return None
+
+
+def as_good(cause: Cause, best: Hypothesis, tries: dict[Cause, Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Give the other hypotheses that explain nearly all of what the best explains."""
+    scale = max(1.0, min((trial.factor for trial in tries.values()), default=1.0))
+    limit = min(best.gain - policy.AS_GOOD * scale, policy.SAME_GAIN * best.gain)
+    alike = []
+    for other, trial in tries.items():
+        # A shift of its own for each strip can imitate every other error; parts and wholes are one matter.
+        if other is cause or other.fault.each == "strip" or _one_matter(cause, other):
+            continue
+        if trial.significant and trial.gain >= limit:
+            alike.append(trial)
+    return tuple(sorted(alike, key=lambda trial: -trial.value))
+
+
+def _one_matter(cause: Cause, other: Cause) -> bool:
+    """Whether two causes are no rivals: the same code elsewhere, or one contains the other."""
+    a, b = cause.fault, other.fault
+    family = {a.code, a.kind_of} & {b.code, b.kind_of} - {""}
+    of_datum = a.code != b.code and {a.kind_of, b.kind_of} == {"datum-shift"}
+    return (bool(family) and not of_datum) or b.code in a.contains or a.code in b.contains
+
+
+def _once(cause: Cause) -> tuple[str, ...]:
+    """A fault of the whole block, or of one place in it, is accepted once."""
+    return (cause.fault.code,) if cause.fault.each in ("block", "strip", "part", "pair") else ()
+
+
+def _own(cause: Cause) -> tuple[int, ...]:
+    """Control points or positions that are concerned: what two causes do not share."""
+    return cause.members if cause.fault.each in ("image", "point", "pair") else ()
+
+
+def _others(causes: tuple[Cause, ...], one: Cause) -> tuple[Cause, ...]:
+    return tuple(cause for cause in causes if cause.key != one.key)
+
+
+def _less(table: tuple[Fault, ...], accepted: Sequence[Cause]) -> tuple[Fault, ...]:
+    """What is left to be looked for: what is free is free."""
+    gone = {code for cause in accepted for code in (*_once(cause), *cause.fault.contains)}
+    return tuple(entry for entry in table if entry.code not in gone)
+
+
+def _backwards(tested: Hypothesis) -> bool:
+    """Rows are read one after the other, never backwards: that would be something else."""
+    return tested.name == "rolling-shutter" and bool(tested.estimates) and tested.estimates[0].value <= 0.0
+
+
+def _noteworthy(cause: Cause, tested: Hypothesis) -> bool:
+    """Whether an error is larger than what was stated of positions, or of one camera, allows."""
+    if cause.fault.each == "part" and tested.estimates:
+        before, after = tested.estimates[0].value, tested.estimates[1].value
+        return abs(after - before) / before > policy.OTHER_C
+    return max(tested.moved, tested.on_c) > policy.STATED
+
+
+def _without_gross_rays(first: AdjustedNetwork) -> tuple[AdjustedNetwork, Flags]:
+    """Set single rays aside that miss by far more than all others, the worst of each point in each round."""
+    network, given = first.network, first
+    gross = np.zeros(len(network.rays.image), dtype=np.bool_)
+    for _ in range(_SNOOPED):
+        found = gross_rays(given) & ~gross
+        if not found.any():
+            break
+        worst = np.zeros(len(gross), dtype=np.bool_)
+        worst[worst_of_points(given.network, given.solution, "tau")] = True
+        gross |= found & worst if (found & worst).any() else found
+        sigma = np.where(gross[:, None], network.rays.sigma * _ASIDE, network.rays.sigma)
+        try:
+            with because("without gross rays"):
+                given = fit(replace(network, rays=replace(network.rays, sigma=sigma)), given.state)
+        except (IllPosedError, NotConvergedError):
+            return first, np.zeros(len(gross), dtype=np.bool_)
+    return given, gross
+
+
+def gross_rays(adjusted: AdjustedNetwork) -> Flags:
+    """Single rays that miss by more than chance allows, on the scale of the others."""
+    network = adjusted.network
+    w = np.abs(np.nan_to_num(adjusted.solution.standardised(network.rays.sigma)))
+    scale = max(1.0, float(np.median(w)) * policy.MAD_TO_SIGMA)
+    limit = -special.ndtri(significance_of(w.size) / w.size / 2.0) * scale if w.size else np.inf
+    far = np.asarray(w.max(axis=1, initial=0.0) > limit)
+    for of in (network.rays.image, network.rays.point):
+        count = np.bincount(of, far)
+        # A whole image or a whole point is another matter than rays.
+        far = far & ~((count > _SINGLE * np.bincount(of)) & (count > 2))[of]
+    # So is a control point whose rays miss together.
+    count = np.bincount(
+        network.rays.point, w.max(axis=1, initial=0.0) > limit / 2.0, len(network.point_names)
+    )
+    surveyed = np.isin(network.rays.point, control_points(network))
+    return far & ~(surveyed & (count > 1)[network.rays.point])
+
+
+def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
+    """Control points that contradict the others, where control does not fit at all."""
+    control = next((test for test in groups_of_ground(given.solution) if test.name == "control"), None)
+    rays = given.network.rays
+    surveyed = np.isin(rays.point, control_points(given.network))
+    # Precise control bends the block rather than its own coordinates: its rays tell.
+    w = given.solution.standardised(rays.sigma)[surveyed]
+    of_rays = float(np.nanmean(w**2)) if surveyed.any() else 1.0
+    usual = max(given.solution.variance_factor if not surveyed.all() else 1.0, 1.0)
+    far = np.nanmax(np.abs(w), initial=0.0) > policy.TIMES_999 * np.sqrt(usual)
+    if not far and (control is None or control.p_value >= policy.SIGNIFICANCE or control.factor < 1.0):
+        return None
+    if of_rays < 1.0 and control is None:
+        return None
+    seen = predicted(given.network)
+    return None if seen is None else contradiction(seen)
+
+
+def _wrong_sigma(
+    given: AdjustedNetwork, tries: dict[Cause, Hypothesis], steps: dict[str, list[float]], *, scaled: bool
+) -> GroupTest | None:
+    """Choose the group whose stated sigmas are wrong, rather than a cause.
+
+    A factor is one unknown, and gains likelihood where all residuals of a group are too large or too small;
+    an error competes with it (Schwarz 1978). Too small residuals no error explains, and those of positions
+    that share their errors tell nothing of their sigmas.
+    """
+    unknown = math.log(given.solution.observations)
+    significant = [one for one in tries.values() if one.significant]
+    cause = max((one.value for one in significant), default=0.0)
+    gain = max((one.gain for one in significant), default=0.0)
+    memory = memory_of(given)
+    wrong = []
+    groups = [one for one in group_tests(given.network, given.solution) if one.name in _STATED]
+    for test in groups:
+        # Once it is known to be wrong, its factor settles.
+        if test.name in steps:
+            if abs(test.factor - 1.0) > _SETTLED:
+                return test
+            continue
+        if test.p_value >= policy.SIGNIFICANCE or abs(test.factor - 1.0) < policy.WRONG_SIGMA:
+            continue
+        too_large = test.chi_squared - test.redundancy
+        preferred = scaled and test.name in CONTROL
+        if (
+            not preferred
+            and test.factor > 1.0
+            and (test.gain - unknown <= cause or gain >= policy.EXPLAINED_GROUP * too_large)
+        ):
+            continue
+        shared = test.name == "position" and memory is not None and memory.likely
+        if test.factor < 1.0 and (shared or test.name in CONTROL):
+            continue
+        wrong.append(test)
+    return max(wrong, key=lambda test: test.gain, default=None)
+
+
+def _step(factor: float, made: list[float]) -> float:
+    """Factor to apply next: steps shrink at a steady rate, so that the rest of the way is known (Aitken)."""
+    step = math.log(factor)
+    rate = step / made[-1] if made and made[-1] else 0.0
+    made.append(step)
+    return math.exp(step / (1.0 - rate)) if 0.0 < rate < _STEADY else factor
+
+
+def _together(before: Sequence[GroupTest], now: GroupTest, factor: float) -> GroupTest:
+    """The factor of a group over all rounds, with the limits of the last."""
+    total = factor * math.prod(one.factor for one in before if one.name == now.name)
+    share = total / now.factor
+    return replace(now, factor=total, lower=share * now.lower, upper=share * now.upper)
+
+
+def _with_sigmas(given: AdjustedNetwork, name: str, factor: float) -> AdjustedNetwork:
+    """Adjust with the standard deviations of a group that agree (Foerstner 1979)."""
+    network, factor = given.network, factor**2
+    if name == "position":
+        positions = replace(network.positions, covariance=network.positions.covariance * factor)
+        network = replace(network, positions=positions)
+    elif name == "attitude":
+        attitudes = replace(network.attitudes, covariance=network.attitudes.covariance * factor)
+        network = replace(network, attitudes=attitudes)
+    else:
+        scale = np.ones(3)
+        scale[CONTROL.index(name)] = 1.0 / math.sqrt(factor)
+        weight = network.points.weight * scale[:, None] * scale
+        network = replace(network, points=replace(network.points, weight=weight))
+    with because(f"standard deviations of {name}s that agree"):
+        return fit(network, given.state)
+
+
+def _confirmed(
+    given: AdjustedNetwork,
+    these: Candidates,
+    accepted: tuple[Cause, ...],
+    rest: dict[tuple[str, str], float],
+) -> tuple[AdjustedNetwork, dict[tuple[str, str], float]] | None:
+    """Adjust with what was accepted, and what is left of amounts before; None where that cannot be."""
+    _, told = these.solved(accepted)
+    amounts = rest | {key: float(value[0]) for key, (value, _) in told.items()}
+    network = with_causes(given.network, accepted, amounts)
+    plane = network.rays.plane
+    for field in these.fields:
+        key = (field.code, subject_of(given.network, field))
+        if key in rest:
+            plane = plane + rest[key] * field.displacement
+    try:
+        with because(f"with {' and '.join(cause.fault.code for cause in accepted) or 'what is left of it'}"):
+            return fit(with_measurements(network, plane), given.state), amounts
+    except (IllPosedError, NotConvergedError):
+        return None
+
+
+def _told(
+    error: SystematicError,
+    total: dict[tuple[str, str], float],
+    given: AdjustedNetwork,
+    last: AdjustedNetwork,
+    *,
+    alone: bool,
+) -> SystematicError:
+    """An error with its amount and gain as they were confirmed: the first step is not all of a large one."""
+    tested, cause = error.hypothesis, error.cause
+    if alone:
+        fall = given.solution.chi_squared - last.solution.chi_squared
+        tested = replace(tested, gain=max(fall, 0.0), f=tested.f * max(fall, 0.0) / max(tested.gain, 1e-300))
+    if cause is not None and cause.fault.each == "field" and cause.key in total:
+        (one,) = tested.estimates
+        tested = replace(tested, estimates=(estimate(one.name, one.unit, total[cause.key], 0.0, one.sigma),))
+    return replace(error, hypothesis=tested)
+
+
+def with_causes(
+    network: Network, accepted: Sequence[Cause], amounts: dict[tuple[str, str], float]
+) -> Network:
+    """The network with what causes free as unknowns, rays corrected, and wrong observations taken out."""
+    cameras, mounting = freed(network, accepted)
+    network, plane = replace(network, cameras=cameras, mounting=mounting), network.rays.plane
+    for cause in accepted:
+        if cause.field is not None:
+            plane = plane + amounts[cause.key] * cause.field.displacement
+        network = _applied(network, cause)
+    return with_measurements(network, plane)
+
+
+def _applied(network: Network, cause: Cause) -> Network:
+    """The network without wrong observations, or with two points exchanged."""
+    if cause.fault.each == "pair":
+        values, pair = network.points.values.copy(), list(cause.members)
+        values[pair] = values[pair[::-1]]
+        return replace(network, points=replace(network.points, values=values))
+    if cause.fault.each in ("image", "point"):
+        kind = "position" if cause.fault.each == "image" else "control"
+        for member in cause.members:
+            network = _taken_out(network, kind, member)
+    return network
+
+
+def _taken_out(network: Network, kind: str, index: int) -> Network:
+    """Without the position of an image or the coordinates of a control point; where one ray is left, barely."""
+    if kind == "control" and np.sum(network.rays.point == index) < 2:
+        weight = network.points.weight.copy()
+        weight[index] = weight[index] / _ASIDE**2
+        return replace(network, points=replace(network.points, weight=weight))
+    nothing = np.zeros(0)
+    return without_member(network, Member(kind, index, nothing, nothing, 0.0, 0))
+
+
+def _excess(given: AdjustedNetwork, last: AdjustedNetwork) -> float:
+    """What v'Pv is too large by, where rays scatter as they do within their cells with all that was found."""
+    rays = float(last.solution.redundancy.sum())
+    others = last.solution.degrees_of_freedom - rays
+    return given.solution.chi_squared - fit_of(last).noise * rays - others
+
+
+def _final(
+    given: AdjustedNetwork, last: AdjustedNetwork, cause: Cause, errors: Sequence[SystematicError]
+) -> tuple[Estimate, ...]:
+    """Values of a cause from the last adjustment; of what was corrected or taken out, as it was tested."""
+    if not cause.fault.frees or cause.field is not None:
+        return next(
+            (e.hypothesis.estimates for e in errors if e.cause is not None and e.cause.key == cause.key), ()
+        )
+    return estimates_of(given.network, shared_of(last), cause)
+
+
+def shared_of(adjusted: AdjustedNetwork) -> Shared:
+    """What all images share at a minimum."""
+    solution = adjusted.solution
+    cameras = solution.cameras, solution.camera_covariance
+    freedom, common = solution.degrees_of_freedom, (solution.state.common, solution.common_covariance)
+    return Shared(solution.chi_squared, freedom, *cameras, *common)
+
+
+def _free(first: AdjustedNetwork, table: tuple[Fault, ...]) -> tuple[Estimate, ...]:
+    """Values of the mounting that the block itself leaves free."""
+    network, shared = first.network, shared_of(first)
+    return tuple(
+        e
+        for entry in table
+        if entry.frees and not of_camera(entry) and entry.each in ("block", "strip") and not entry.kind_of
+        if len(network.positions.image) and left_free(network, entry)
+        for e in estimates_of(network, shared, Cause(entry))
+    )
+
+
+def _best_of_each(tried: dict[Cause, Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Of many of one kind the best, in the order of the table."""
+    best = dict[tuple[str, str], Hypothesis]()
+    for cause, tested in tried.items():
+        name = cause.field.name if cause.field is not None and cause.fault.each == "field" else ""
+        key = (tested.name, name)
+        if key not in best or tested.f / tested.critical > best[key].f / best[key].critical:
+            best[key] = tested
+    return tuple(best.values())
+
+
+def changed_points(errors: SystematicErrors) -> Floats:
+    """How far all that was found moves the points, root mean square along X, Y, Z, m."""
+    moved = errors.last.state.points - errors.first.state.points
+    return np.asarray(np.sqrt(np.mean(moved**2, axis=0)))

@@ -1,0 +1,211 @@
+"""One small system of equations for everything that may be wrong: what images share, and what may be added.
+
+Images and points are eliminated once, at the minimum of the given network, with all values free that a
+hypothesis may free. What is left tells in closed form what an adjustment becomes when some of them are freed
+or errors of rays, positions and control points are added (Rao 1948): fall of v'Pv, estimates, covariances.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from photocal.adjustment.condensed import Condensed, condensed, observed
+from photocal.adjustment.covariance import Shared
+from photocal.adjustment.datum import full_solution
+from photocal.adjustment.envelope import solve
+from photocal.adjustment.factored import Factored
+from photocal.adjustment.mounting import Mounting
+from photocal.adjustment.normal import other_equations
+from photocal.adjustment.score import pulled
+from photocal.base.arrays import Floats, Integers
+from photocal.base.errors import IllPosedError
+from photocal.geometry.camera import Camera
+
+# Right-hand sides that are solved for at once: each holds a value for every point.
+_AT_ONCE = 12
+
+
+@dataclass(frozen=True)
+class Added:
+    """Unknowns beside those of a network, by what a unit of each changes.
+
+    rays (t, rays, 2): of the computed image coordinates.
+    positions (p, 3 positions): of the computed antenna positions, whitened.
+    control (k, 2): a point and an axis whose given coordinate is wrong.
+    """
+
+    rays: Floats
+    positions: Floats
+    control: Integers
+
+    @property
+    def count(self) -> int:
+        """How many they are; rays first, then positions, then control."""
+        return len(self.rays) + len(self.positions) + len(self.control)
+
+
+@dataclass(frozen=True)
+class System:
+    """The equations of what images share (`shared`), and of what is added behind it.
+
+    matrix (k + e, k + e), right (k + e,): of steps from the state; zero is the state.
+    """
+
+    shared: Condensed
+    matrix: Floats
+    right: Floats
+
+    @property
+    def border(self) -> int:
+        """Where what is added begins."""
+        return len(self.shared.right)
+
+    def equations(
+        self, cameras: tuple[Camera, ...], mounting: Mounting, added: Sequence[int] | Integers
+    ) -> tuple[Floats, Floats, Integers, float, int]:
+        """Equations with these standard deviations of what is shared, and some of what is added.
+
+        returns: matrix and right side of the unknowns, their places, v'Pv and degrees of freedom with all
+            unknowns at the state.
+        """
+        there = observed(self.shared, self.shared.cameras, self.shared.mounting)
+        here = observed(self.shared, cameras, mounting)
+        extra = self.border + np.asarray(added, dtype=np.int64)
+        chosen = np.concatenate([np.flatnonzero(here.unknown), extra])
+        matrix, right = self.matrix.copy(), self.right.copy()
+        matrix[: self.border, : self.border] += here.weight - there.weight
+        right[: self.border] += there.pull - here.pull
+        return (
+            matrix[np.ix_(chosen, chosen)],
+            right[chosen],
+            chosen,
+            self.shared.chi_squared - there.chi_squared + here.chi_squared,
+            self.shared.degrees_of_freedom + here.redundancy - there.redundancy - len(extra),
+        )
+
+    def solved(
+        self, cameras: tuple[Camera, ...], mounting: Mounting, added: Sequence[int] | Integers = ()
+    ) -> tuple[Shared, Floats, Floats]:
+        """Give the minimum: what is shared, and what was added with its covariance.
+
+        raises IllPosedError: when the equations are singular.
+        """
+        matrix, right, chosen, chi_squared, freedom = self.equations(cameras, mounting, added)
+        try:
+            covariance = np.linalg.inv(matrix)
+        except np.linalg.LinAlgError:
+            raise IllPosedError("the observations do not determine what all images share") from None
+        step = np.zeros(len(self.right))
+        spread = np.zeros_like(self.matrix)
+        step[chosen] = covariance @ right
+        spread[np.ix_(chosen, chosen)] = covariance
+        chi_squared -= float(right @ step[chosen])
+        border = self.border
+        extra = border + np.asarray(added, dtype=np.int64)
+        of_shared = self.shared.stepped(step[:border], spread[:border, :border], chi_squared, freedom)
+        return of_shared, step[extra], spread[np.ix_(extra, extra)]
+
+
+def system(at: Factored, residuals: Floats, added: Added) -> System:
+    """Set up the equations at the minimum of a network, everything that may be freed being free in `at`.
+
+    residuals (rays, 2): there, computed minus measured.
+    """
+    whole = condensed(at)
+    if not added.count:
+        return System(whole, whole.matrix, whole.right)
+    band = at.problem.layout.envelope.band
+    steps, own, slope = _further(at, residuals, added)
+    follow = steps[:, band:]
+    across = whole.matrix @ follow.T
+    corner = own + follow @ across
+    matrix = np.block([[whole.matrix, across], [across.T, (corner + corner.T) / 2]])
+    return System(whole, matrix, np.concatenate([whole.right, -slope]))
+
+
+def _further(at: Factored, residuals: Floats, added: Added) -> tuple[Floats, Floats, Floats]:
+    """Normal equations of what is added, all else eliminated, and how the reduced system follows a unit."""
+    problem, state = at.problem, at.state
+    layout, points = problem.layout, problem.network.points
+    t, p, k = len(added.rays), len(added.positions), len(added.control)
+    none = np.zeros((0, *state.points.shape))
+    weight = problem.design.weight
+    flat = added.rays.reshape(t, -1)
+    reduced_r, points_r = pulled(at, added.rays) if t else (np.zeros((0, layout.size)), none)
+    steps_r, moved_r = full_solution(problem, at.normal, reduced_r, points_r) if t else (reduced_r, none)
+    # Points that stay in the reduced system stand in both parts.
+    points_r[:, layout.kept_points] = 0.0
+    reduced_p, slope_p = _of_positions(at, added.positions)
+    steps_p = (
+        np.ascontiguousarray(solve(layout.envelope, at.normal.matrix, reduced_p.T).T) if p else reduced_p
+    )
+    point, axis = added.control.T
+    rows = points.weight[point, axis]
+    steps_c, moved_c = _of_control(at, point, rows)
+    own = np.zeros((t + p + k, t + p + k))
+    ray, position, control = slice(0, t), slice(t, t + p), slice(t + p, t + p + k)
+    weighted = flat * weight.ravel()
+    own[ray, ray] = weighted @ flat.T - reduced_r @ steps_r.T
+    own[ray, ray] -= points_r.reshape(t, -1) @ moved_r.reshape(t, -1).T
+    own[position, position] = added.positions @ added.positions.T - reduced_p @ steps_p.T
+    own[position, ray] = -reduced_p @ steps_r.T
+    own[ray, position] = own[position, ray].T
+    # What a control point gives is its weight times how the point follows.
+    own[control, ray] = -np.einsum("ka,rka->kr", rows, moved_r[:, point])
+    own[ray, control] = own[control, ray].T
+    own[position, control] = -reduced_p @ steps_c.T
+    own[control, position] = own[position, control].T
+    same = (point[:, None] == point[None, :]) * rows[:, axis]
+    own[control, control] = same - np.einsum("ka,ika->ki", rows, moved_c)
+    off = (state.points - points.values)[point]
+    slope = np.concatenate([weighted @ residuals.ravel(), slope_p, np.einsum("ka,ka->k", rows, off)])
+    return np.vstack([steps_r, steps_p, steps_c]), (own + own.T) / 2, slope
+
+
+def _of_positions(at: Factored, fields: Floats) -> tuple[Floats, Floats]:
+    """Right-hand sides of the reduced system for fields of the whitened positions, and slopes of v'Pv."""
+    right = np.zeros((at.problem.layout.size, len(fields)))
+    if not len(fields):
+        return right.T, np.zeros(0)
+    rows = other_equations(at.problem, at.state)["position"]
+    pulls = rows.coefficient[:, None] * np.repeat(
+        rows.weight[:, None] * fields.T, np.diff(rows.start), axis=0
+    )
+    np.add.at(right, rows.column, pulls)
+    right[at.problem.held] = 0.0
+    return right.T, fields @ (rows.weight * rows.residual)
+
+
+def _of_control(at: Factored, point: Integers, rows: Floats) -> tuple[Floats, Floats]:
+    """How all unknowns follow errors of control: reduced part (k, size), these points (k, k, 3)."""
+    layout = at.problem.layout
+    steps, moved = np.zeros((len(point), layout.size)), np.zeros((len(point), len(point), 3))
+    for first in range(0, len(point), _AT_ONCE):
+        part = np.arange(first, min(first + _AT_ONCE, len(point)))
+        places = np.zeros((len(part), *at.state.points.shape))
+        places[np.arange(len(part)), point[part]] = rows[part]
+        reduced = np.zeros((len(part), layout.size))
+        reduced[:, layout.point_columns] += places[:, layout.kept_points]
+        steps[part], everywhere = full_solution(at.problem, at.normal, reduced, places)
+        moved[part] = everywhere[:, point]
+    return steps, moved
+
+
+def loosened(camera: Camera, parameters: dict[int, float]) -> Camera:
+    """A camera with parameters as unknowns, weakly observed as they are given."""
+    estimated, sigma = camera.estimated.copy(), camera.prior_sigma.copy()
+    for k, prior in parameters.items():
+        estimated[k], sigma[k] = True, prior
+    return replace(camera, estimated=estimated, prior_sigma=sigma)
+
+
+def chi_squared_of(matrix: Floats, right: Floats, chi_squared: float) -> float:
+    """Give v'Pv at the minimum of small equations.
+
+    raises IllPosedError: when they are singular.
+    """
+    try:
+        return chi_squared - float(right @ np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        raise IllPosedError("the observations do not determine what all images share") from None
