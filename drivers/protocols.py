@@ -8,13 +8,11 @@ A protocol is one file with a `ReceiverProtocol` and one entry: here, or in the 
 
 from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 
 from drivers.frames import Wire
 from drivers.receiver import ReceiverProtocol
-from photocal.base.errors import ConfigurationError
+from photocal.base.extensions import PROTOCOLS, brought
 
-GROUP = "photocal.protocols"
 # The order is that of trust where several tell a position.
 _OURS = ("drivers.ubx.protocol", "drivers.rtcm3", "drivers.nmea")
 
@@ -25,24 +23,8 @@ def receiver_protocols() -> tuple[ReceiverProtocol, ...]:
 
     raises ConfigurationError: when the protocol of an installed package cannot be loaded.
     """
-    found: list[ReceiverProtocol] = [import_module(name).PROTOCOL for name in _OURS]
-    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
-        try:
-            protocol = entry.load()
-        except Exception as failure:
-            raise ConfigurationError(
-                f"the protocol {entry.name} cannot be loaded ({type(failure).__name__}: {failure})",
-                "mend the package that brings it, or remove it",
-                where=entry.value,
-            ) from failure
-        if not isinstance(protocol, ReceiverProtocol):
-            raise ConfigurationError(
-                f"the protocol {entry.name} is no drivers.receiver.ReceiverProtocol",
-                "mend the package that brings it, or remove it",
-                where=entry.value,
-            )
-        found.append(protocol)
-    return tuple(found)
+    ours: list[ReceiverProtocol] = [import_module(name).PROTOCOL for name in _OURS]
+    return (*ours, *brought(PROTOCOLS, ReceiverProtocol).values())
 
 
 def receiver_wires() -> tuple[Wire, ...]:

@@ -1,4 +1,10 @@
-"""Accuracy standards: classes, limits and sources, how they are read, what a product is judged for."""
+"""Accuracy standards: classes, limits and sources, how they are read, what a product is judged for.
+
+A standard is one TOML file; an installed package brings its text under an entry point:
+
+    [project.entry-points."photocal.standards"]
+    toy = "toy_standard:TEXT"
+"""
 
 import math
 import re
@@ -14,6 +20,7 @@ from pydantic import AfterValidator, Field
 
 from photocal.base.checked_toml import Table, checked_tables, parse_toml
 from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.extensions import STANDARDS, brought
 
 Component = Literal["planimetry", "height"]
 Basis = Literal["scale", "interval"]
@@ -186,18 +193,21 @@ Standard = ScaleStandard | ValueStandard
 def load_standard(name: str) -> Standard:
     """Find and read a standard.
 
-    name: name of a shipped standard (`decree-89817`, `pec-pcd`, `asprs-2024`), or the path of a TOML file of
-        the same form.
+    name: name of a shipped standard (`decree-89817`, `pec-pcd`, `asprs-2024`), of one that an installed
+        package brings, or the path of a TOML file of the same form.
     raises InputNotFoundError: when there is neither a shipped standard nor a file of that name.
     raises ConfigurationError: when the file has not the form of a standard.
     """
     if name in SHIPPED:
         shipped = resources.files("photocal.accuracy.standards") / f"{name}.toml"
         return parse_standard(shipped.read_text(encoding="utf-8"), name)
+    others = brought(STANDARDS, str)
+    if name in others:
+        return parse_standard(others[name], name)
     path = Path(name)
     if path.suffix != ".toml" or not path.is_file():
         raise InputNotFoundError(
-            f"unknown standard {name!r}", f"take {', '.join(SHIPPED)}, or the path of a TOML file"
+            f"unknown standard {name!r}", f"take {', '.join((*SHIPPED, *others))}, or the path of a TOML file"
         )
     try:
         return parse_standard(path.read_text(encoding="utf-8-sig"), name)

@@ -191,7 +191,7 @@ def _one_of(parts: tuple[Any, ...], value: Any, place: str, null: float | None) 
 
 
 def _dataclass(kind: Any, value: Any, place: str, null: float | None) -> Any:
-    hints, members = _hints(kind), [field for field in fields(kind) if field.init]
+    hints, members = hints_of(kind), [field for field in fields(kind) if field.init]
     for field in members:
         if field.name not in value and field.default is field.default_factory is MISSING:
             raise ValueError(f"{place}.{field.name} is missing".lstrip("."))
@@ -201,7 +201,8 @@ def _dataclass(kind: Any, value: Any, place: str, null: float | None) -> Any:
 
 
 @cache
-def _hints(kind: Any) -> dict[str, Any]:
+def hints_of(kind: Any) -> dict[str, Any]:
+    """Annotations of the members of a class."""
     return get_type_hints(kind, include_extras=True)
 
 

@@ -20,6 +20,7 @@ from numba.core.compiler import Compiler
 from numba.extending import intrinsic
 
 from photocal.base.errors import OutputError, ProgramMissingError
+from photocal.base.extensions import LENSES, sources
 from photocal.base.operating_system import cache_folder, private_folder
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -44,6 +45,9 @@ def fingerprint() -> str:
             text = source.read_bytes()
             if b"compiled import" in text:
                 digest.update(text)
+    # Lenses that other packages bring are compiled into ours.
+    for name, brought in sources(LENSES).items():
+        digest.update(name.encode() + brought)
     return digest.hexdigest()[:16]
 
 

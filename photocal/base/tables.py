@@ -7,15 +7,14 @@ names of both. What is no column (a text, a number, the shapes) stands in the me
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Self, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from photocal.base.codec import from_plain
+from photocal.base.codec import from_plain, hints_of
 from photocal.base.errors import InputMalformedError, InputNotFoundError, ProgramMissingError
 from photocal.base.files import output_file
 
@@ -124,7 +123,8 @@ class _Names(list[tuple[str, ...]]):
 
 
 def _members(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    hints = _hints(type(value))
+    kind: Any = type(value)
+    hints = hints_of(kind)
     for field in fields(value):
         name, member = f"{prefix}{field.name}", getattr(value, field.name)
         if is_dataclass(member):
@@ -153,14 +153,15 @@ def object_of_file(kind: type[Kind], path: Path) -> Kind:
         if content["schema"] != _schema(kind):
             what = f"holds {content['schema']!r}, {_schema(kind)!r} was expected"
             raise InputMalformedError(what, _AGAIN, where=path)
-        return _made(kind, table, content, "")
+        made: Kind = _made(kind, table, content, "")
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError) as damage:
         reason = (str(damage).splitlines() or [type(damage).__name__])[0]
         raise InputMalformedError(f"is no table of ours ({reason})", _AGAIN, where=path) from damage
+    return made
 
 
 def _made(kind: Any, table: Any, content: Mapping[str, Any], prefix: str) -> Any:
-    hints, members = _hints(kind), dict[str, Any]()
+    hints, members = hints_of(kind), dict[str, Any]()
     for field in fields(kind):
         name, wanted = f"{prefix}{field.name}", hints[field.name]
         part, optional = _without_none(wanted)
@@ -203,8 +204,3 @@ def _without_none(wanted: Any) -> tuple[Any, bool]:
     parts = get_args(wanted) if get_origin(wanted) in (UnionType, Union) else (wanted,)
     kept = [part for part in parts if part is not NoneType]
     return kept[0], NoneType in parts
-
-
-@cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return get_type_hints(kind)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AliasChoices, Field, FiniteFloat, PositiveFloat
+from pydantic import AfterValidator, AliasChoices, Field, FiniteFloat, PositiveFloat
 
 from photocal.base.arrays import Flags, Floats
 from photocal.base.checked_toml import Table
@@ -22,7 +22,6 @@ from photocal.geometry.camera import (
     AffinityForm,
     Camera,
     DistortionAt,
-    Model,
     ReadoutDirection,
     Shutter,
     among,
@@ -38,6 +37,12 @@ Deviation = NonNegative | Literal["free"]
 # A sigma, one for each axis, or "free" for an unknown without prior knowledge.
 Sigma = Deviation | tuple[Deviation, Deviation, Deviation]
 RADIAL = ("K1", "K2", "K3", "K4")
+
+
+def _known_model(name: str) -> str:
+    if name not in MODELS:
+        raise ValueError(f"must be one of {', '.join(MODELS)}")
+    return name
 
 
 def sigmas(given: Sigma) -> Floats:
@@ -92,7 +97,7 @@ class CameraKeys(Table):
     """
 
     id: str
-    model: Model
+    model: Annotated[str, AfterValidator(_known_model)]
     unit: Literal["mm", "px"]
     size_px: tuple[Side, Side]
     pitch_mm: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None

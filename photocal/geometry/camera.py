@@ -1,6 +1,6 @@
 """The camera: interior orientation parameters, their roles, and from pixels to the image plane."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
@@ -9,8 +9,10 @@ from numpy.typing import ArrayLike
 
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import ConfigurationError
+from photocal.base.extensions import LENSES, brought
 
-Model = Literal["brown-observed", "brown-ideal", "rational", "equidistant", "pix4d-fisheye"]
+# One of `MODELS`.
+Model = str
 Affinity = Literal["additive", "before", "after"]
 AffinityForm = Literal["fraser", "canon-elph", "tank"]
 DistortionAt = Literal["adjusted", "measured"]
@@ -42,15 +44,22 @@ def among(*names: str) -> Flags:
 class LensModel:
     """A lens model by its coefficients; the formulas are in `geometry.lens`.
 
+    An installed package brings one under an entry point, whose name is that of the model:
+
+        [project.entry-points."photocal.lenses"]
+        toy = "toy_lens:LENS"
+
     terms: its coefficients beside c, x0, y0, B1, B2.
     relative: whether they belong to coordinates over c or to angles, and have no unit: such models distort
         the projection and have the affinity after it. Else to coordinates in the unit of the camera.
     angular: whether it is a function of the angle off the axis, and holds for more than 90 degrees.
+    project: of a model of another package: a compiled function as those of `geometry.other_lenses`.
     """
 
     terms: tuple[str, ...]
     relative: bool = False
     angular: bool = False
+    project: Callable[..., tuple[float, float]] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -78,6 +87,13 @@ MODELS: dict[Model, LensModel] = {
     ),
     "pix4d-fisheye": LensModel(("K1", "K2", "K3"), relative=True, angular=True),
 }
+for _name, _lens in brought(LENSES, LensModel).items():
+    if _name in MODELS or _lens.project is None or not _lens.relative:
+        raise ConfigurationError(
+            f"the lens {_name} cannot be used",
+            "give it a name of its own, a function `project`, and terms without unit (relative=True)",
+        )
+    MODELS[_name] = _lens
 AFFINITIES: tuple[Affinity, ...] = ("additive", "before", "after")
 
 # Where B1 and B2 stand in the 2 x 2 matrix F of the affinity: F = B1 * first + B2 * second.

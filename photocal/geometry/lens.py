@@ -3,9 +3,11 @@
 This is the only place that knows how the models differ; normal equations, residuals, statistics and
 plots all call it. Coordinates are in the image plane, in the unit of the camera. Brown's polynomial stands
 here. Another model is a function that projects points of camera axes, with its derivatives, in a file of its
-own, a line in `bent` and its entry in `camera.MODELS`.
+own, a line in `_projected` and its entry in `camera.MODELS`; or it comes from an installed package, with one
+file and one entry (`camera.LensModel`).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +17,7 @@ from photocal.base.compiled import allocating, compiled, inlined
 from photocal.geometry.camera import AFFINITIES, AFFINITY_MATRICES, MM, MODELS, OWN, PARAMETERS, Camera
 from photocal.geometry.other_lenses import equidistant, pix4d_fisheye, rational
 
+Project = Callable[..., tuple[float, float]]
 # Parameters of Brown's lens, and of all lenses; those of the shutter follow.
 BROWN, COUNT = PARAMETERS.index("B2") + 1, PARAMETERS.index("readout")
 # Positions in the parameter vector.
@@ -134,18 +137,46 @@ def polynomial(
     return x * radial + ax * swell, y * radial + ay * swell
 
 
+def _chosen(code: int, project: Project, otherwise: Project) -> Project:
+    """Choose one lens by its code, or what is chosen otherwise."""
+
+    @inlined
+    def chosen(
+        optics: Floats, cameras: Floats, k: int, u: float, v: float, w: float, room: Scratch
+    ) -> tuple[float, float]:
+        """Project through it."""
+        if optics[k, 0] == code:
+            return project(cameras, k, u, v, w, room.by_q, room.by_camera, room.depth)
+        return otherwise(optics, cameras, k, u, v, w, room)
+
+    return chosen
+
+
+@inlined
+def _projected(
+    optics: Floats, cameras: Floats, k: int, u: float, v: float, w: float, room: Scratch
+) -> tuple[float, float]:
+    """Project through a lens of ours that is not Brown's."""
+    if optics[k, 0] == _RATIONAL:
+        return rational(cameras, k, u, v, w, room.by_q, room.by_camera, room.depth)
+    if optics[k, 0] == _EQUIDISTANT:
+        return equidistant(cameras, k, u, v, w, room.by_q, room.by_camera, room.depth)
+    return pix4d_fisheye(cameras, k, u, v, w, room.by_q, room.by_camera, room.depth)
+
+
+# Those that packages bring stand before ours.
+for _model, _lens in MODELS.items():
+    if _lens.project is not None:
+        _projected = _chosen(_CODE[_model], _lens.project, _projected)
+
+
 @compiled
 def bent(
     cameras: Floats, optics: Floats, k: int, x: float, y: float, u: float, v: float, w: float, room: Scratch
 ) -> tuple[float, float]:
     """Computed minus measured coordinates of a ray through a lens that is not Brown's, see `ray_residual`."""
     by_q, by_camera = room.by_q, room.by_camera
-    if optics[k, 0] == _RATIONAL:
-        sx, sy = rational(cameras, k, u, v, w, by_q, by_camera, room.depth)
-    elif optics[k, 0] == _EQUIDISTANT:
-        sx, sy = equidistant(cameras, k, u, v, w, by_q, by_camera, room.depth)
-    else:
-        sx, sy = pix4d_fisheye(cameras, k, u, v, w, by_q, by_camera, room.depth)
+    sx, sy = _projected(optics, cameras, k, u, v, w, room)
     b1, b2 = cameras[k, _B1], cameras[k, _B1 + 1]
     m00 = 1.0 + b1 * optics[k, 3] + b2 * optics[k, 7]
     m01 = b1 * optics[k, 4] + b2 * optics[k, 8]

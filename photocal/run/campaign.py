@@ -2,14 +2,16 @@
 
 import datetime as dt
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
+from photocal.base.extensions import STAGES, brought
 from photocal.base.progress import Progress, quiet
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
@@ -23,12 +25,14 @@ from photocal.run.output_place import check_output
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
 from photocal.run.reading import block_reader
-from photocal.run.stage import Digests, Stage, StageResult, alone, made_in, update_stage, written
+from photocal.run.stage import AddedStage, Digests, Stage, StageResult, alone, made_in, update_stage, written
 from photocal.run.summary import gather, kind, summary
 
 _MEMORY = ".digests.json"
 # In the work folder while a run works: how far it is.
 PROGRESS = "progress.json"
+# Of our stages, whether a project has them or not.
+_NAMES = ("ppk", "exposures", "measurements", "flown", "certificate")
 Task = tuple[Path, dt.date, str | None, str | None, bool]
 
 
@@ -56,7 +60,19 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         georeferencing_stage(project, block, read),
         analysis_stage(block, calibration, read),
     )
+    made = (*made, *_added(project, work, {stage.name for stage in made}))
     return (*made, certificate_stage(project, work, day, tuple(work / stage.name for stage in made)))
+
+
+def _added(project: Project, work: Path, before: Container[str]) -> Iterator[Stage]:
+    """Stages that installed packages bring."""
+    for name, added in brought(STAGES, AddedStage).items():
+        if name in before or name in _NAMES:
+            raise ConfigurationError(f"a stage {name} is there already", "give it another name", where=STAGES)
+        if all(earlier in before for earlier in added.after):
+            folders = {earlier: work / earlier for earlier in added.after}
+            made = partial(added.make, project, folders)
+            yield Stage(name, added.title, made, after=tuple(folders.values()))
 
 
 def run_project(

@@ -214,15 +214,19 @@ def program(function: Callable[..., Any]) -> dict[str, str]:
     Counted are the modules that its module imports, anywhere in the text and through any number of others,
     modules whose full name stands in a table, and the files of data in their folders.
     """
-    return _program(function.__module__)
+    return _program(getattr(function, "func", function).__module__)
 
 
 @functools.cache
 def _program(start: str) -> dict[str, str]:
     digest = hashlib.sha256()
     known = _modules()
+    if start not in known:
+        spec = importlib.util.find_spec(start)
+        known = {**known, start: Path(spec.origin or "")} if spec is not None else known
     needed = needed_modules(start, known)
-    data = {path for name in needed for path in known[name].parent.iterdir() if path.suffix != ".py"}
+    ours = needed & _modules().keys()
+    data = {path for name in ours for path in known[name].parent.iterdir() if path.suffix != ".py"}
     for path in sorted({known[name] for name in needed} | {path for path in data if path.is_file()}):
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
@@ -288,6 +292,26 @@ class Stage:
     inputs: Mapping[str, Path] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     after: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class AddedStage:
+    """A stage that an installed package brings, between the analysis and the certificate.
+
+    Its name is that of its entry point:
+
+        [project.entry-points."photocal.stages"]
+        toy = "toy_stage:STAGE"
+
+    title: what progress shows.
+    make: gets the project, the folders of the stages that it follows by their names, the folder to write
+        into and what shows progress.
+    after: names of these stages; in a project that lacks one of them it is left out.
+    """
+
+    title: str
+    make: Callable[["Project", Mapping[str, Path], Path, Progress], None]
+    after: tuple[str, ...]
 
 
 def pictures_of(project: "Project") -> dict[str, Path]:

@@ -20,6 +20,8 @@ from photocal.base.arrays import Floats
 from photocal.base.codec import same
 from photocal.base.errors import InputMalformedError, InputNotFoundError, OutputError, ProgramMissingError
 from photocal.base.tables import TableColumns
+from photocal.findings.finding import untested
+from photocal.findings.listed import Findings
 from photocal.navigation.attitude import AttitudeSeries, from_angles
 from photocal.navigation.exposures import Exposures
 from photocal.navigation.time import GpsTime
@@ -128,6 +130,15 @@ def test_what_a_person_sees_of_them() -> None:
     table = shown.to_arrow()
     assert table["images"].to_pylist() == [["a b"], []]
     assert table["placed.covariance_m2_22"].to_pylist() == [1.0, 1.0]
+
+
+def test_they_go_on_as_data_frames() -> None:
+    pytest.importorskip("pandas")
+    frame = small().to_pandas()
+    assert frame["lat_deg"].tolist() == [-22.1, -22.1]
+    assert frame["time.ns"].dtype == np.int64
+    assert frame["status"].tolist() == ["fixed", "float"]
+    assert list(Findings((untested("height-kind", "no-trajectory"),)).to_pandas()["severity"]) == ["untested"]
 
 
 def test_bad_files_are_refused(tmp_path: Path) -> None:
