@@ -217,6 +217,7 @@ _SOURCES: tuple[tuple[str, str, Callable[[dict[str, Any], Path], Iterator[Findin
     ("exposures", "exposures.json", _stored),
     ("measurements", "measurement.json", _stored),
     ("calibration", RESULT, _of_calibration),
+    ("flown", "flown.json", _stored),
     ("georeferencing", "check.json", _stored),
     ("analysis", "analysis.json", _of_analysis),
 )

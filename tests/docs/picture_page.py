@@ -32,7 +32,9 @@ Heights: `RtkAlt` and `GpsFusionAlt` of DJI are ellipsoidal, and so are heights 
 ANAFI and of Skydio are above the geoid EGM96; of others nothing is known, and `photocal new` says so.
 
 The laser rangefinder of a thermal or zoom camera is a check of heights, and no observation: `photocal new`
-lists its distances beside the flying height.
+lists its distances beside the flying height, and `photocal run` holds what the laser hit against the surface
+of the adjusted tie points there (`laser-heights`: bias with its sigma, scatter, change with the distance).
+Shots through the gaps of a canopy are counted and left out.
 
 | fact | unit | what it is | keys | where it is used |
 |---|---|---|---|---|
