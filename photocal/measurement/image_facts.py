@@ -208,6 +208,13 @@ def clock_seconds(facts: Sequence[ImageFacts]) -> Floats:
     return seconds - np.nanmin(seconds) if np.isfinite(seconds).any() else seconds
 
 
+def camera_temperatures(facts: Sequence[ImageFacts]) -> Floats:
+    """Temperatures of the lenses, else of the sensors, deg C, shape (n,); NaN where not given."""
+    lens = np.array([image.lens_temperature_c for image in facts], dtype=float)
+    sensor = np.array([image.sensor_temperature_c for image in facts], dtype=float)
+    return lens if np.isfinite(lens).any() else sensor
+
+
 def _dji_keys(fact: str, name: str) -> tuple[str, ...]:
     """Those keys of a fact that end with a name."""
     return tuple(key for key in keys_of(fact) if key.endswith(f":{name}"))

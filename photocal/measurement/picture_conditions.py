@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_facts import ImageFacts, camera_temperatures
 from photocal.measurement.picture_facts import keys_of
 
 # Beyond so many values of one fact the first and the last are named.
 _NAMED = 4
-Sections = dict[str, dict[str, str]]
+Sections = dict[str, dict[str, str | float]]
 
 
 def told_conditions(facts: Sequence[ImageFacts]) -> Sections:
@@ -20,7 +20,8 @@ def told_conditions(facts: Sequence[ImageFacts]) -> Sections:
     Values that differ stand side by side, of numbers the least, the median and the largest; what no picture
     says is left out. Each says whether EXIF or XMP told it.
     """
-    conditions = {
+    warm = temperatures(facts)
+    conditions: dict[str, str | float] = {
         "aperture": _each(facts, "f_number", "f/{:g}"),
         "focus": _joined(
             _each(facts, "focus_m", "{:g} m"), _spread(facts, "lens_position", "lens position {}", "")
@@ -35,6 +36,8 @@ def told_conditions(facts: Sequence[ImageFacts]) -> Sections:
         "in_camera_correction": _correction(facts),
         "positions": _positions(facts),
     }
+    if warm is not None:
+        conditions["camera_temperature_c"] = warm[1]
     camera = {"model": "model", "manufacturer": "make", "serial": "serial"}
     camera |= {"lens_type": "lens", "lens_serial": "lens_serial"}
     platform = _joined(_each(facts, "vehicle"), _each(facts, "vehicle_serial"), between=" ")
@@ -43,17 +46,15 @@ def told_conditions(facts: Sequence[ImageFacts]) -> Sections:
         "campaign": {"platform": platform},
         "conditions": conditions,
     }
-    kept = {name: {k: v for k, v in section.items() if v} for name, section in sections.items()}
+    kept = {name: {k: v for k, v in section.items() if v != ""} for name, section in sections.items()}
     return {name: section for name, section in kept.items() if section}
 
 
 def temperatures(facts: Sequence[ImageFacts]) -> tuple[float, float, float] | None:
     """Least, median and largest temperature of the lens, else of the sensor, deg C; None for neither."""
-    for name in ("lens_temperature_c", "sensor_temperature_c"):
-        values = _numbers(facts, name)
-        if len(values):
-            return float(values.min()), float(np.median(values)), float(values.max())
-    return None
+    values = camera_temperatures(facts)
+    values = values[np.isfinite(values)]
+    return (float(values.min()), float(np.median(values)), float(values.max())) if len(values) else None
 
 
 def _numbers(facts: Sequence[ImageFacts], name: str) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.block.model import Block, Images
 from photocal.geometry.camera import Camera, among
-from photocal.measurement.image_facts import ImageFacts, clock_seconds
+from photocal.measurement.image_facts import ImageFacts, camera_temperatures, clock_seconds
 from photocal.measurement.maker_camera import group_cameras, stated_camera
 
 # Shares of a picture that are white or black, of which nothing can be seen; and its sharpness beside that of
@@ -58,7 +58,14 @@ def start_block(
         sigma[:, 3:] = position_sigma(facts, assumed)
     sigma[np.isnan(places).any(axis=1)] = np.inf
     enough = np.isfinite(places).all(axis=1).sum() >= FEWEST_POSITIONS
-    images = Images(tuple(f.name for f in facts), member, poses, sigma, time=clock_seconds(facts))
+    images = Images(
+        tuple(f.name for f in facts),
+        member,
+        poses,
+        sigma,
+        time=clock_seconds(facts),
+        temperature=camera_temperatures(facts),
+    )
     return Block(name, "local", "", "control" if enough else "free", cameras, images)
 
 

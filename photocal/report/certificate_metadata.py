@@ -122,6 +122,7 @@ class ConditionKeys(Table):
     """Section `[conditions]`: under which the camera was calibrated."""
 
     temperature_c: FiniteFloat | None = None
+    camera_temperature_c: FiniteFloat | None = None
     relative_humidity_percent: Annotated[float, Field(ge=0, le=100)] | None = None
     pressure_hpa: Annotated[float, Field(ge=400, le=1100)] | None = None
     focus: str = ""
@@ -184,7 +185,7 @@ def read_particulars(
     client: str = "",
     operator: str = "",
     key: str = "",
-    pictures: Mapping[str, Mapping[str, str]] | None = None,
+    pictures: Mapping[str, Mapping[str, str | float]] | None = None,
     flown: Mapping[str, Any] | None = None,
 ) -> Metadata:
     """Read the particulars of a certificate; what nobody typed may stand in the pictures, by section."""

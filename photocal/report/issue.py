@@ -209,7 +209,7 @@ def issue(
     operator: str = "",
     key: str = "",
     warnings: tuple[Finding, ...] = (),
-    pictures: Mapping[str, Mapping[str, str]] | None = None,
+    pictures: Mapping[str, Mapping[str, str | float]] | None = None,
     flown: Mapping[str, Any] | None = None,
     done: Callable[[], None] = lambda: None,
 ) -> Document:

@@ -31,6 +31,7 @@ class Calibrated:
 
     run: folder with its `result.json` or `certificate.json`.
     day, temperature_c: of the calibration, where a certificate says them.
+    camera_temperature_c: of lens or sensor, by the pictures; median.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Calibrated:
     cameras: dict[str, Camera]
     day: dt.date | None = None
     temperature_c: float | None = None
+    camera_temperature_c: float | None = None
     heads: tuple[AdjustedHead, ...] = ()
 
 
@@ -117,6 +119,7 @@ def _certified(path: Path) -> Calibrated:
         cameras_of_json(content["result"]["cameras"], folder / NAME),
         given.laboratory.measured or given.date,
         given.conditions.temperature_c,
+        given.conditions.camera_temperature_c,
         heads_of_json(content["result"].get("heads", []), folder / NAME),
     )
 
@@ -139,10 +142,13 @@ def cameras_of(flights: Sequence[Calibrated]) -> "CameraFile":
 def repeated(flights: Sequence[Calibrated]) -> dict[str, tuple[Repeatability, ...]]:
     """Judge how each camera repeats from flight to flight: those of one name are one."""
     alone = all(len(flight.cameras) == 1 for flight in flights)
+    # Of the camera where all tell it: the air says less, and the two are not compared.
+    own = all(flight.camera_temperature_c is not None for flight in flights)
     occasions: dict[str, list[Occasion]] = {}
     for flight in flights:
         for name, camera in flight.cameras.items():
-            occasion = Occasion(flight.name, camera, flight.day, flight.temperature_c)
+            warm = flight.camera_temperature_c if own else flight.temperature_c
+            occasion = Occasion(flight.name, camera, flight.day, warm)
             occasions.setdefault("camera" if alone else name, []).append(occasion)
     return {name: repeats for name, series in occasions.items() if (repeats := repeatability(series))}
 

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from photocal.accuracy.laser import LaserShots, check_laser, laser_finding
 from photocal.accuracy.maps import reference_system
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.base.geopackage import changed_utc
 from photocal.base.progress import Progress
 from photocal.block.motion import strips, velocity_of_neighbours
+from photocal.findings.texts import as_record
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
@@ -82,6 +84,11 @@ def measure_flown(
     points = model.points.values if run is None else read_result(run).points.values
     measured = flown_block(shots, strip, ground_through(shots, frame.to_local(points)), moving, exposure)
     figures = figures_of(measured, exposure_ms=1e3 * exposure, iso=iso)
+    lasers = np.array([f.laser_m if (f := facts.get(name)) else np.nan for name in shots.names])
+    if np.isfinite(lasers).any():
+        shot = LaserShots(shots.station, -shots.rotation[:, 2], lasers)
+        found = laser_finding(check_laser(shot, frame.to_local(points)), int(np.isfinite(lasers).sum()))
+        figures |= as_record([found])
     if plan is not None:
         try:
             figures = against_plan(figures, json.loads(plan.read_text(encoding="utf-8")))

@@ -222,6 +222,7 @@ _SOURCES: tuple[tuple[str, str, Callable[[Path], Iterator[Finding]]], ...] = (
     ("exposures", EXPOSED, _stored),
     ("measurements", "measurement.json", _stored),
     ("calibration", RESULT, _of_calibration),
+    ("flown", "flown.json", _stored),
     ("georeferencing", "check.json", _stored),
     ("analysis", "analysis.json", _of_analysis),
 )

@@ -1,10 +1,11 @@
-"""`make manual`: the pages of the commands and the figure of the architecture, written anew."""
+"""`make manual`: pages of commands, faults and pictures, and the figure of the architecture, made anew."""
 
 from __future__ import annotations
 
-from tests.docs import api_page, architecture_figure, command_pages, fault_page
+from tests.docs import api_page, architecture_figure, command_pages, fault_page, picture_page
 
 command_pages.main()
 architecture_figure.main()
 fault_page.main()
+picture_page.main()
 api_page.main()

@@ -15,7 +15,7 @@ from photocal.base import errors
 from photocal.base.checked_toml import Table
 from photocal.block import camera_setup, setup
 from photocal.geometry.camera import PARAMETERS
-from tests.docs import fault_page
+from tests.docs import fault_page, picture_page
 from tests.docs.command_pages import FOLDER, MORE, commands, pages
 
 ROOT = Path(__file__).parents[2]
@@ -33,6 +33,7 @@ def test_command_page_says_what_the_program_says(name: str) -> None:
 
 
 def test_page_of_faults_is_that_of_the_table() -> None:
+    assert picture_page.PAGE.read_text(encoding="utf-8") == picture_page.page(), "run `make manual`"
     assert fault_page.PAGE.read_text(encoding="utf-8") == fault_page.page(), "run `make manual`"
 
 

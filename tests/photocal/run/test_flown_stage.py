@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import datetime as dt
 import json
 import math
@@ -138,3 +139,25 @@ def test_cameras_that_do_not_look_down_have_no_flown_block(project: Project, tmp
 def test_projects_of_pictures_have_the_stage(project: Project) -> None:
     names = [stage.name for stage in stages(project, DAY)]
     assert names.index("calibration") < names.index("flown") < names.index("certificate")
+
+
+@pytest.mark.parametrize(("beside_m", "severity"), [(0.0, "note"), (0.6, "doubtful")])
+def test_laser_distances_of_the_pictures_are_a_check(tmp_path: Path, beside_m: float, severity: str) -> None:
+    """Distances to level ground at height 0, by height and tilt as the flight recorded them."""
+    folder = tmp_path / "dense"
+    fly(folder / "block", np.random.default_rng(3), plan=Plan(relief_m=0.0, tie=900))
+    with (folder / "block" / "images.csv").open(encoding="utf-8") as rows:
+        for row in csv.DictReader(rows):
+            # M33 of the rotation is cos(omega) cos(phi).
+            upright = math.cos(math.radians(float(row["omega"]))) * math.cos(math.radians(float(row["phi"])))
+            distance = (float(row["Z"]) + beside_m) / upright
+            packet = f'<rdf:Description drone-dji:LRFTargetDistance="{distance:.3f}"/>'
+            Image.new("L", (40, 30)).save(tmp_path / f"{row['image']}.jpg", xmp=packet.encode())
+    for path in (folder / "block").glob("*.csv"):
+        named = re.sub(r"^(s\d_\d+),", r"\1.jpg,", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        path.write_text(named, encoding="utf-8")
+    adjust_block(folder / "block", folder / "calibration")
+    figures = measure_flown(folder / "block", folder / "calibration", tmp_path)
+    (found,) = figures["findings"]
+    assert (found["code"], found["severity"]) == ("laser-heights", severity)
+    assert found["figures"]["bias_m"] == pytest.approx(beside_m, abs=0.15)
