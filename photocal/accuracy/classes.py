@@ -225,12 +225,28 @@ def _with_survey(product: Sample | None, survey_m: float | None) -> float | None
     return None if product is None else math.hypot(product.rmse_m, survey_m or 0.0)
 
 
+def condition(value: ValueClass) -> str:
+    """Say what a class stands on: a class is tested with as many points as the standard asks for."""
+    n, required = min(value.counts, default=0), int(value.standard.minimum_points.value)
+    parts = [f"{n} check points: tested"]
+    if not value.enough_points:
+        parts = [f"{n} of {required} check points: stated, not tested"]
+    survey = (
+        (value.horizontal_m, value.survey_included_horizontal),
+        (value.vertical_m, value.survey_included_vertical),
+    )
+    if any(rmse is not None and not included for rmse, included in survey):
+        parts.append("without the accuracy of the survey")
+    return ", ".join(parts)
+
+
 def value_class_text(value: ValueClass) -> str:
-    """Write the class reached."""
+    """Write the class reached, and what it stands on."""
     parts = (
         ("horizontal", value.horizontal_m),
         ("vertical (NVA)", value.vertical_m),
         ("VVA", value.vegetated_m),
         ("3D", value.spatial_m),
     )
-    return ", ".join(f"{name} {class_cm(rmse):.1f} cm" for name, rmse in parts if rmse is not None)
+    reached = ", ".join(f"{name} {class_cm(rmse):.1f} cm" for name, rmse in parts if rmse is not None)
+    return f"{reached} ({condition(value)})"

@@ -95,6 +95,8 @@ def _value(value: classes.ValueClass) -> dict[str, Any]:
         **picked(value, "enough_points", standard="standard.id"),
         "survey_included": picked(value, **included),
         "required_points": int(value.standard.minimum_points.value),
+        "points": min(value.counts, default=0),
+        "condition": classes.condition(value),
     }
 
 

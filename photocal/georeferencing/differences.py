@@ -66,7 +66,8 @@ class Differences:
     """Computed minus surveyed coordinates of the ground points of one role.
 
     d (n, 3): m.
-    product_sigma (n, 3): predicted standard deviation of the computed coordinates, m.
+    product_sigma, survey_sigma (n, 3): predicted standard deviation of the computed coordinates, and that
+        which the survey states of its own, m; 0 where it states none.
     covariance (n, 3, 3): predicted for d: of product and survey together; of a fitted point, of its residual.
     w (n, 3): d over its predicted standard deviation; NaN where that is zero.
     distance (n,): d' C^-1 d, chi-squared with 3 degrees of freedom when the prediction holds; NaN where C is
@@ -80,6 +81,7 @@ class Differences:
     d: Floats
     xyz: Floats
     product_sigma: Floats
+    survey_sigma: Floats
     covariance: Floats
     w: Floats
     distance: Floats
@@ -99,6 +101,11 @@ class Differences:
     def predicted(self) -> Floats:
         """Root mean square of the predicted sigmas of the computed coordinates, m; NaN without points."""
         return rms(self.product_sigma)
+
+    @cached_property
+    def survey(self) -> Floats:
+        """Root mean square of the sigmas that the survey states, m; NaN without points."""
+        return rms(self.survey_sigma)
 
     @property
     def suspected(self) -> tuple[str, ...]:
@@ -179,6 +186,7 @@ def differences(block: Block, result: Georeferenced, role: Role) -> Differences:
         d,
         surveyed,
         sigma,
+        stated,
         covariance,
         w,
         distance,

@@ -292,7 +292,7 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         _residuals(block, assembly, solution),
         solution.chi_squared,
         solution.degrees_of_freedom,
-        global_test(solution.chi_squared, solution.degrees_of_freedom),
+        global_test(solution.chi_squared, solution.degrees_of_freedom, *block.global_test),
         solution,
         joint,
         calibration,

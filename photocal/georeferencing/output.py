@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from photocal.accuracy.classes import class_cm
+from photocal.accuracy.classes import class_cm, condition
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import check_figures, save_figures, write_geopackage
 from photocal.accuracy.output import remarks
@@ -53,7 +53,8 @@ def _standards(check: BlockCheck) -> list[TablePart]:
                 f"precision {result.precision_class or 'none'}, accuracy {result.accuracy_class or 'none'}"
                 for result in results
             ]
-            rows.append((f"{name} at {asked}", *cells))
+            points = len(known[0][1].discrepancies.points)
+            rows.append((f"{name} at {asked}, {points} check points", *cells))
         best = judged_by.admitted[0].name
         smallest = [result.admitted[0] for result in results]
         cells = [
@@ -64,7 +65,8 @@ def _standards(check: BlockCheck) -> list[TablePart]:
     for k, value in enumerate(known[0][1].values):
         reached = [assessment.values[k] for _, assessment in known]
         cells = [
-            f"{_class(least.horizontal_m)} horizontal, {_class(least.vertical_m)} vertical"
+            f"{_class(least.horizontal_m)} horizontal, {_class(least.vertical_m)} vertical "
+            f"({condition(least)})"
             for least in reached
         ]
         rows.append((f"{value.standard.id}, class reached", *cells))
@@ -138,6 +140,7 @@ def _differences(differences: Differences) -> dict[str, Any]:
         "n": len(differences.names),
         "rmse_m": _by_axis(differences.rmse),
         "predicted_m": _by_axis(differences.predicted),
+        "survey_m": _by_axis(differences.survey),
         "errors_over_prediction": differences.ratio,
         "critical_w": CRITICAL_W,
         "ellipse_probability": policy.CONFIDENCE,
@@ -206,10 +209,16 @@ def sections(check: BlockCheck, given: Verdict | None = None, *, details: bool =
     given: the verdict of the project that the block belongs to; else that of the check alone.
     details: points, tests and findings in full, beside the verdict and the figures of the methods.
     """
-    heads = ["method", "points", "n", "RMSE X", "Y", "Z", "sigma X", "Y", "Z", "error/sigma"]
+    heads = ["method", "points", "n", "RMSE X", "Y", "Z", "sigma X", "Y", "Z"]
+    heads += ["survey X", "Y", "Z", "error/sigma"]
     rows = [_row(judged, group) for judged in check.judged for group in judged.differences]
     labels = Remarks(tuple(map(_label, check.judged)))
-    intro = Paragraph(f"Differences are {SIGN}, in metres; sigma is predicted, a priori.")
+    assumed = ", from standard deviations that are assumed: nothing tests them"
+    untested = assumed if check.block.global_test[1] == "none" else ""
+    intro = Paragraph(
+        f"Differences are {SIGN}, in metres; sigma is predicted, a priori{untested}; survey is what the "
+        "survey states of its own points."
+    )
     found, points = block_findings(check), [piece for judged in check.judged for piece in _points(judged)]
     listed = [
         verdict_section(given or block_verdict(check, found), catalogue("en")),
@@ -277,7 +286,7 @@ def _label(judged: Judged) -> str:
 
 def _row(judged: Judged, group: Differences) -> tuple[str, ...]:
     ratio = "-" if math.isnan(group.ratio) else f"{group.ratio:.2f}"
-    figures = (f"{v:.4f}" for v in (*group.rmse, *group.predicted))
+    figures = (f"{v:.4f}" for v in (*group.rmse, *group.predicted, *group.survey))
     return (judged.result.method, group.role, str(len(group.names)), *figures, ratio)
 
 

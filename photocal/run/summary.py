@@ -439,7 +439,7 @@ def _class_texts(standards: list[dict[str, Any]]) -> Iterator[str]:
         elif standard["horizontal"] is not None and standard["vertical"] is not None:
             yield (
                 f"{standard['standard']}: horizontal {standard['horizontal']['class_cm']} cm, "
-                f"vertical {standard['vertical']['class_cm']} cm"
+                f"vertical {standard['vertical']['class_cm']} cm ({standard['condition']})"
             )
 
 

@@ -156,6 +156,7 @@ def table() -> tuple[Fault, ...]:
             ("IMG_0012",),
         ),
         Fault("positions' scale 400 ppm", Errors(plane_scale=4e-4), ("positions-scale", "scale"), (), TEN),
+        Fault("GNSS 5 cm low", Errors(datum_m=(0.0, 0.0, -0.05)), ()),
         Fault("datum 5 cm low, no control", Errors(datum_m=(0.0, 0.0, -0.05)), (), (), NO_CONTROL),
         Fault("2 % of rays 20 times worse", Errors(gross=0.02), worse),
         Fault("5 % of rays 20 times worse", Errors(gross=0.05), worse),

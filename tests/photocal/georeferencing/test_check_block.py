@@ -83,7 +83,7 @@ def test_text_has_methods_and_classes_side_by_side(photocal: Photocal, folder: P
     line = next(row for row in said.out.splitlines() if row.startswith("pec-pcd planimetry at 1:1 000"))
     assert line.count("precision A, accuracy A") == 3
     report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
-    assert "| pec-pcd planimetry at 1:1 000 |" in report
+    assert "| pec-pcd planimetry at 1:1 000, 20 check points |" in report
     assert "cannot separate vertical lever arm and height datum" in report
 
 
