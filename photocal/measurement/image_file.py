@@ -54,9 +54,14 @@ class PictureTooLargeError(InputMalformedError):
 def list_images(folder: Path) -> tuple[Path, ...]:
     """List the image files of a folder, by their names; of one without, those of the folders in it.
 
+    folder: may be a pattern of names with * and ?, such as `DCIM/DJI_*/*_W.JPG`, where it is no folder.
+
     raises InputNotFoundError: when the folder does not exist or has no image.
     raises InputMalformedError: when folders in it have images of the same names.
     """
+    at = next((k for k, part in enumerate(folder.parts) if set(part) & {"*", "?"}), 0)
+    if at and not folder.is_dir():
+        return tuple(_of_pattern(Path(*folder.parts[:at]), "/".join(folder.parts[at:]), folder))
     if not folder.is_dir():
         raise InputNotFoundError("is not a folder", "name the folder with the images", where=folder)
     files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
@@ -92,6 +97,23 @@ def _of_heads(folder: Path) -> list[Path]:
     """Images of the folders in a folder, one for each camera of a frame."""
     below = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
     pictures = [path for part in below for path in part.iterdir() if path.suffix.lower() in SUFFIXES]
+    return _each_once(pictures, folder)
+
+
+def _of_pattern(root: Path, pattern: str, where: Path) -> list[Path]:
+    """Images below a folder whose names fit a pattern."""
+    if not root.is_dir():
+        raise InputNotFoundError("is not a folder", "name the folder with the images", where=root)
+    fitting = [path for path in root.glob(pattern) if not path.name.startswith(".")]
+    pictures = [path for path in fitting if path.suffix.lower() in SUFFIXES and path.is_file()]
+    if not pictures:
+        raise InputNotFoundError("fits no image", f"it takes {', '.join(SUFFIXES)}", where=where)
+    require_names(pictures)
+    return _each_once(pictures, where)
+
+
+def _each_once(pictures: Iterable[Path], folder: Path) -> list[Path]:
+    """Images in the order of their names, of which none may come twice."""
     place: dict[str, Path] = {}
     for path in pictures:
         if path.name in place:
@@ -101,7 +123,7 @@ def _of_heads(folder: Path) -> list[Path]:
                 where=folder,
             )
         place[path.name] = path
-    return sorted(pictures, key=lambda path: path.name)
+    return sorted(place.values(), key=lambda path: path.name)
 
 
 def each_picture(

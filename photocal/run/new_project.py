@@ -15,7 +15,7 @@ from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
-from photocal.measurement.camera_heads import HeadGroup, recognised_heads
+from photocal.measurement.camera_heads import HeadGroup
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after
@@ -23,6 +23,7 @@ from photocal.measurement.picture_tests import judge_cameras, told_beside
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
+from photocal.run.camera_card import chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, ControlFile, FolderContents, survey
 
 PICTURES = "pictures.csv"
@@ -64,20 +65,15 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
             "; ".join(seen.unread[:3]) or "name the folder of a flight",
             where=folder,
         )
-    pictures = max(seen.pictures, key=lambda where: len(seen.pictures[where]), default=None)
-    facts = seen.pictures[pictures] if pictures is not None else ()
-    frame = recognised_heads(
-        {where / image.name: image for where, some in seen.pictures.items() for image in some}
-    )
-    if frame is not None:
-        facts = tuple(
-            image for w, some in seen.pictures.items() for image in some if w / image.name in frame.head
-        )
-        pictures = Path(os.path.commonpath([path.parent for path in frame.head]))
+    chosen = chosen_pictures(folder, seen.pictures, seen.events)
+    seen.pictures, seen.events = chosen.pictures, list(chosen.events)
+    pictures, facts, frame = chosen.folder, chosen.facts, chosen.frame
     control = _chosen(seen, facts)
     if crs and control is not None:
         control = replace(control, crs=crs)
     text = _Text(folder, seen, facts, pictures, control, crs, height, frame)
+    text.known += chosen.known
+    text.missing += chosen.missing
     files = {NAME: "\n".join(text.lines()) + "\n"}
     if text.listed:
         files[PICTURES] = text.pictures_table()

@@ -1,0 +1,239 @@
+"""The card of a DJI camera: its pictures by lens and flight, and what on it is no picture of a flight.
+
+`DCIM` has folders such as `100MEDIA`, `100_0001` or `DJI_202206021430_001_name`. A camera of several lenses
+writes one picture each and ends its name with a letter: `_W` wide, `_Z` zoom, `_T` thermal, `_V` visible,
+`_D` colour beside the bands `_MS_G`, `_MS_R`, `_MS_RE`, `_MS_NIR`, `_S` what its screen showed. Panoramas and
+hyperlapses have folders of their own, and thumbnails lie in `THM`. Source: folders of DJI's cameras.
+"""
+
+import datetime as dt
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from glob import escape
+from itertools import takewhile
+from os.path import commonpath
+from pathlib import Path
+
+import numpy as np
+
+from photocal.measurement.camera_heads import HeadGroup, recognised_heads
+from photocal.measurement.image_facts import ImageFacts
+
+# Lenses in the order in which a block is made of their pictures; "" is a camera of one lens.
+LENSES = {
+    "W": "wide",
+    "V": "visible",
+    "D": "colour",
+    "": "only lens",
+    "MS": "bands",
+    "Z": "zoom",
+    "T": "thermal",
+}
+# What stands in such folders or ends so is no picture of a block.
+ASIDE = {
+    "panorama": "panoramas", "pano": "panoramas", "hyperlapse": "hyperlapses", "timelapse": "time lapses",
+    "thm": "thumbnails", "thumbnail": "thumbnails", "thumbnails": "thumbnails", "misc": "thumbnails",
+    "s": "pictures of the screen", "scr": "pictures of the screen",
+}  # fmt: skip
+# Pictures with a longer pause between them are of two flights, s.
+PAUSE_S = 600.0
+_MEDIA = re.compile(r"(?i)\d{3}_?(media|\d{4})|dji_\d{12}_\d{3}(_.*)?|dcim|panorama|hyperlapse")
+_MISSION = re.compile(r"(?i)dji_\d{12}_\d{3}(_.*)?")
+_NAME = re.compile(r"(?i)(?:dji|\d{3}|pano|max|hyperlapse)_.*?(?:\d{3,5})(?:_([A-Z]+(?:_[A-Z]+)?))?")
+Pictures = Mapping[Path, tuple[ImageFacts, ...]]
+
+
+@dataclass(frozen=True)
+class ChosenPictures:
+    """Pictures that a project is made of, and the others.
+
+    pictures: under the folder, or the pattern of names, that stands for them alone.
+    folder, facts: of those that are used. frame: where several cameras expose together.
+    events: lists of exposures that belong to them.
+    known, missing: what was sorted, and what is left out that somebody might want, a sentence each.
+    """
+
+    pictures: dict[Path, tuple[ImageFacts, ...]]
+    folder: Path | None
+    facts: tuple[ImageFacts, ...]
+    frame: HeadGroup | None
+    events: tuple[Path, ...]
+    known: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+
+
+def chosen_pictures(folder: Path, pictures: Pictures, events: Sequence[Path]) -> ChosenPictures:
+    """Choose pictures: of a card those of one lens, else the largest folder, or all cameras of a frame."""
+    card = _sorted_card(folder, pictures, events)
+    if card is not None:
+        return card
+    largest = max(pictures, key=lambda where: len(pictures[where]), default=None)
+    facts = pictures[largest] if largest is not None else ()
+    frame = recognised_heads(
+        {where / image.name: image for where, some in pictures.items() for image in some}
+    )
+    if frame is not None:
+        facts = tuple(
+            image for where, some in pictures.items() for image in some if where / image.name in frame.head
+        )
+        largest = Path(commonpath([path.parent for path in frame.head]))
+    return ChosenPictures(dict(pictures), largest, facts, frame, tuple(events))
+
+
+def _sorted_card(folder: Path, pictures: Pictures, events: Sequence[Path]) -> ChosenPictures | None:
+    """Sort the pictures of a card; None where nothing is to be sorted, or the folder is no card."""
+    paths = {where / image.name: image for where, some in pictures.items() for image in some}
+    if not any(_MEDIA.fullmatch(part) for path in paths for part in path.relative_to(folder).parts[:-1]):
+        return None
+    aside, lenses = defaultdict[str, list[Path]](list), defaultdict[str, list[Path]](list)
+    for path in sorted(paths):
+        lens, kind = _lens(path.name), _aside(folder, path)
+        (aside[kind] if kind else lenses[lens]).append(path)
+    # Cameras of a frame expose together, and their names tell it; lenses on one gimbal see other light.
+    bands = set(lenses) <= {"", "MS"}
+    if not lenses or (not aside and bands and (len(pictures) == 1 or recognised_heads(paths))):
+        return None
+    known = [f"{len(some)} {kind}: left out" for kind, some in sorted(aside.items())]
+    missing, sets = list[str](), dict[Path, tuple[ImageFacts, ...]]()
+    for lens in sorted(lenses, key=lambda lens: (_place(lens), lens)):
+        kept, twice = _once(lenses[lens])
+        pattern = _pattern(kept, paths.keys() - set(kept))
+        taken = [path for path in kept if path.parent == pattern or _fits(path, pattern)]
+        sets[pattern] = tuple(paths[path] for path in taken)
+        known.append(_sentence(lens, {path: paths[path] for path in taken}))
+        missing += [
+            f"pictures of {_named(folder, where)} cannot be read together with those of other folders "
+            "(names that come twice, or folders of another depth): left out"
+            for where in sorted({path.parent for path in (set(kept) - set(taken)) | twice})
+        ]
+    first = next(iter(sets))
+    # Each list counts its own flight; pictures of another have the same numbers.
+    own = tuple(path for path in events if path.parent in (first, first.parent))
+    if len(own) < len(events) and not all(np.isfinite(image.position_sigma_m).all() for image in sets[first]):
+        missing.append("a list of exposures counts its own flight: photocal new on a flight's folder uses it")
+    return ChosenPictures(sets, first, sets[first], None, own, tuple(known), tuple(dict.fromkeys(missing)))
+
+
+def flights_of(pictures: Mapping[Path, ImageFacts]) -> tuple[tuple[ImageFacts, ...], ...]:
+    """Pictures by flight: between two lies a pause, or another folder of a mission."""
+    timed = sorted(pictures, key=lambda path: (pictures[path].taken, path))
+    flights, last, where = list[list[ImageFacts]](), "", Path()
+    for path in timed:
+        image = pictures[path]
+        other = path.parent != where and bool(_MISSION.fullmatch(path.parent.name))
+        if not flights or other or (last and image.taken and _apart_s(last, image.taken) > PAUSE_S):
+            flights.append([])
+        flights[-1].append(image)
+        last, where = image.taken, path.parent
+    return tuple(tuple(flight) for flight in flights)
+
+
+def _apart_s(first: str, then: str) -> float:
+    return (dt.datetime.fromisoformat(then) - dt.datetime.fromisoformat(first)).total_seconds()
+
+
+def _sentence(lens: str, pictures: Mapping[Path, ImageFacts]) -> str:
+    flights = flights_of(pictures)
+    what = f"lens {lens}" if lens else "one lens"
+    what += f" ({LENSES[lens]})" if LENSES.get(lens) else ""
+    times = (flight[0].taken.replace("T", " ") for flight in flights)
+    each = (
+        f"{len(flight)} from {time}" if time else f"{len(flight)}"
+        for flight, time in zip(flights, times, strict=True)
+    )
+    count = f"{len(flights)} flights" if len(flights) > 1 else "one flight"
+    return f"{what}: {len(pictures)} pictures of {count} ({'; '.join(each)})"
+
+
+def _lens(name: str) -> str:
+    """Letters of the lens at the end of a name; empty for a camera of one."""
+    found = _NAME.fullmatch(Path(name).stem)
+    letters = (found[1] or "").upper() if found else ""
+    return letters.partition("_")[0]
+
+
+def _place(lens: str) -> int:
+    order = list(LENSES)
+    return order.index(lens) if lens in order else len(order)
+
+
+def _aside(folder: Path, path: Path) -> str:
+    """What a picture is that is none of a block; empty for one that is."""
+    parts = [part.casefold() for part in path.relative_to(folder).parts[:-1]]
+    kind = next((ASIDE[part] for part in parts if part in ASIDE), "")
+    if kind:
+        return kind
+    words = re.split(r"[_\-]", path.stem.casefold())
+    return ASIDE.get(words[-1], "") or (ASIDE["pano"] if words[0] == "pano" else "")
+
+
+def _once(paths: Sequence[Path]) -> tuple[list[Path], set[Path]]:
+    """Pictures whose names come once, and the others; of folders with equal names the larger one stays."""
+    of = defaultdict[Path, list[Path]](list)
+    for path in paths:
+        of[path.parent].append(path)
+    kept, taken, left = list[Path](), set[str](), set[Path]()
+    for where in sorted(of, key=lambda where: (-len(of[where]), where)):
+        names = {path.name for path in of[where]}
+        if names & taken:
+            left.update(of[where])
+        else:
+            kept += of[where]
+            taken |= names
+    return sorted(kept), left
+
+
+def _pattern(kept: Sequence[Path], others: Iterable[Path]) -> Path:
+    """The folder that has these pictures alone, or a pattern of names for as many of them as one has."""
+    folders = sorted({path.parent for path in kept})
+    if len(folders) == 1 and not any(path.parent == folders[0] for path in others):
+        return folders[0]
+    root = folders[0] if len(folders) == 1 else Path(commonpath(folders))
+    parts = [folder.relative_to(root).parts for folder in folders]
+    if len({len(part) for part in parts}) > 1:
+        most = max(folders, key=lambda folder: sum(path.parent == folder for path in kept))
+        return _pattern([path for path in kept if path.parent == most], others)
+    names = [path.name for path in kept]
+    for alike in (_begin_and_end, _letter_by_letter):
+        pattern = root.joinpath(*(alike(at) for at in zip(*parts, strict=True)), alike(names))
+        if not any(_fits(path, pattern) for path in others):
+            break
+    return pattern
+
+
+def _begin_and_end(names: Sequence[str]) -> str:
+    """A pattern for all of several names: what they begin and end with, and * between."""
+    if len(set(names)) == 1:
+        return escape(names[0])
+    # Digits that happen to be the same tell nothing.
+    begin = _common_begin(names).rstrip("0123456789")
+    end = _common_begin([name[len(begin) :][::-1] for name in names])[::-1].lstrip("0123456789")
+    return f"{escape(begin)}*{escape(end)}"
+
+
+def _common_begin(names: Sequence[str]) -> str:
+    same = takewhile(lambda at: len(set(at)) == 1, zip(*names, strict=False))
+    return "".join(at[0] for at in same)
+
+
+def _letter_by_letter(names: Sequence[str]) -> str:
+    """The same for names of one length: ? for a letter that varies."""
+    if len({len(name) for name in names}) > 1:
+        return _begin_and_end(names)
+    letters = zip(*names, strict=True)
+    return "".join(escape(at[0]) if len(set(at)) == 1 else "?" for at in letters)
+
+
+def _fits(path: Path, pattern: Path) -> bool:
+    """Whether a file is one of a pattern of names."""
+    pairs = zip(path.parts, pattern.parts, strict=False)
+    return len(path.parts) == len(pattern.parts) and all(
+        name == part or fnmatchcase(name, part) for name, part in pairs
+    )
+
+
+def _named(folder: Path, where: Path) -> str:
+    return where.relative_to(folder).as_posix()

@@ -1,0 +1,221 @@
+"""A `params` folder as Pix4Dmapper leaves it, written from a reconstruction: the heads of real files.
+
+The layout is that of the description of real projects (581 images of one camera, and rigs of five); nothing
+of it is taken from the reader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photocal.exchange.pinhole import Pinhole, to_pinhole, to_vision
+from photocal.exchange.reconstruction import Reconstruction
+
+Floats = NDArray[np.float64]
+ERRORS_HEAD = (
+    "imageName, cameraIndex, cameraName, X_opt, Y_opt, Z_opt, X_gps, Y_gps, Z_gps, X_acc, Y_acc, Z_acc, "
+    "Omega, Phi, Kappa, X_uncertainty, Y_uncertainty, Z_uncertainty, Omega_uncertainty, Phi_uncertainty, "
+    "Kappa_uncertainty, inlierProb"
+)
+GROUND_HEAD = (
+    "GCP label, GCP measured X, GCP measured Y, GCP measured Z, GCP estimated X, GCP estimated Y, "
+    "GCP estimated Z, GCP weight, GCP visible in # images"
+)
+# Weights of surveyed points come near to 1; that of a manual tie point is it.
+SURVEYED, MANUAL = 0.9999997, 1.0
+
+
+def digits(values: Sequence[float] | Floats) -> list[str]:
+    """Numbers as Pix4Dmapper writes them."""
+    return [f"{float(value):.20f}" for value in values]
+
+
+def write_params(
+    folder: Path,
+    given: Reconstruction,
+    *,
+    name: str = "field 3",
+    manual: Sequence[int] = (),
+    offset: Floats | None = None,
+    positions: Floats | None = None,
+    accuracy_m: float = 0.02,
+) -> None:
+    """Write the folder.
+
+    given: in map coordinates. manual: tie points that a person has marked; the first has zeros as its
+    "measured" place, the others what the program computed in an earlier state, 0.28 m lower.
+    positions (images, 3): by GNSS; as adjusted without them.
+    """
+    at = np.zeros(3) if offset is None else offset
+    places = given.poses[:, 3:]
+    rotation, _ = to_vision(given.poses)
+    lenses = [to_pinhole(camera, "Pix4D")[0] for camera in given.cameras]
+    pitches = [camera.pitch[0] if camera.unit == "mm" else 0.005 for camera in given.cameras]
+    files = {
+        "calibrated_camera_parameters.txt": _cameras(given, lenses, places - at, rotation),
+        "calibrated_external_camera_parameters.txt": _table(
+            "imageName X Y Z Omega Phi Kappa",
+            given.image_names,
+            np.column_stack([places, np.degrees(given.poses[:, :3])]),
+            " ",
+        ),
+        "calibrated_external_camera_parameters_error.txt": _errors(
+            given, places if positions is None else positions, accuracy_m
+        ),
+        "calibrated_images_position.txt": _table("", given.image_names, places, ","),
+        "offset.xyz": " ".join(digits(at)),
+        "measured_estimated_gcps_position.txt": _ground(given, manual),
+        "measured_gcps_position.txt": "\n".join(
+            " ".join(digits(given.xyz[k])) for k in [*given.of_role("control"), *manual]
+        ),
+        "estimated_gcps_position.txt": "\n".join(
+            ", ".join([given.point_names[k], *digits(given.xyz[k])])
+            for k in [*given.of_role("control"), *manual]
+        ),
+        "pmatrix.txt": _pmatrix(given, lenses, places - at, rotation),
+        "pix4d_calibrated_internal_camera_parameters.cam": _cam(lenses, pitches),
+        "calibrated_internal_camera_parameters.cam": _inpho(lenses, pitches),
+    }
+    for ending, text in files.items():
+        (folder / f"{name}_{ending}").write_text(text + "\n", encoding="utf-8")
+    _bingo(
+        folder / f"{name}_tp_bingo.txt",
+        given,
+        pitches,
+        {*given.of_role("control"), *given.of_role("check"), *manual},
+    )
+
+
+def _table(head: str, names: Sequence[str], values: Floats, between: str) -> str:
+    rows = (between.join([name, *digits(row)]) for name, row in zip(names, values, strict=True))
+    return "\n".join([head, *rows] if head else rows)
+
+
+def _matrix(lens: Pinhole) -> Floats:
+    """K of a program whose upper-left pixel has its corner at (0, 0)."""
+    return np.array([[lens.fx, 0, lens.cx + 0.5], [0, lens.fy, lens.cy + 0.5], [0, 0, 1]])
+
+
+def _cameras(given: Reconstruction, lenses: Sequence[Pinhole], places: Floats, rotation: Floats) -> str:
+    head = "\n".join(
+        [
+            "fileName imageWidth imageHeight ",
+            "camera matrix K [3x3]",
+            "radial distortion [3x1]",
+            "tangential distortion [2x1]",
+            "camera position t [3x1]",
+            "camera rotation R [3x3]",
+            "camera model m = K [R|-Rt] X",
+            "",
+        ]
+    )
+    rows = [head]
+    for k, name in enumerate(given.image_names):
+        lens = lenses[given.image_camera[k]]
+        width, height = lens.size_px
+        numbers = [*_matrix(lens), [lens.k1, lens.k2, lens.k3], [lens.p1, lens.p2], places[k], *rotation[k]]
+        rows += [f"{name} {width} {height}", *(" ".join(digits(row)) for row in numbers)]
+    return "\n".join(rows)
+
+
+def _errors(given: Reconstruction, positions: Floats, accuracy_m: float) -> str:
+    rows = [ERRORS_HEAD]
+    for k, name in enumerate(given.image_names):
+        which = given.image_camera[k]
+        width, height = given.cameras[which].size_px
+        cells = [*given.poses[k, 3:], *positions[k], *[accuracy_m] * 3, *np.degrees(given.poses[k, :3])]
+        cells += [0.004] * 3 + [0.002] * 3 + [0.99]
+        rows.append(
+            ", ".join([name, str(which), f"Own Camera{which}_20.0_{width}x{height} (RGB)(1)", *digits(cells)])
+        )
+    return "\n".join(rows)
+
+
+def _ground(given: Reconstruction, manual: Sequence[int]) -> str:
+    rays = np.bincount(given.point, minlength=len(given.xyz))
+    rows = [GROUND_HEAD]
+    for k in [*given.of_role("control"), *given.of_role("check"), *manual]:
+        measured = given.xyz[k]
+        if k in manual:
+            measured = np.zeros(3) if k == manual[0] else measured - [0, 0, 0.28]
+        weight = MANUAL if k in manual else SURVEYED
+        rows.append(
+            ", ".join([given.point_names[k], *digits([*measured, *given.xyz[k], weight]), str(rays[k])])
+        )
+    return "\n".join(rows)
+
+
+def _pmatrix(given: Reconstruction, lenses: Sequence[Pinhole], places: Floats, rotation: Floats) -> str:
+    rows = []
+    for k, name in enumerate(given.image_names):
+        turned = np.column_stack([rotation[k], -rotation[k] @ places[k]])
+        rows.append(" ".join([name, *digits((_matrix(lenses[given.image_camera[k]]) @ turned).ravel())]))
+    return "\n".join(rows)
+
+
+def _cam(lenses: Sequence[Pinhole], pitches: Sequence[float]) -> str:
+    rows = []
+    for k, (lens, pitch) in enumerate(zip(lenses, pitches, strict=True)):
+        width, height = lens.size_px
+        rows += [
+            f"Pix4D camera calibration file {k}",
+            "",
+            f"#Focal Length mm assuming a sensor width of {width * pitch:.20f}x{height * pitch:.20f}mm",
+            f"F {lens.fx * pitch:.20f}",
+            "",
+            "#Principal Point mm",
+            f"Px {(lens.cx + 0.5) * pitch:.20f}",
+            f"Py {(lens.cy + 0.5) * pitch:.20f}",
+            "",
+            "#Symmetrical Lens Distortion Coeffs",
+            *(f"K{n} {getattr(lens, f'k{n}'):.20f}" for n in (1, 2, 3)),
+            "",
+            "#Tangential Lens Distortion Coeffs",
+            *(f"T{n} {getattr(lens, f'p{n}'):.20f}" for n in (1, 2)),
+            "",
+        ]
+    return "\n".join(rows)
+
+
+def _inpho(lenses: Sequence[Pinhole], pitches: Sequence[float]) -> str:
+    rows = []
+    for lens, pitch in zip(lenses, pitches, strict=True):
+        width, height = lens.size_px
+        x, y = (lens.cx + 0.5 - width / 2) * pitch, (height / 2 - lens.cy - 0.5) * pitch
+        rows += [
+            "VERSION 3.0",
+            f"#Focal Length mm assuming a sensor width of {width * pitch:.20f}x{height * pitch:.20f}mm",
+            f"FOCAL {lens.fx * pitch:.20f}",
+            "#Principal Point Offset xpoff ypoff in mm (Inpho)",
+            f"XPOFF {x:.20f}",
+            f"YPOFF {y:.20f}",
+            "#Principal Point Offset xpoff ypoff in mm, x mirrored",
+            f"#XPOFF {-x:.20f}",
+            f"#YPOFF {y:.20f}",
+            "#Principal Point Offset in pixel",
+            f"#XPOFF {lens.cx + 0.5:.20f}",
+            f"#YPOFF {lens.cy + 0.5:.20f}",
+        ]
+    return "\n".join(rows)
+
+
+def _bingo(path: Path, given: Reconstruction, pitches: Sequence[float], marked: set[int]) -> None:
+    names = [f"GCP_{name}" if k in marked else name for k, name in enumerate(given.point_names)]
+    order = np.argsort(given.image, kind="stable")
+    bounds = np.searchsorted(given.image[order], np.arange(len(given.image_names) + 1))
+    with path.open("w", encoding="utf-8") as out:
+        for k, image in enumerate(given.image_names):
+            which = given.image_camera[k]
+            (width, height), pitch = given.cameras[which].size_px, pitches[which]
+            out.write(f"{Path(image).stem} H{which}_{width * pitch:.4f}_{height * pitch:.4f}\n")
+            rays = order[bounds[k] : bounds[k + 1]]
+            x = (given.pixels[rays, 0] - (width - 1) / 2) * pitch
+            y = ((height - 1) / 2 - given.pixels[rays, 1]) * pitch
+            out.writelines(
+                f"{names[p]} {a:.20f} {b:.20f}\n" for p, a, b in zip(given.point[rays], x, y, strict=True)
+            )
+            out.write("-99\n")
