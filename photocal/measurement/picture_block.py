@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 
 from photocal.base.arrays import Flags, Integers
-from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.errors import ConfigurationError
 from photocal.base.progress import Progress
 from photocal.base.workers import one_crew
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
+from photocal.block.network import block_frame
 from photocal.block.rig import make_heads
 from photocal.block.table import known_rows, read_table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import as_record
 from photocal.geometry.camera import Camera, among
+from photocal.geometry.oriented_images import local_poses
 from photocal.measurement.block_files import MeasuredBlock
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, list_images
@@ -42,7 +44,8 @@ from photocal.measurement.measurement_record import (
     tie_record,
 )
 from photocal.measurement.orientation import Orientation
-from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
+from photocal.measurement.control_fit import FEWEST_CONTROL
+from photocal.measurement.oriented_ties import orient_ties
 from photocal.measurement.patch_matching import Source
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
 from photocal.measurement.position_files import Given, local_places, map_places, read_positions
@@ -189,9 +192,6 @@ def measure_project(
     starts: Images | None = None
     if exposures is not None:
         starts = Images.observed(replace(exposures.images, covariance=None))
-    unmarked = not by_hand and not project.control.coded_targets
-    if starts is None and project.crs == "local" and unmarked and points.of_role("control").any():
-        raise _nowhere(project.name)
     if not project.cameras:
         raise ConfigurationError("the project has no [[camera]]", "add one: see docs/block-folder.md")
     camera_of, exposure_of = pictures_of_heads(project)
@@ -228,14 +228,13 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     start = _start(known, control, tracked.facts, given)
     targets = _targets(known, tracked.sources, control.points, plan, progress)
     block, unknown = with_marks(start, (*control.marks, *targets.marks))
-    placed = np.isfinite(start.images.values[:, 3:]).all(axis=1).any() or len(marked_control(block))
-    if project is not None and not placed:
-        if control.crs != "local" or control.points.of_role("control").any():
-            raise _nowhere(known.name)
+    positions_known = np.isfinite(start.images.values[:, 3:]).all(axis=1).any()
+    if project is not None and not positions_known and not block.points.of_role("control").any():
         block = replace(block, datum="free")
     tracks = from_two_exposures(tracked.tracks, start.images.exposure)
     soft = _with_loose_positions(block, any_surface=project is None)
     oriented = orient_ties(soft, tracked.sources, tracks, tracked.pairs, plan.processes, progress)
+    block = _as_fitted(block, oriented.marked)
     final, measured, findings = oriented.adjusted, oriented.adjusted.block, list(oriented.findings)
     if project is not None:
         holding = HOLDING if known.starts is None else ((),)
@@ -249,11 +248,11 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
             above = any(facts.altitude_kind == ABOVE_TAKE_OFF for facts in tracked.facts)
             if above and control.crs != "local" and len(marked_control(block)) < FEWEST_CONTROL:
                 findings.append(Finding("heights-above-take-off", "doubtful"))
-    suspects = suspected_marks(final, control.points)
+    suspects = suspected_marks(final)
     bare = [Finding("no-coordinates", "doubtful", point) for point in control.without_coordinates]
     left_out = (*tracked.left_out, *oriented.left_out)
     marks = findings_of_marks(unknown, targets.strangers, suspects, left_out)
-    used = int(np.count_nonzero(final.block.observations.point < len(control.points.names)))
+    used = int(np.count_nonzero(final.block.observations.point < len(final.start.points.names)))
     positions = position_figures(tracked.facts, start.images.sigma[:, 3:])
     record: dict[str, Any] = {
         **tie_record(tracked, oriented),
@@ -266,7 +265,33 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         "suspected_marks": suspects,
         **as_record([*targets.findings, *bare, *findings, *marks]),
     }
-    return MeasuredBlock(measured, record)
+    return MeasuredBlock(without_a_place(measured), record)
+
+
+def _as_fitted(block: Block, marked: Block) -> Block:
+    """The block with the control and the marks of another of its images."""
+    place = {name: k for k, name in enumerate(block.images.names)}
+    image = np.array([place[name] for name in marked.images.names], dtype=np.int64)
+    seen = marked.observations
+    return replace(
+        block, points=marked.points, observations=replace(seen, image=image[seen.image])
+    )
+
+
+def without_a_place(block: Block) -> Block:
+    """A free block in a system of its own: that of the project would say where it lies, which nobody knows."""
+    if block.datum != "free" or block.frame == "local":
+        return block
+    frame = block_frame(block)
+    poses = local_poses(frame, block.images.values)
+    points = frame.to_local(block.points.values)
+    return replace(
+        block,
+        frame="local",
+        height="",
+        images=replace(block.images, values=poses),
+        points=replace(block.points, values=points),
+    )
 
 
 def _start(
@@ -371,14 +396,6 @@ def control_points(project: Project) -> ObjectPoints:
     """Surveyed points of a project; none without a table."""
     path = project.control.points
     return NO_POINTS if path is None else read_points(path)
-
-
-def _nowhere(name: str) -> InputNotFoundError:
-    return InputNotFoundError(
-        "neither the images nor marks of control points say where the block is",
-        "give exposures, images with positions, or marks of at least three control points",
-        where=name,
-    )
 
 
 def _with_loose_positions(block: Block, *, any_surface: bool) -> Block:
