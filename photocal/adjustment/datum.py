@@ -100,7 +100,7 @@ def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats
 def _resistance(problem: Problem, normal: Normal) -> Floats:
     """What resists each unknown of the reduced system.
 
-    Of an image whose points lie along its rays, or at its centre, nothing is left but rounding, of either sign.
+    Of an image at its own points, or with all of them along one ray, only rounding is left, of either sign.
     """
     return np.maximum(normal.matrix[diagonal_addresses(problem)], 0.0)
 

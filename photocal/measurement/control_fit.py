@@ -121,7 +121,7 @@ def fit_control(adjusted: AdjustedTies, start: Block, views: OrientedImages) -> 
         if not fit.fits[k] and (controlled or placed)
     ]
     # What has a single ray is held against where the others put it.
-    single = ~np.isfinite(rays.met).all(axis=1)
+    single = np.bincount(rays.tracks.track, minlength=len(points.names)) == 1
     if controlled or placed:
         limit = _limit_px(views) + _tolerance(target[judged[fit.fits]], sigma[fit.fits]) / (move.scale * gsd)
         shown, away = _shown(rays.tracks, views, move, target)
@@ -134,7 +134,9 @@ def fit_control(adjusted: AdjustedTies, start: Block, views: OrientedImages) -> 
     partly = points.of_role("control") & ~np.isfinite(points.sigma).all(axis=1)
     keeps |= partly & (controlled or placed)
     why = fit.why if control.any() else ""
-    findings += _sentences(fit, why, target, judged, views, adjusted, placed=placed, listed=int(control.sum()))
+    findings += _sentences(
+        fit, why, target, judged, views, adjusted, placed=placed, listed=int(control.sum())
+    )
     block = _with_what_fits(start, adjusted, rays, keeps, free=not (controlled or placed))
     if controlled and any(finding.code == "control-against-positions" for finding in findings):
         block.images.sigma[:, 3:] = np.inf
@@ -272,9 +274,7 @@ def _position_sigma(adjusted: AdjustedTies) -> float:
     return float(np.median(sigma[np.isfinite(sigma)])) if np.isfinite(sigma).any() else 0.0
 
 
-def _shown(
-    marks: Tracks, views: OrientedImages, move: Similarity, target: Floats
-) -> tuple[Flags, Floats]:
+def _shown(marks: Tracks, views: OrientedImages, move: Similarity, target: Floats) -> tuple[Flags, Floats]:
     """Points that have marks and a survey, and by how much the marks miss it, px."""
     back = (target - move.shift) @ move.rotation / move.scale
     away = np.full(len(target), np.nan)
@@ -361,9 +361,7 @@ def _sentences(
     return findings
 
 
-def _with_what_fits(
-    start: Block, adjusted: AdjustedTies, rays: _Rays, keeps: Flags, *, free: bool
-) -> Block:
+def _with_what_fits(start: Block, adjusted: AdjustedTies, rays: _Rays, keeps: Flags, *, free: bool) -> Block:
     """The block of the oriented images with the marks that fit.
 
     Of points that do not fit, the marks that meet stay: they are points like others.
@@ -378,7 +376,8 @@ def _with_what_fits(
     elif free:
         sigma[:] = np.inf
     marks = rays.tracks
-    used = rays.meets | (keeps | tie)[marks.track]
+    single = np.bincount(marks.track, minlength=len(keeps)) == 1
+    used = rays.meets | (keeps & ~tie & single)[marks.track]
     left_over = ~keeps & ~tie
     known = ObjectPoints(
         points.names,

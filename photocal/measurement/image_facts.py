@@ -73,6 +73,7 @@ class ImageFacts:
     f_number, focus_m: aperture, and distance focused at; NaN when not given.
     lens, firmware: as the camera calls them; empty when not given.
     velocity_m_s: east, north, up, by the maker's inertial unit; NaN when not given.
+    full_size_px: what EXIF says that the picture was stored with; zeros when not given.
     turns (n, 4): recorded by the maker's gyroscope, see `recorded_turns`; empty when not given.
     """
 
@@ -103,6 +104,7 @@ class ImageFacts:
     lens: str = ""
     firmware: str = ""
     velocity_m_s: Triple = _NOT_GIVEN
+    full_size_px: tuple[int, int] = (0, 0)
     turns: Floats = field(default_factory=lambda: np.zeros((0, 4)), compare=False)
 
     @property
@@ -161,8 +163,14 @@ def read_facts(path: Path) -> ImageFacts:
         lens=_text(exif.get(0xA434)),
         firmware=_text(main.get(0x0131)),
         velocity_m_s=_velocity(xmp),
+        full_size_px=_full_size(exif),
         turns=recorded_turns(text if _of_sequoia(xmp) else "", _number(xmp.get("IMUTimeOffset"))),
     )
+
+
+def _full_size(exif: Mapping[int, Any]) -> tuple[int, int]:
+    width, height = (_number(exif.get(tag)) for tag in (0xA002, 0xA003))
+    return (int(width), int(height)) if 0 < width < 1e6 and 0 < height < 1e6 else (0, 0)
 
 
 def clock_seconds(facts: Sequence[ImageFacts]) -> Floats:

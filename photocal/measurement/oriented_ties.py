@@ -116,7 +116,7 @@ def first_orientation(marked: Block, tracks: Tracks) -> First:
 def _with_control(
     alone: AdjustedTies, fitted: FittedControl, findings: list[Finding]
 ) -> tuple[AdjustedTies, Block, list[Finding]]:
-    """Adjust anew with the control that fits, and give the block with it; without any where it does not hold."""
+    """Adjust anew with the control that fits, and give the block with it; without where it does not hold."""
     if fitted.controlled:
         findings = [finding for finding in findings if finding.code not in _WITHOUT_CONTROL]
     findings = [*findings, *fitted.findings]

@@ -13,8 +13,8 @@ from photocal.base.errors import ConfigurationError
 from photocal.base.progress import Progress
 from photocal.base.workers import one_crew
 from photocal.block.folder import read_points
-from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
-from photocal.block.network import block_frame
+from photocal.block.model import NO_POINTS, ROLES, Block, Images, ObjectPoints
+from photocal.block.network import OTHER_SURFACE_M, block_frame
 from photocal.block.rig import make_heads
 from photocal.block.table import known_rows, read_table
 from photocal.findings.finding import Finding
@@ -22,6 +22,8 @@ from photocal.findings.texts import as_record
 from photocal.geometry.camera import Camera, among
 from photocal.geometry.oriented_images import local_poses
 from photocal.measurement.block_files import MeasuredBlock
+from photocal.measurement.control_fit import FEWEST_CONTROL
+from photocal.measurement.control_review import stray_points
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
@@ -44,7 +46,6 @@ from photocal.measurement.measurement_record import (
     tie_record,
 )
 from photocal.measurement.orientation import Orientation
-from photocal.measurement.control_fit import FEWEST_CONTROL
 from photocal.measurement.oriented_ties import orient_ties
 from photocal.measurement.patch_matching import Source
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
@@ -59,8 +60,6 @@ from photocal.project import Project
 
 # How far heads move (m) and turn (rad) on their frame while gross errors are sought.
 LOOSE_FRAME = 0.05, 0.002
-# With enough control points heights of the images are hardly needed; they may count from another surface.
-OTHER_SURFACE_M = 50.0
 Sizes = Mapping[str, tuple[int, int]]
 NO_CONTROL = ControlMarks("", NO_POINTS, ())
 
@@ -225,6 +224,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         tracked, member = _with_cameras(tracked, project.cameras, known.camera_of)
         given = project.cameras, member
     control = known.control({image.name: image.size_px for image in tracked.facts})
+    control, strays = _without_strays(control)
     start = _start(known, control, tracked.facts, given)
     targets = _targets(known, tracked.sources, control.points, plan, progress)
     block, unknown = with_marks(start, (*control.marks, *targets.marks))
@@ -263,9 +263,31 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
-        **as_record([*targets.findings, *bare, *findings, *marks]),
+        **as_record([*targets.findings, *strays, *bare, *findings, *marks]),
     }
     return MeasuredBlock(without_a_place(measured), record)
+
+
+def _without_strays(control: ControlMarks) -> tuple[ControlMarks, list[Finding]]:
+    """Control without the coordinates that are none of the site: their points are unknown ones."""
+    strays = stray_points(control.points, control.crs)
+    if not strays:
+        return control, []
+    rows = [stray.row for stray in strays]
+    points, named = control.points, [stray.slip for stray in strays]
+    values, sigma, role = points.values.copy(), points.sigma.copy(), points.role.copy()
+    values[rows], sigma[rows], role[rows] = np.nan, np.inf, ROLES.index("tie")
+    findings = [
+        Finding(
+            "control-far",
+            "doubtful",
+            stray.name,
+            {"km": stray.away_m / 1000, "slip": slip},
+            ("far-because",) if slip else (),
+        )
+        for stray, slip in zip(strays, named, strict=True)
+    ]
+    return replace(control, points=replace(points, values=values, sigma=sigma, role=role)), findings
 
 
 def _as_fitted(block: Block, marked: Block) -> Block:
@@ -273,13 +295,11 @@ def _as_fitted(block: Block, marked: Block) -> Block:
     place = {name: k for k, name in enumerate(block.images.names)}
     image = np.array([place[name] for name in marked.images.names], dtype=np.int64)
     seen = marked.observations
-    return replace(
-        block, points=marked.points, observations=replace(seen, image=image[seen.image])
-    )
+    return replace(block, points=marked.points, observations=replace(seen, image=image[seen.image]))
 
 
 def without_a_place(block: Block) -> Block:
-    """A free block in a system of its own: that of the project would say where it lies, which nobody knows."""
+    """A free block in a system of its own: in that of the project it would seem to have a place."""
     if block.datum != "free" or block.frame == "local":
         return block
     frame = block_frame(block)

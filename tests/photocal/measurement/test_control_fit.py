@@ -19,7 +19,9 @@ Floats = NDArray[np.float64]
 LENS = camera("c", "brown-ideal", "px", (1000, 800), (1.0, 1.0), {"c": 900.0})
 STATIONS = np.array([[x, y, 60.0 + 0.3 * x] for x in (-18.0, -6, 6, 18) for y in (-10.0, 10)])
 # Of nine points in the corners, at the sides and in the middle.
-SURVEY = np.array([[x, y, 0.1 * x - 0.05 * y + (2 if x * y else 0)] for x in (-30.0, 0, 30) for y in (-20.0, 0, 20)])
+SURVEY = np.array(
+    [[x, y, 0.1 * x - 0.05 * y + (2 if x * y else 0)] for x in (-30.0, 0, 30) for y in (-20.0, 0, 20)]
+)
 NAMES = tuple(f"P{k + 1}" for k in range(9))
 
 
@@ -100,8 +102,11 @@ def test_a_third_of_the_control_may_be_gross(wrong: str, positioned: bool) -> No
         stated = float(text.split(": by ")[1].split(" m")[0])
         assert stated == pytest.approx(metres, abs=0.3)
     assert stations(found) < 0.2
-    assert [name for name in found.marked.points.names if found.marked.points.of_role("control")[
-        found.marked.points.names.index(name)]] == [n for k, n in enumerate(NAMES) if k not in bad]
+    assert [
+        name
+        for name in found.marked.points.names
+        if found.marked.points.of_role("control")[found.marked.points.names.index(name)]
+    ] == [n for k, n in enumerate(NAMES) if k not in bad]
 
 
 def test_control_that_contradicts_itself_leaves_the_block_free() -> None:
