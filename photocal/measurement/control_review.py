@@ -16,6 +16,8 @@ FAR_M, FARTHER = 2_000.0, 20.0
 # Two names within so much, and within this share of the whole width, may be one point; one place, m.
 TWIN_M, TWIN_SHARE, SAME_M = 1.0, 0.02, 0.002
 FOOT_M = 0.3048
+# A height that is like the others but for a slip differs by so much from them, m.
+LEAST_M = 20.0
 # Neighbouring zones that are tried.
 ZONES = (-1, 1, -2, 2)
 MOST_NAMED = 5
@@ -125,6 +127,8 @@ def heights_apart(points: ObjectPoints) -> Iterator[str]:
     if len(known) < 3:
         return
     middle = float(np.median(heights[known]))
+    if np.ptp(heights[known]) == 0.0:
+        yield f"the heights of all {len(known)} points are {middle:g}, which no survey gives"
     usual = float(np.median(np.abs(heights[known] - middle)))
     width = float(
         np.linalg.norm(np.ptp(np.sort(points.values[known, :2], axis=0)[len(known) // 6 :], axis=0))

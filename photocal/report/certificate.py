@@ -18,6 +18,8 @@ from photocal.report.stored_analysis import AnalysedRun
 
 # Findings of the plausibility that a reader must see first.
 WEAK = "weak_principal_distance"
+# A block that neither control nor positions place.
+NOT_PLACED = "block-not-placed"
 WORDS = ("table", "figure", "page", "of", "contents")
 
 
@@ -161,7 +163,8 @@ def _verdicts(
     result, final = run.result, overall(run, known, warnings)
     tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
     head = Statement(tone, say(f"verdict.{final.code}"), finding_text(final, say))
-    verdicts = [head, *analysis_sections.warned(warnings, "warnings.verdict_title", "warnings.verdict", say)]
+    verdicts = [head, *_not_placed(warnings, say)]
+    verdicts += analysis_sections.warned(warnings, "warnings.verdict_title", "warnings.verdict", say)
     if not result.converged:
         text = say("verdict.diverged", iterations=result.iterations)
         verdicts.append(Statement("bad", say("verdict.diverged_title"), text))
@@ -178,6 +181,14 @@ def _verdicts(
     if result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
     return tuple(verdicts)
+
+
+def _not_placed(warnings: tuple[Finding, ...], say: Catalogue) -> list[Statement]:
+    """Say that a block lies nowhere, and why listed control does not place it."""
+    if not any(finding.code == NOT_PLACED for finding in warnings):
+        return []
+    why = [f for f in warnings if f.code in (NOT_PLACED, "control-not-used")]
+    return [Statement("bad", say("verdict.not_placed_title"), " ".join(finding_text(f, say) for f in why))]
 
 
 def _sections(

@@ -1,7 +1,7 @@
 """Control of a new project settled before any work: system, kind of heights, frame of the marks, slips."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -135,18 +135,26 @@ def _with_marks(
             f"{len(absent)} of {every} pictures are not in the folder: {listed(list(absent))}; "
             f"what is marked in them, {absent.total()} of {len(marks)} marks, is not used"
         )
-    here = [mark for mark in marks if mark.image in pictures]
+    here, again = dict[tuple[str, str], Mark](), list[Mark]()
+    for mark in marks:
+        if mark.image not in pictures:
+            continue
+        # A picture may stand there under two names, with its ending and without.
+        if here.setdefault((mark.image, mark.point), mark) is not mark:
+            again.append(mark)
     if told.frame is not None:
         made.frame = told.frame
     elif here:
-        made.frame = _frame(made, choose_frame(here, pictures, folder), useful=_useful(here))
-    stored = made.frame.stored(here, pictures)
+        found = choose_frame(list(here.values()), pictures, folder)
+        made.frame = _frame(made, found, useful=_useful(here.values()))
+    stored = made.frame.stored(list(here.values()), pictures)
     kept = tuple(mark for mark in stored if inside(mark, pictures[mark.image].size_px))
     made.refused += [
-        f"mark of {mark.point} at {mark.x:.0f}, {mark.y:.0f} lies outside of {mark.image}"
+        f"{mark.place}: {mark.point} at {mark.x:.0f}, {mark.y:.0f} lies outside of {mark.image}"
         for mark in stored
-        if mark not in kept
+        if not inside(mark, pictures[mark.image].size_px)
     ]
+    made.refused += [f"{mark.place}: {mark.point} is marked in {mark.image} already" for mark in again]
     if given.rows:
         made.refused += [
             f"{mark.place}: {mark.image} is not in the folder" for mark in marks if mark.image in absent
@@ -154,7 +162,7 @@ def _with_marks(
     made.marks, made.rows_used = kept, len(kept) if given.rows else 0
 
 
-def _useful(marks: Sequence[Mark]) -> bool:
+def _useful(marks: Iterable[Mark]) -> bool:
     """Whether some point has marks in two pictures, so that it can have a place."""
     return max(Counter(mark.point for mark in marks).values(), default=0) > 1
 
@@ -211,7 +219,8 @@ def _with_system(made: NewControl, written: str, placed: Sequence[ImageFacts], *
         made.crs = _system_of(points, placed)
         if not made.crs:
             offers = at_place(*_middle(placed), points.values[:, :2])
-            made.asked.append(f'crs: the system of the control points{_offered(offers)}, or "local"')
+            example = ' ("EPSG:31982")'
+            made.asked.append(f'crs: the system of the control points{_offered(offers, example)}, or "local"')
     elif placeable:
         made.asked.append('crs: the system of the control points ("EPSG:31982"), or "local"')
     else:
@@ -257,18 +266,14 @@ def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, plac
             f"system {text!r} is not known{_offered(offers)}: none is needed, for control places nothing"
         )
         return "local"
-    made.asked.append(f'crs: what is {text!r}?{_offered(offers)}, or "local"')
+    made.asked.append(f'crs: what is {text!r}?{_offered(offers, " write EPSG:n")}, or "local"')
     return ""
 
 
-def _offered(offers: Sequence[MapSystem]) -> str:
-    return (
-        "".join(
-            f'{" " if k == 0 else " or "}"{system.code}" ({system.name}; {system.area.split(".")[0][:60]})'
-            for k, system in enumerate(offers)
-        )
-        or ' ("EPSG:31982")'
-    )
+def _offered(offers: Sequence[MapSystem], example: str = "") -> str:
+    """Candidates with their areas of use, as what may be written."""
+    named = [f'"{one.code}" ({one.name}; {one.area.split(".")[0][:60]})' for one in offers]
+    return f" {' or '.join(named)}" if named else example
 
 
 def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bool, flown: bool) -> None:

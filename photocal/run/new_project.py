@@ -157,7 +157,8 @@ def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlFile | 
     tables = sorted(seen.marks, key=shown, reverse=True)
     points = (best.points or NO_POINTS).names
     # Programs leave the same marks in several files.
-    every = {(m.image, m.point): m for table in tables[::-1] for m in table.marks if m.point in points}
+    others = [table.marks for table in tables[::-1]]
+    every = {(m.image, m.point): m for marks in (best.marks, *others) for m in marks if m.point in points}
     return replace(best, marks=tuple(every.values()))
 
 

@@ -90,8 +90,8 @@ def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -
         level = project.crs.split("+")[0]
         raise ConfigurationError(
             f"crs = {project.crs!r} needs {', '.join(lacks)}, which is not here",
-            f"photocal fetch-grids {project.crs} brings it; without it crs = {level!r} serves where no height "
-            f"of the pictures counts (position_sigma_m = [1.5, 1.5, {OTHER_SURFACE_M}] in [images])",
+            f"photocal fetch-grids {project.crs} brings it; without it crs = {level!r} serves where no "
+            f"height of the pictures counts (position_sigma_m = [1.5, 1.5, {OTHER_SURFACE_M}] in [images])",
             where=project.path,
         ) from refusal
 
