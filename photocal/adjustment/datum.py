@@ -86,8 +86,7 @@ def _displacements(relative: Floats) -> Floats:
 
 def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats:
     """Combinations of the seven transformations that no observation sees, shape (7, d)."""
-    diagonal = normal.matrix[diagonal_addresses(problem)]
-    length = np.sqrt(diagonal @ moves**2)
+    length = np.sqrt(_resistance(problem, normal) @ moves**2)
     movable = length > 0
     length[~movable] = 1.0
     scaled = moves / length
@@ -96,6 +95,14 @@ def open_combinations(problem: Problem, normal: Normal, moves: Floats) -> Floats
     form[~movable, ~movable] += 1.0
     eigenvalues, vectors = np.linalg.eigh((form + form.T) / 2)
     return np.asarray(vectors[:, eigenvalues < OPEN] / length[:, None])
+
+
+def _resistance(problem: Problem, normal: Normal) -> Floats:
+    """What resists each unknown of the reduced system.
+
+    Of an image at its own points, or with all of them along one ray, only rounding is left, of either sign.
+    """
+    return np.maximum(normal.matrix[diagonal_addresses(problem)], 0.0)
 
 
 def with_datum(problem: Problem, state: State) -> Problem:
@@ -107,7 +114,7 @@ def with_datum(problem: Problem, state: State) -> Problem:
     null = moves @ open_combinations(problem, normal, moves)
     if not null.shape[1]:
         return problem
-    scale = np.sqrt(normal.matrix[diagonal_addresses(problem)])
+    scale = np.sqrt(_resistance(problem, normal))
     _, _, order = qr((null * scale[:, None]).T, mode="economic", pivoting=True)
     return replace(problem, stiffened=np.sort(order[: null.shape[1]]).astype(np.int64))
 

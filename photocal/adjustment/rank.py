@@ -130,7 +130,10 @@ def share_of_datum(problem: Problem, state: State, step: Floats, scale: Floats) 
 def _null_space(problem: Problem, normal: Normal, limit: float) -> tuple[Floats, Floats, Floats]:
     """Scale of the unknowns, the scaled matrix, and its eigenvectors with eigenvalues below a limit."""
     matrix = dense(problem.layout.envelope, normal.matrix)
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    # Of an unknown that nothing resists only rounding is left, of either sign.
+    nothing = np.diag(matrix) <= 0.0
+    matrix[nothing], matrix[:, nothing] = 0.0, 0.0
+    scale = np.sqrt(np.where(nothing, 1.0, np.diag(matrix)))
     scaled = matrix / np.outer(scale, scale)
     eigenvalues, vectors = np.linalg.eigh(scaled)
     return scale, scaled, vectors[:, eigenvalues < limit]

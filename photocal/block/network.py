@@ -24,7 +24,7 @@ from photocal.block.motion import motion_of
 from photocal.block.rig import rig_of
 from photocal.geometry.camera import Camera, among, pixel_to_plane, plane_to_pixel
 from photocal.geometry.distortion import slopes_of
-from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame
+from photocal.geometry.frames import LocalFrame, ShiftedFrame, reference_frame, require_geoid
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.resection import intersect, ray_residuals
 from photocal.geometry.rotation import matrix_from_angles
@@ -32,6 +32,8 @@ from photocal.geometry.rotation import matrix_from_angles
 # Start coordinates are impossible where a ray misses them by this many principal distances, and by this many
 # times what rays usually miss: attitudes of a flight may be degrees off, those of all images alike.
 _ASTRAY, _UNLIKE = 0.25, 8.0
+# Heights of positions that are known no better may count from another surface, m.
+OTHER_SURFACE_M = 50.0
 
 
 def with_start_values(
@@ -153,6 +155,8 @@ def assemble(block: Block) -> NetworkOfBlock:
     rays_of_point = np.bincount(block.observations.point, minlength=len(block.points.names))
     _require_rays(block, rays_of_point)
     _require_datum(block, rays_of_point)
+    if len(block.positions.image) or (block.images.sigma[:, 5] < OTHER_SURFACE_M).any():
+        require_geoid(block.frame, block.height)
     used = np.flatnonzero(rays_of_point)
     position = np.full(len(rays_of_point), -1)
     position[used] = np.arange(len(used))

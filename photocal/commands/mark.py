@@ -68,12 +68,13 @@ def _scene(
 
 
 def _figures(scene: Scene, store: MarkStore) -> dict[str, object]:
-    marks = store.marks
+    marks = [mark for mark in store.marks if mark.image in scene.pictures]
     return {
         "marks": str(store.path),
         "count": len(marks),
         "images": {name: sum(m.image == name for m in marks) for name in scene.pictures},
         "points": {name: sum(m.point == name for m in marks) for name in scene.points.names},
+        "absent": sorted({mark.image for mark in store.marks} - set(scene.pictures)),
         "left_out": [{"image": n, "reason": p.reason} for n, p in scene.pictures.items() if p.reason],
     }
 

@@ -14,8 +14,16 @@ if TYPE_CHECKING:
 
 def new(
     folder: Annotated[Path, argument("Folder of a flight: pictures, control, marks, logs.")],
-    crs: Annotated[str, option("System of the control points, where their file has none.")] = "",
+    crs: Annotated[
+        str, option("System of the control points, where their file has none: code or name.")
+    ] = "",
     height: Annotated[str, option("Of the control points: ellipsoidal or orthometric.")] = "",
+    marks: Annotated[
+        str, option("Size (1/2) and turn (exif, 90) of the pictures that the marks were made in.")
+    ] = "",
+    again: Annotated[
+        bool, option("Keep the answers and comments of project.toml, add what was found since.", "--again")
+    ] = False,
     as_json: Annotated[bool, option("Print what was found as JSON.", "--json")] = False,
 ) -> None:
     """Look at a folder and write its project.toml, saying what was found and what is missing.
@@ -24,11 +32,14 @@ def new(
     """
     from photocal.run.new_project import new_project
 
-    made = new_project(folder, crs, height)
-    parts = {"found": made.known, "missing": made.missing, "asked": made.asked}
+    made = new_project(folder, crs, height, marks, again=again)
+    parts = {"found": made.known, "missing": made.missing, "doubtful": made.doubtful, "asked": made.asked}
+    if again:
+        parts["changed"] = made.changes
+    rows = {"read": made.rows, "used": made.rows_used, "not_used": made.refused}
     answer(
         as_json,
-        lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts},
+        lambda: {"schema": "photocal.new/1", "project": str(made.path), **parts, "rows": rows},
         lambda: "\n".join(
             [
                 *(f"{word}: {line}" for word, lines in parts.items() for line in lines),

@@ -12,6 +12,7 @@ OpenDroneMap documentation, "Ground control points" and "Image geolocation files
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,56 @@ _SIGMA_PX = (1.0, 1.0)
 Places = Mapping[str, Sequence[float]]
 
 
+@dataclass(frozen=True)
+class GcpRow:
+    """A row of gcp_list.txt: a place and where an image shows it.
+
+    name: empty where the row has none.
+    """
+
+    line: Line
+    xyz: tuple[float, float, float]
+    column: float
+    row: float
+    image: str
+    name: str
+
+
+@dataclass(frozen=True)
+class GcpList:
+    """What gcp_list.txt has, row by row.
+
+    system: as the first line calls it; empty where that is a row already.
+    refused: rows that cannot be read, with the reason.
+    """
+
+    system: str
+    rows: tuple[GcpRow, ...]
+    refused: tuple[InputMalformedError, ...]
+
+
+def read_gcp_rows(path: Path) -> GcpList:
+    """Read gcp_list.txt as somebody has typed it; raises InputMalformedError when no row can be read."""
+    lines = read_lines(path, comment="#")
+    system, lines = _system(lines)
+    rows, refused = list[GcpRow](), list[InputMalformedError]()
+    for line in lines:
+        try:
+            row = _row(line)
+            if re.fullmatch(r"[-+.\d]+", row.image):
+                raise line.malformed(f"has {row.image!r} where the name of an image was expected")
+            rows.append(row)
+        except InputMalformedError as refusal:
+            refused.append(refusal)
+    if not rows:
+        raise (
+            refused[0]
+            if refused
+            else InputMalformedError("has no row of a ground point", "is the file cut?", where=path)
+        )
+    return GcpList(system, tuple(rows), tuple(refused))
+
+
 def read_gcp_list(
     path: Path, sigma_px: tuple[float, float] = _SIGMA_PX
 ) -> tuple[str, Places, tuple[Mark, ...]]:
@@ -47,20 +98,25 @@ def read_gcp_list(
     marks = []
     names: dict[tuple[float, float, float], str] = {}
     for line in lines:
-        cells = _cells(line.text)
-        if len(cells) < 6:
-            raise line.malformed(
-                f"has {len(cells)} cells where X Y Z column row image were expected",
-                "complete the row, or is the file cut?",
-            )
-        x, y, z, column, row = numbers(" ".join(cells[:5]), line.place, "ground point")
-        known = names.setdefault((x, y, z), cells[6] if len(cells) > 6 else f"point{len(names) + 1}")
-        if len(cells) > 6 and cells[6] != known:
-            raise line.malformed(f"points {known} and {cells[6]} have the same coordinates")
-        marks.append(Mark(cells[5], known, column, row, sigma_px, line.place))
+        row = _row(line)
+        known = names.setdefault(row.xyz, row.name or f"point{len(names) + 1}")
+        if row.name and row.name != known:
+            raise line.malformed(f"points {known} and {row.name} have the same coordinates")
+        marks.append(Mark(row.image, known, row.column, row.row, sigma_px, line.place))
     require_unique(list(names.values()), "a point with other coordinates,", path)
     require_unique([f"{mark.point} in image {mark.image}" for mark in marks], "point", path)
     return crs, {name: xyz for xyz, name in names.items()}, tuple(marks)
+
+
+def _row(line: Line) -> GcpRow:
+    cells = _cells(line.text)
+    if len(cells) < 6:
+        raise line.malformed(
+            f"has {len(cells)} cells where X Y Z column row image were expected",
+            "complete the row, or is the file cut?",
+        )
+    x, y, z, column, row = numbers(" ".join(cells[:5]), line.place, "ground point")
+    return GcpRow(line, (x, y, z), column, row, cells[5], cells[6] if len(cells) > 6 else "")
 
 
 def _cells(text: str) -> list[str]:
@@ -168,13 +224,7 @@ def _to_map(crs: str, x: Floats, y: Floats) -> Floats:
 
 def _head(path: Path) -> tuple[str, list[Line]]:
     lines = read_lines(path, comment="#")
-    first = " ".join(lines[0].text.split()) if lines else ""
-    # ODM's own names: WGS84 UTM 22S, WGS84 longlat.
-    zone = re.fullmatch(r"WGS84 UTM (\d+) ?([NS])", first.upper())
-    if zone:
-        first = f"EPSG:{32600 + 100 * (zone[2] == 'S') + int(zone[1])}"
-    elif re.fullmatch(r"WGS84( LONGLAT| LATLONG)?", first.upper()):
-        first = "EPSG:4326"
+    first = _odm_system(lines[0].text) if lines else ""
     if not re.fullmatch(r"EPSG: ?\d{4,6}(\+\d{4,6})?|\+(PROJ|INIT).*", first.upper()):
         raise InputMalformedError(
             f"begins with {first[:40]!r}, not with a coordinate system",
@@ -182,3 +232,23 @@ def _head(path: Path) -> tuple[str, list[Line]]:
             where=path,
         )
     return first, lines[1:]
+
+
+def _odm_system(text: str) -> str:
+    """Give ODM's own names, WGS84 UTM 22S and WGS84 longlat, their codes; others stay as they are."""
+    first = " ".join(text.split())
+    zone = re.fullmatch(r"WGS ?84 UTM (?:ZONE )?(\d+) ?([NS])", first.upper())
+    if zone:
+        return f"EPSG:{32600 + 100 * (zone[2] == 'S') + int(zone[1])}"
+    return "EPSG:4326" if re.fullmatch(r"WGS84( LONGLAT| LATLONG)?", first.upper()) else first
+
+
+def _system(lines: Sequence[Line]) -> tuple[str, list[Line]]:
+    """Take the system off the first line; a list may begin with its first row."""
+    if not lines:
+        return "", []
+    try:
+        _row(lines[0])
+    except InputMalformedError:
+        return _odm_system(lines[0].text), list(lines[1:])
+    return "", list(lines)

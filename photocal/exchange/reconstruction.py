@@ -14,7 +14,7 @@ from photocal.block.network import frame_of, observed_pixels
 from photocal.block.rig import Head
 from photocal.exchange.parts import block, pixels
 from photocal.geometry.camera import Camera, among, plane_to_pixel
-from photocal.geometry.frames import parsed, reference_frame
+from photocal.geometry.frames import parsed, reference_frame, require_geoid
 from photocal.geometry.oriented_images import local_poses
 from photocal.results.result import Result
 
@@ -212,6 +212,7 @@ def to_cartesian(given: Reconstruction) -> Reconstruction:
     """Take a block to the topocentric frame at its middle; a local frame stays as it is."""
     if given.frame == "local":
         return given
+    require_geoid(given.frame, given.height)
     frame = reference_frame(given.frame, given.height, middle(given))
     return replace(
         given, frame="local", height="", poses=local_poses(frame, given.poses), xyz=frame.to_local(given.xyz)
@@ -233,6 +234,7 @@ def to_wgs84(given: Reconstruction) -> Callable[[Floats], Floats]:
         x, y, z = frame.to_given(xyz).T
         return np.column_stack(transformer.transform(x, y, z, errcheck=True)).reshape(-1, 3)
 
+    require_geoid(given.frame, given.height)
     frame = reference_frame(given.frame, given.height, middle(given))
     system = parsed(frame.crs)
     try:

@@ -90,7 +90,8 @@ class ReferenceFrame:
             raise InputMalformedError(
                 f"coordinates cannot be transformed from {self.crs} ({failure})",
                 where="block",
-                remedy="check the zone, the order of the coordinates and that the geoid grid is installed",
+                remedy="check the zone and the order of the coordinates; a grid that is missing comes by "
+                f"photocal fetch-grids {self.crs}",
             ) from failure
         return result
 
@@ -151,16 +152,14 @@ def parsed(name: str) -> Any:
 def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
     """Make the frame of a block in a coordinate reference system.
 
+    Orthometric heights in a system that says nothing of a geoid count from its ellipsoid as they would from
+    the geoid: good where nothing else has heights, see `require_geoid`.
+
     origin (3,): middle of the block.
     raises ConfigurationError: when the kind of the heights is not said or does not fit the system.
     """
     system = parsed(name)
     wrong = ConfigurationError.at("block.toml")
-    if height == "orthometric" and not system.is_compound:
-        raise wrong(
-            f"heights are orthometric, but frame {name} says nothing of a geoid",
-            'name a compound system, for example "EPSG:31982+5773"',
-        )
     if height == "ellipsoidal" and system.is_compound:
         raise wrong(
             f"heights are ellipsoidal, but frame {name} has a vertical system",
@@ -172,6 +171,19 @@ def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
             'add height = "ellipsoidal" or height = "orthometric"',
         )
     return ReferenceFrame(name, origin)
+
+
+def require_geoid(name: str, height: str, remedy: str = "") -> None:
+    """Complain of orthometric heights without a geoid beside positions that GNSS has measured.
+
+    raises ConfigurationError: for a system that has no heights of its own.
+    """
+    if height == "orthometric" and name != "local" and not parsed(name).is_compound:
+        raise ConfigurationError(
+            f"heights are orthometric, but frame {name} says nothing of a geoid",
+            remedy or f'name a compound system, for example "{name}+3855" with the geoid EGM2008',
+            where="block.toml",
+        )
 
 
 def nearest_rotation(matrix: Floats) -> Floats:

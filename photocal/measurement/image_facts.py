@@ -51,6 +51,7 @@ class ImageFacts:
     c_px: principal distance that a person gives in place of all that is stated; NaN when not given.
     altitude_kind: `ABOVE_TAKE_OFF` where nothing else was written; else as the maker calls it.
     turns (n, 4): see `recorded_turns`.
+    full_size_px: zeros where it is not stated.
     table_apart_m: how far a table beside the picture puts it from where it says itself; NaN without a table.
 
     All others are in the table `picture_facts.FACTS`, with units and keys; numbers are NaN, texts empty where
@@ -84,6 +85,7 @@ class ImageFacts:
     lens: str = ""
     firmware: str = ""
     velocity_m_s: Triple = NOT_GIVEN
+    full_size_px: tuple[int, int] = (0, 0)
     turns: Floats = field(default_factory=lambda: np.zeros((0, 4)), compare=False)
     lens_serial: str = ""
     vehicle: str = ""
@@ -189,6 +191,7 @@ def facts_of_tags(
         longitude_deg=longitude,
         altitude_m=above if only_above else altitude,
         pitch_mm=_pitch_mm(tags, size[0]),
+        full_size_px=_full_size(tags),
         speed_m_s=math.hypot(
             *(as_number(stated(tags, (key,))) for key in ("drone-dji:FlightXSpeed", "drone-dji:FlightYSpeed"))
         ),
@@ -233,6 +236,11 @@ def _pitch_mm(tags: Mapping[str, Any], width: int) -> float:
     return (
         unit / as_positive(tags.get("EXIF:FocalPlaneXResolution")) * (written / width if written > 0 else 1.0)
     )
+
+
+def _full_size(tags: Mapping[str, Any]) -> tuple[int, int]:
+    width, height = (as_number(tags.get(f"EXIF:ExifImage{side}")) for side in ("Width", "Height"))
+    return (int(width), int(height)) if 0 < width < 1e6 and 0 < height < 1e6 else (0, 0)
 
 
 def _tags(image: "Image") -> tuple[dict[str, Any], Mapping[int, Any]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -11,7 +12,7 @@ import numpy as np
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import Block, ObjectPoints
 from photocal.block.table import read_table, refuse
-from photocal.exchange.ground_points import read_gcp_list
+from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
 from photocal.exchange.source import Line, number, read_json, read_lines, read_xml, require_readable
@@ -33,6 +34,8 @@ _HEADS = (
 _OWN = ("image", "point", "x", "y")
 # In all others the corner of that pixel is (0, 0).
 _HALF = 0.5
+# No coordinate is larger, m, mm among them.
+MOST_M = 1e11
 
 
 def read_marks(path: Path) -> tuple[Mark, ...]:
@@ -77,12 +80,16 @@ class ControlMarks:
     crs: of the coordinates; "local" without one. Geographic ones are longitude, latitude (deg), height.
     marks: px of the stored pixel grid.
     without_coordinates: points that have marks but no coordinates: they are left out.
+    rows: of the list, where it has one for each mark.
+    refused: those that are not used, with the reason.
     """
 
     crs: str
     points: ObjectPoints
     marks: tuple[Mark, ...]
     without_coordinates: tuple[str, ...] = ()
+    rows: int = 0
+    refused: tuple[str, ...] = ()
 
 
 def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
@@ -96,6 +103,37 @@ def read_control_marks(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks
     assumed = (sigma_m[0], *sigma_m)
     entries = [PointEntry(name, "control", xyz, assumed) for name, xyz in places.items()]
     return ControlMarks(crs, object_points(entries), marks)
+
+
+def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
+    """Read gcp_list.txt row by row: one that cannot be used is named and costs nothing but itself.
+
+    The system is as the first line calls it. A name has the place of its first row, a place the name.
+    """
+    given = read_gcp_rows(path)
+    refused, marks = [str(refusal) for refusal in given.refused], dict[tuple[str, str], Mark]()
+    names: dict[tuple[float, float, float], str] = {}
+    places: dict[str, tuple[float, float, float]] = {}
+    for row in given.rows:
+        if max(map(abs, row.xyz)) > MOST_M:
+            refused.append(f"{row.line.place}: {max(row.xyz, key=abs):g} is no coordinate of this earth")
+            continue
+        if row.name and places.get(row.name, row.xyz) != row.xyz:
+            refused.append(f"{row.line.place}: {row.name} has other coordinates than before")
+            continue
+        known = names.get(row.xyz)
+        if known is None:
+            free = (f"point{k}" for k in count(len(names) + 1) if f"point{k}" not in places)
+            known = row.name or next(free)
+            names[row.xyz], places[known] = known, row.xyz
+        if (row.image, known) in marks:
+            refused.append(f"{row.line.place}: {known} is marked in {row.image} already")
+        else:
+            marks[row.image, known] = Mark(row.image, known, row.column, row.row, _BY_HAND, row.line.place)
+    entries = [PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)) for name, xyz in places.items()]
+    rows = len(given.rows) + len(given.refused)
+    points = object_points(entries)
+    return ControlMarks(given.system, points, tuple(marks.values()), (), rows, tuple(refused))
 
 
 def in_map_system(given: ControlMarks) -> ControlMarks:

@@ -10,7 +10,6 @@ import numpy as np
 from photocal.base.arrays import Bytes, Floats
 from photocal.base.errors import PhotocalError
 from photocal.base.policy import LEAST_CHECKED
-from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding, Severity
 from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
@@ -139,14 +138,14 @@ def _sharpness(grey: Bytes) -> float:
     return float(fine.std() / max(float(grey.std()), 1.0))
 
 
-def suspected_marks(adjusted: AdjustedTies, control: ObjectPoints) -> list[dict[str, Any]]:
+def suspected_marks(adjusted: AdjustedTies) -> list[dict[str, Any]]:
     """Marks whose residual is too large for their sigma, the largest first."""
     block = adjusted.block
     size, redundancy = by_ray(adjusted.assembly, adjusted.solution)
     seen = block.observations
     spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, LEAST_CHECKED))
     share = size / spread
-    marked = seen.point < len(control.names)
+    marked = seen.point < len(adjusted.start.points.names)
     # What the model of this stage lacks, such as vibration within a readout, moves all marks: none is off.
     # Squares of such shares are exponential, with a median of ln 2 where the sigmas are right.
     typical = np.median(share[marked]) / np.sqrt(np.log(2.0)) if marked.sum() >= FEWEST_MARKS else 1.0

@@ -47,7 +47,10 @@ def of_project(project: Project, names: tuple[str, ...]) -> Orientation | None:
     """Give what is known of a project's images: adjusted, or as the flight log has them."""
     adjusted, exposures = project.output / "calibration", project.output / "exposures"
     if (adjusted / RESULT).is_file():
-        return of_run(adjusted)
+        found = of_run(adjusted)
+        # A block that nothing places says nothing of where surveyed points are shown.
+        if found.frame == project.crs:
+            return found
     if not project.cameras:
         return None
     if (exposures / "images.csv").is_file():

@@ -13,6 +13,7 @@ from photocal.block.model import Block, Images
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
+from photocal.measurement.control_fit import FEWEST_CONTROL, FittedControl, fit_control
 from photocal.measurement.patch_matching import HALF, Source, refine_reduced
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties
@@ -32,8 +33,6 @@ ENOUGH_STRONG = 30
 # Tracks that cannot be placed to so many pixels by the first orientation are mismatches, in images of the
 # usual length; larger than so much they are matched in reduced ones first.
 FIRST_MISS_PX, USUAL_PX, LARGE_PX = 8.0, 4000.0, 8400.0
-# With so many marked control points positions do not place a block.
-FEWEST_CONTROL = 3
 # Times that positions are judged anew, while their sigmas become less than this share.
 _ROUNDS, _LESS = 6, 0.7
 # Patches that are matched are so wide; the errors of nearer neighbours were found to be alike by 0.1 to 0.4.
@@ -44,6 +43,8 @@ TWIN_PX = 4.0
 ESTIMATED = Finding("sigmas-from-residuals", "note")
 # Nothing says how the block lies.
 NOT_PLACED = Finding("block-not-placed", "doubtful")
+# What is said of positions alone, which control may answer.
+_WITHOUT_CONTROL = ("block-not-placed", "positions-in-line")
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,12 @@ class Oriented:
     """A block oriented by tie points.
 
     verified: all tracks that fit the final orientation, before they were thinned.
+    marked: the images with the control and the marks that fit.
     """
 
     adjusted: AdjustedTies
     verified: Tracks
+    marked: Block
     left_out: tuple[dict[str, str], ...]
     findings: tuple[Finding, ...]
 
@@ -73,17 +76,20 @@ class First:
     """Images oriented by tracks of features.
 
     kept: which of the images these are.
+    marked: the images with the control and the marks that fit.
     """
 
     adjusted: AdjustedTies
     kept: Integers
     left_out: tuple[dict[str, str], ...]
     findings: tuple[Finding, ...]
+    marked: Block
 
 
-def first_orientation(start: Block, tracks: Tracks) -> First:
-    """Orient a block by tracks of features."""
-    names, sigma = start.images.names, start.images.sigma
+def first_orientation(marked: Block, tracks: Tracks) -> First:
+    """Orient a block by tracks of features, then bring in what of its control fits."""
+    names, sigma = marked.images.names, marked.images.sigma
+    start = replace(marked, observations=marked.observations.rows(np.zeros(0, dtype=np.int64)))
     start, tracks, kept, left_out = _connected(start, tracks)
     sizes = _sizes(start)
     placed = oriented(start, _strong(tracks, sizes, FIRST_IN_A_CELL))
@@ -93,15 +99,38 @@ def first_orientation(start: Block, tracks: Tracks) -> First:
     start, tracks = without_images(placed.block, ~reached), of_images(tracks, reached)
     stated = dict(zip(names, sigma, strict=True))
     first = adjust_ties(start, placed.poses[reached], _strong(tracks, sizes[reached], FIRST_IN_A_CELL))
+    findings, fits = list(placed.findings), first.start
+    if len(marked.observations.image) or marked.points.of_role("control").any():
+        fitted = fit_control(first, marked, _views(first))
+        first, fits, findings = _with_control(first, fitted, findings)
     first = _by_positions(first, stated)
     holds = np.isin(start.images.names, first.start.images.names)
-    findings = list(placed.findings)
     if first.start.datum != "free":
         as_stated, shifted = _as_stated(first.start, stated), _controlled(first.start)
         findings += position_sigmas(as_stated, first.values, shifted=shifted)[2]
-    elif start.datum != "free":
+    elif marked.datum != "free" and NOT_PLACED not in findings:
         findings.append(NOT_PLACED)
-    return First(first, kept[reached][holds], (*left_out, *first.left_out), tuple(findings))
+    return First(first, kept[reached][holds], (*left_out, *first.left_out), tuple(findings), fits)
+
+
+def _with_control(
+    alone: AdjustedTies, fitted: FittedControl, findings: list[Finding]
+) -> tuple[AdjustedTies, Block, list[Finding]]:
+    """Adjust anew with the control that fits, and give the block with it; without where it does not hold."""
+    if fitted.controlled:
+        findings = [finding for finding in findings if finding.code not in _WITHOUT_CONTROL]
+    findings = [*findings, *fitted.findings]
+    if not len(fitted.block.observations.image):
+        return alone, fitted.block, findings
+    try:
+        adjusted = adjust_ties(fitted.block, fitted.poses, alone.tracks)
+    except PhotocalError as refusal:
+        figures = {"refusal": refusal.what}
+        findings.append(Finding("control-not-used", "doubtful", figures=figures, cause="control-refused"))
+        known = alone.start.points
+        return alone, replace(alone.start, points=known.only(known.of_role("tie"))), findings
+    rejected, left_out = alone.rejected + adjusted.rejected, (*alone.left_out, *adjusted.left_out)
+    return replace(adjusted, rejected=rejected, left_out=left_out), fitted.block, findings
 
 
 def _by_positions(adjusted: AdjustedTies, stated: Mapping[str, Floats]) -> AdjustedTies:
@@ -190,7 +219,7 @@ def orient_ties(
         chosen = [source for source, good in zip(chosen, stay, strict=True) if good]
         partners = [(np.cumsum(stay) - 1)[p[stay[p]]] for p, good in zip(partners, stay, strict=True) if good]
         tracks = matched
-    return Oriented(final, _verified(final, matched), tuple(left_out), tuple(findings))
+    return Oriented(final, _verified(final, matched), first.marked, tuple(left_out), tuple(findings))
 
 
 def _sizes(block: Block) -> Floats:

@@ -9,17 +9,21 @@ from typing import Any
 import numpy as np
 
 from photocal.base.arrays import Flags, Integers
-from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.base.errors import ConfigurationError
 from photocal.base.progress import Progress
 from photocal.base.workers import one_crew
 from photocal.block.folder import read_points
-from photocal.block.model import NO_POINTS, Block, Images, ObjectPoints
+from photocal.block.model import NO_POINTS, ROLES, Block, Images, ObjectPoints
+from photocal.block.network import OTHER_SURFACE_M, block_frame
 from photocal.block.rig import make_heads
 from photocal.block.table import known_rows, read_table
 from photocal.findings.finding import Finding
 from photocal.findings.texts import as_record
 from photocal.geometry.camera import Camera, among
+from photocal.geometry.oriented_images import local_poses
 from photocal.measurement.block_files import MeasuredBlock
+from photocal.measurement.control_fit import FEWEST_CONTROL
+from photocal.measurement.control_review import stray_points
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.measurement.image_pairs import Footprints, exposed_footprints, stated_footprints
@@ -42,7 +46,7 @@ from photocal.measurement.measurement_record import (
     tie_record,
 )
 from photocal.measurement.orientation import Orientation
-from photocal.measurement.oriented_ties import FEWEST_CONTROL, orient_ties
+from photocal.measurement.oriented_ties import orient_ties
 from photocal.measurement.patch_matching import Source
 from photocal.measurement.picture_tests import judge_cameras
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
@@ -57,8 +61,6 @@ from photocal.project import Project
 
 # How far heads move (m) and turn (rad) on their frame while gross errors are sought.
 LOOSE_FRAME = 0.05, 0.002
-# With enough control points heights of the images are hardly needed; they may count from another surface.
-OTHER_SURFACE_M = 50.0
 Sizes = Mapping[str, tuple[int, int]]
 NO_CONTROL = ControlMarks("", NO_POINTS, ())
 
@@ -190,9 +192,6 @@ def measure_project(
     starts: Images | None = None
     if exposures is not None:
         starts = Images.observed(replace(exposures.images, covariance=None))
-    unmarked = not by_hand and not project.control.coded_targets
-    if starts is None and project.crs == "local" and unmarked and points.of_role("control").any():
-        raise _nowhere(project.name)
     if not project.cameras:
         raise ConfigurationError("the project has no [[camera]]", "add one: see docs/block-folder.md")
     camera_of, exposure_of = pictures_of_heads(project)
@@ -226,17 +225,17 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         tracked, member = _with_cameras(tracked, project.cameras, known.camera_of)
         given = project.cameras, member
     control = known.control({image.name: image.size_px for image in tracked.facts})
+    control, strays = _without_strays(control)
     start = _start(known, control, tracked.facts, given)
     targets = _targets(known, tracked.sources, control.points, plan, progress)
     block, unknown = with_marks(start, (*control.marks, *targets.marks))
-    placed = np.isfinite(start.images.values[:, 3:]).all(axis=1).any() or len(marked_control(block))
-    if project is not None and not placed:
-        if control.crs != "local" or control.points.of_role("control").any():
-            raise _nowhere(known.name)
+    positions_known = np.isfinite(start.images.values[:, 3:]).all(axis=1).any()
+    if project is not None and not positions_known and not block.points.of_role("control").any():
         block = replace(block, datum="free")
     tracks = from_two_exposures(tracked.tracks, start.images.exposure)
     soft = _with_loose_positions(block, any_surface=project is None)
     oriented = orient_ties(soft, tracked.sources, tracks, tracked.pairs, plan.processes, progress)
+    block = _as_fitted(block, oriented.marked)
     final, measured, findings = oriented.adjusted, oriented.adjusted.block, list(oriented.findings)
     if project is not None:
         holding = HOLDING if known.starts is None else ((),)
@@ -250,7 +249,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
             above = any(facts.altitude_kind == ABOVE_TAKE_OFF for facts in tracked.facts)
             if above and control.crs != "local" and len(marked_control(block)) < FEWEST_CONTROL:
                 findings.append(Finding("heights-above-take-off", "doubtful"))
-    suspects = suspected_marks(final, control.points)
+    suspects = suspected_marks(final)
     bare = [Finding("no-coordinates", "doubtful", point) for point in control.without_coordinates]
     left_out = (*tracked.left_out, *oriented.left_out)
     marks = findings_of_marks(unknown, targets.strangers, suspects, left_out)
@@ -259,7 +258,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     else:
         names, members = tuple(camera.id for camera in given[0]), given[1]
     findings += judge_cameras(tracked.facts, names, members)
-    used = int(np.count_nonzero(final.block.observations.point < len(control.points.names)))
+    used = int(np.count_nonzero(final.block.observations.point < len(final.start.points.names)))
     positions = position_figures(tracked.facts, start.images.sigma[:, 3:])
     record: dict[str, Any] = {
         **tie_record(tracked, oriented),
@@ -270,9 +269,55 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
         "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
-        **as_record([*targets.findings, *bare, *findings, *marks]),
+        **as_record([*targets.findings, *strays, *bare, *findings, *marks]),
     }
-    return MeasuredBlock(measured, record)
+    return MeasuredBlock(without_a_place(measured), record)
+
+
+def _without_strays(control: ControlMarks) -> tuple[ControlMarks, list[Finding]]:
+    """Control without the coordinates that are none of the site: their points are unknown ones."""
+    strays = stray_points(control.points, control.crs)
+    if not strays:
+        return control, []
+    rows = [stray.row for stray in strays]
+    points, named = control.points, [stray.slip for stray in strays]
+    values, sigma, role = points.values.copy(), points.sigma.copy(), points.role.copy()
+    values[rows], sigma[rows], role[rows] = np.nan, np.inf, ROLES.index("tie")
+    findings = [
+        Finding(
+            "control-far",
+            "doubtful",
+            stray.name,
+            {"km": stray.away_m / 1000, "slip": slip},
+            ("far-because",) if slip else (),
+        )
+        for stray, slip in zip(strays, named, strict=True)
+    ]
+    return replace(control, points=replace(points, values=values, sigma=sigma, role=role)), findings
+
+
+def _as_fitted(block: Block, marked: Block) -> Block:
+    """The block with the control and the marks of another of its images."""
+    place = {name: k for k, name in enumerate(block.images.names)}
+    image = np.array([place[name] for name in marked.images.names], dtype=np.int64)
+    seen = marked.observations
+    return replace(block, points=marked.points, observations=replace(seen, image=image[seen.image]))
+
+
+def without_a_place(block: Block) -> Block:
+    """A free block in a system of its own: in that of the project it would seem to have a place."""
+    if block.datum != "free" or block.frame == "local":
+        return block
+    frame = block_frame(block)
+    poses = local_poses(frame, block.images.values)
+    points = frame.to_local(block.points.values)
+    return replace(
+        block,
+        frame="local",
+        height="",
+        images=replace(block.images, values=poses),
+        points=replace(block.points, values=points),
+    )
 
 
 def _start(
@@ -377,14 +422,6 @@ def control_points(project: Project) -> ObjectPoints:
     """Surveyed points of a project; none without a table."""
     path = project.control.points
     return NO_POINTS if path is None else read_points(path)
-
-
-def _nowhere(name: str) -> InputNotFoundError:
-    return InputNotFoundError(
-        "neither the images nor marks of control points say where the block is",
-        "give exposures, images with positions, or marks of at least three control points",
-        where=name,
-    )
 
 
 def _with_loose_positions(block: Block, *, any_surface: bool) -> Block:

@@ -87,6 +87,10 @@ FACTS: tuple[Fact, ...] = (
         "orientation", "", "how a viewer turns the picture, 1 to 8", "made", ("EXIF:Orientation",),
         "reading",
     ),
+    Fact(
+        "full_size_px", "px", "size that the picture was stored with at first", "made",
+        ("EXIF:ExifImageWidth", "EXIF:ExifImageHeight"), "size of the pictures in which marks were made",
+    ),
     Fact("focal_mm", "mm", "focal length", "positive", ("EXIF:FocalLength",), f"{_START}, {_CHECKS} (zoom)"),
     Fact(
         "focal_35mm", "mm", "focal length of the same diagonal of 36 mm x 24 mm", "positive",

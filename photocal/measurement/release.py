@@ -11,8 +11,9 @@ from photocal.base.policy import CONTRADICTED
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, among
+from photocal.measurement.control_fit import FEWEST_CONTROL
 from photocal.measurement.lens_choice import with_chosen_lenses, with_shutters_closed
-from photocal.measurement.oriented_ties import FEWEST_CONTROL, Oriented
+from photocal.measurement.oriented_ties import Oriented
 from photocal.measurement.start_block import without_images, without_single_rays
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties, assembled, ray_rms_px
 from photocal.measurement.tie_block import marked_control, place, rescaled_poses, with_ties

@@ -267,8 +267,13 @@ def check_rmse_cm(run: AnalysedRun) -> tuple[float, float] | None:
 
 
 def flying_height(run: AnalysedRun, camera_id: str) -> float | None:
-    """Mean height of the exposures over the object points, m; None unless the cameras look down."""
+    """Mean height of the exposures over the object points, m; None unless the cameras look down.
+
+    A free block has the scale that somebody has assumed.
+    """
     images = run.result.images_of(camera_id)
+    if run.result.block.datum == "free":
+        return None
     if not len(images) or not len(run.result.points.names):
         return None
     if np.abs(run.result.images.angles_deg[images, :2]).max() > NADIR_DEG:

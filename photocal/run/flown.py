@@ -56,7 +56,8 @@ def measure_flown(
 
     run: adjustment of the block; None takes the orientations as given.
     exposure_s, speed_m_s: where images and block do not tell them.
-    only_nadir: leaves out blocks of several cameras or of axes that do not look down; they have no figures.
+    only_nadir: leaves out blocks of several cameras, of axes that do not look down, or without a scale; they
+        have no figures.
     raises IllPosedError: for fewer than three points.
     """
     model, frame, shots = oriented(block, run)
@@ -64,8 +65,10 @@ def measure_flown(
     timed = bool(np.isfinite(time).all())
     order = np.argsort(time, kind="stable") if timed else np.arange(len(shots))
     shots, seconds = shots.only(order), time[order] if timed else np.arange(len(shots), dtype=np.float64)
+    scaled = model.datum != "free" or len(model.relations.kind) > 0
     axis = float(np.median(shots.rotation[:, 2, 2])) if len(shots) else -1.0
-    if only_nadir and (len(shots.cameras) > 1 or axis < math.cos(math.radians(NADIR_DEG))):
+    nadir = len(shots.cameras) == 1 and axis >= math.cos(math.radians(NADIR_DEG))
+    if only_nadir and not (nadir and scaled):
         return {}
     velocity = np.full((len(shots), 3), np.nan)
     velocity[model.positions.image] = model.positions.velocity

@@ -14,7 +14,7 @@ from photocal.exchange.parts import Mark, object_points
 from photocal.geometry.camera import Camera
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, require_names
-from photocal.measurement.marks import ControlMarks, read_any_marks, read_control_marks
+from photocal.measurement.marks import ControlMarks, read_any_marks, read_control_marks, read_typed_list
 from photocal.measurement.position_files import PLACE_HEADS, UnbelievableListError, in_degrees, read_positions
 
 # Sigma of control points whose file has none, horizontal and vertical, m: a network RTK of short occupation.
@@ -39,8 +39,9 @@ Sizes = dict[str, tuple[int, int]]
 class ControlFile:
     """Control points and marks of one file.
 
-    crs: "local" without one; empty when the file does not say.
+    crs: "local" without one, else as the file calls it; empty when it does not say.
     cameras: where another program's set-up has them.
+    rows, refused: of a list with a row for each mark: how many, and those that cannot be used.
     """
 
     file: Path
@@ -49,6 +50,8 @@ class ControlFile:
     marks: tuple[Mark, ...] = ()
     assumed: bool = False
     cameras: tuple[Camera, ...] = ()
+    rows: int = 0
+    refused: tuple[str, ...] = ()
 
 
 @dataclass
@@ -160,6 +163,13 @@ def _one_file(path: Path, sizes: Sizes) -> ControlFile:
     return ControlFile(path, given.crs, given.points, given.marks, assumed=path.suffix.lower() != ".xml")
 
 
+def _typed_list(path: Path, _: Sizes) -> ControlFile:
+    given = read_typed_list(path, ASSUMED_M)
+    return ControlFile(
+        path, given.crs, given.points, given.marks, assumed=True, rows=given.rows, refused=given.refused
+    )
+
+
 def _other_program(path: Path, _: Sizes) -> ControlFile:
     from photocal.exchange.formats import read_foreign_block
 
@@ -229,5 +239,5 @@ _READERS: dict[str, tuple[Callable[[Path, Sizes], ControlFile], ...]] = {
     ".json": (_one_file,),
     ".psz": (_other_program,),
     ".csv": (_table, _marks),
-    ".txt": (_one_file, _table, _marks),
+    ".txt": (_typed_list, _table, _marks),
 }

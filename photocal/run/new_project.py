@@ -9,33 +9,35 @@ from pathlib import Path
 
 import numpy as np
 
-from photocal.base.errors import InputNotFoundError, OutputError, PhotocalError
+from photocal.base.errors import InputNotFoundError, OutputError
 from photocal.base.files import output_file, rows_text
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
-from photocal.exchange.parts import Mark
+from photocal.block.network import OTHER_SURFACE_M
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.camera_heads import HeadGroup
+from photocal.measurement.control_fit import FEWEST_CONTROL
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
-from photocal.measurement.marks import ControlMarks, in_map_system, named_after
+from photocal.measurement.mark_frames import AS_STORED, parse_frame
+from photocal.measurement.marks import named_after
 from photocal.measurement.picture_tests import judge_cameras, told_beside
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.vehicle import told_mounting
 from photocal.project import ASKED, NAME
 from photocal.run.camera_card import chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, ControlFile, FolderContents, survey
+from photocal.run.new_control import Told, settle
+from photocal.run.renewed_project import renewed
 
 PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
-CODE_LEVEL_M, OTHER_SURFACE_M = (1.5, 1.5, 3.0), 50.0
+CODE_LEVEL_M = (1.5, 1.5, 3.0)
 # How far the cameras of a frame may be apart, m: the sigma of each coordinate.
 APART_M = 0.1
 # By how much later a head may expose than the first, s: by pictures of a recorded head some 10 to 30 ms.
 # Where readouts differ, so do their middles: heads begin together, or end together.
 LATER_S = 0.02
-# Fewer points leave the block turned, or without scale.
-FEWEST_CONTROL = 3
 _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 
 
@@ -43,35 +45,47 @@ _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 class NewProject:
     """A project that was written.
 
-    known, missing, asked: what the folder has, what would help, and what must be said before it can be run.
+    known, missing, doubtful, asked: what the folder has, what would help, what looks like a slip, and what
+        must be said before it can be run.
+    rows, rows_used, refused: of a control list with a row for each mark; those that are not used, and why.
+    changes: to the project file that was there.
     """
 
     path: Path
     known: tuple[str, ...]
     missing: tuple[str, ...]
     asked: tuple[str, ...]
+    doubtful: tuple[str, ...] = ()
+    rows: int = 0
+    rows_used: int = 0
+    refused: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
 
 
-def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
+def new_project(
+    folder: Path, crs: str = "", height: str = "", marks: str = "", *, again: bool = False
+) -> NewProject:
     """Write `project.toml` and, where control stands in another form, `control.csv` and `marks.csv`.
 
+    crs, height, marks: what a person says of the control beside its file: system by code or name, kind of
+        heights, size and turn of the pictures that its marks were made in.
+    again: where they are there already, keep what a person has written, and add what was found since.
     raises InputNotFoundError: when the folder has neither pictures nor a log.
     raises OutputError: when one of the files is there already.
     """
+    told = Told(crs, height, parse_frame(marks) if marks else None)
     seen = survey(folder)
     if not seen.pictures and not seen.logs:
         raise InputNotFoundError(
             "has neither pictures nor a flight log",
-            "; ".join(seen.unread[:3]) or "name the folder of a flight",
+            "; ".join([*map(_found, seen.control), *seen.unread][:3]) or "name the folder of a flight",
             where=folder,
         )
     chosen = chosen_pictures(folder, seen.pictures, seen.events)
     seen.pictures, seen.events = chosen.pictures, list(chosen.events)
     pictures, facts, frame = chosen.folder, chosen.facts, chosen.frame
     control = _chosen(seen, facts)
-    if crs and control is not None:
-        control = replace(control, crs=crs)
-    text = _Text(folder, seen, facts, pictures, control, crs, height, frame)
+    text = _Text(folder, seen, facts, pictures, control, told, frame)
     text.known += chosen.known
     text.missing += chosen.missing
     files = {NAME: "\n".join(text.lines()) + "\n"}
@@ -88,13 +102,37 @@ def new_project(folder: Path, crs: str = "", height: str = "") -> NewProject:
     for name in [name for name in files if folder / name in sources]:
         files[f"read-{name}"] = files.pop(name)
         files[NAME] = files[NAME].replace(f'"{name}"', f'"read-{name}"')
-    for name in files:
-        if (folder / name).exists():
-            raise OutputError("is there already", "move it away, or use it", where=folder / name)
+    changes: tuple[str, ...] = ()
+    there = [name for name in files if (folder / name).exists()]
+    if again and NAME in there:
+        files, changes = renewed(folder, files)
+    elif there:
+        remedy = f"photocal new {folder} --again keeps what you have written and adds what was found since"
+        raise OutputError("is there already", remedy, where=folder / there[0])
     for name, content in files.items():
         with output_file(folder / name) as aside:
             aside.write_text(content, encoding="utf-8", newline="\n")
-    return NewProject(folder / NAME, tuple(text.known), tuple(text.missing), tuple(text.asked))
+    of_control, parts = text.control, (text.known, text.missing, text.asked, text.control.doubtful)
+    return NewProject(
+        folder / NAME,
+        *map(tuple, parts),
+        of_control.rows,
+        of_control.rows_used,
+        tuple(of_control.refused),
+        changes,
+    )
+
+
+def _found(control: ControlFile) -> str:
+    points = 0 if control.points is None else len(control.points.names)
+    pictures = len({mark.image for mark in control.marks})
+    return f"{control.file.name} has {points} points and marks in {pictures} pictures: put these beside it"
+
+
+def _paths(seen: FolderContents, pictures: Path | None) -> list[Path]:
+    """Pictures of the folder, those of the one that is used last."""
+    folders = sorted(seen.pictures, key=lambda where: where == pictures)
+    return [where / image.name for where in folders for image in seen.pictures[where]]
 
 
 def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlFile | None:
@@ -117,7 +155,8 @@ def _chosen(seen: FolderContents, facts: Sequence[ImageFacts]) -> ControlFile | 
     tables = sorted(seen.marks, key=shown, reverse=True)
     points = (best.points or NO_POINTS).names
     # Programs leave the same marks in several files.
-    every = {(m.image, m.point): m for table in tables[::-1] for m in table.marks if m.point in points}
+    others = [table.marks for table in tables[::-1]]
+    every = {(m.image, m.point): m for marks in (best.marks, *others) for m in marks if m.point in points}
     return replace(best, marks=tuple(every.values()))
 
 
@@ -130,13 +169,12 @@ class _Text:
         seen: FolderContents,
         facts: Sequence[ImageFacts],
         pictures: Path | None,
-        control: ControlFile | None,
-        crs: str,
-        height: str,
+        given: ControlFile | None,
+        told: Told,
         frame: HeadGroup | None = None,
     ) -> None:
-        self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, control
-        self.crs, self.height, self.frame = crs, height, frame
+        self.folder, self.seen, self.facts, self.pictures, self.given = folder, seen, facts, pictures, given
+        self.frame = frame
         self.cameras, self.member = group_cameras(facts)
         if frame is not None:
             head_of = {path.name: head for path, head in frame.head.items()}
@@ -147,38 +185,13 @@ class _Text:
             self.cameras = tuple(re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() for name in names)
         # Where sizes do not tell cameras apart.
         self.listed = frame is not None or len({image.size_px for image in facts}) < len(self.cameras)
-        self.known: list[str] = []
-        self.missing: list[str] = []
-        self.asked: list[str] = []
         self.placed = [image for image in facts if image.has_position]
-        self.control_points = NO_POINTS
-        self.marks: tuple[Mark, ...] = ()
-        self._systems()
-
-    def _systems(self) -> None:
-        """Coordinate system and kind of heights, of the control if there is any, else of the pictures."""
-        if self.given is not None and self.given.points is not None:
-            points, crs = self.given.points, self.crs or self.given.crs
-            if crs:
-                mapped = in_map_system(ControlMarks(crs, points, ()))
-                points, crs = mapped.points, mapped.crs
-            elif self.placed:
-                crs = _system_of(points, self.placed)
-            self.control_points, self.crs = points, crs
-            self.marks = named_after(self.given.marks, [image.name for image in self.facts])
-            if not crs:
-                self.asked.append('crs: the system of the control points ("EPSG:31982"), or "local"')
-        elif self.placed and not self.crs:
-            self.crs = _zone_of(self.placed)
-        local = self.crs == "local" or not (self.crs or self.placed or self.control_points.names)
-        if local:
-            self.crs, self.height = "local", "local"
-        elif not self.height and not self.control_points.names:
-            self.height = "ellipsoidal"
-        elif not self.height:
-            else_local = "" if self.crs else ', or "local" with such a crs'
-            asked = "height: whether the control points' heights are ellipsoidal or orthometric"
-            self.asked.append(asked + else_local)
+        where = {path.name: path for path in _paths(seen, pictures)}
+        self.control = settle(given, told, facts, where, flown=bool(seen.logs))
+        self.known, self.missing = self.control.known, self.control.missing
+        self.asked = self.control.asked
+        self.crs, self.height = self.control.crs, self.control.height
+        self.control_points, self.marks = self.control.points, self.control.marks
 
     def lines(self) -> Iterator[str]:
         """Give the whole file."""
@@ -199,6 +212,8 @@ class _Text:
             self.missing.append(f"not used: {left}")
 
     def _height_comment(self) -> str:
+        if self.control.height_is_assumed:
+            return "  # assumed: nobody says it, and no position is held against them"
         if self.crs == "local" or self.control_points.names:
             return ""
         kinds = {image.height_kind for image in self.placed}
@@ -225,7 +240,7 @@ class _Text:
         yield f"logs = {json.dumps([self._beside(path) for path in seen.logs])}"
         yield "# base_position = [-22.7, -43.2, 30.0]   # latitude, longitude (deg), ellipsoidal height (m)"
         yield "\n[rig]  # body axes forward, right, down"
-        offered = told_mounting(FlightLog(seen.logs), "vehicle").camera_to_antenna_m
+        offered = told_mounting(FlightLog(tuple(seen.logs)), "vehicle").camera_to_antenna_m
         if offered is not None:
             arm = ", ".join(f"{value:.3f}" for value in offered)
             self.known.append(f"antenna ({arm}) m forward, right, down of the body's origin (its parameters)")
@@ -346,11 +361,14 @@ class _Text:
             if given.assumed
             else ""
         )
-        yield 'marks = "marks.csv"'
+        frame = self.control.frame
+        yield 'marks = "marks.csv"' + (
+            "" if frame == AS_STORED else f"  # made in pictures {frame.said()}: --marks {str(frame)!r}"
+        )
         marked = len({mark.point for mark in self.marks})
         if not self.marks:
             self.missing.append("no marks of the control points: photocal mark project.toml")
-        elif marked < FEWEST_CONTROL:
+        elif marked < FEWEST_CONTROL and self.placed:
             self.missing.append(f"{marked} control points are marked; {FEWEST_CONTROL} fix a block")
         if not points.of_role("check").any():
             self.missing.append("no check points: give some points of control.csv the role check")
@@ -387,27 +405,6 @@ def _given_camera(camera: Camera) -> Iterator[str]:
         yield 'shutter = "rolling"  # its maker states how long a line takes'
     yield f"affinity = {_quoted(camera.affinity)}"
     yield "parameters = { " + ", ".join(f"{n} = {v!r}" for n, v in values.items()) + " }"
-
-
-def _zone_of(placed: Sequence[ImageFacts]) -> str:
-    """UTM zone of the middle of the pictures."""
-    middle = np.mean([(image.longitude_deg, image.latitude_deg, 0.0) for image in placed], axis=0)
-    return in_map_system(ControlMarks("EPSG:4326", ObjectPoints(("middle",), middle[None]), ())).crs
-
-
-def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
-    """The zone of the pictures, when the control points lie among them in it; else empty."""
-    from photocal.measurement.position_files import map_places
-
-    zone = _zone_of(placed)
-    try:
-        places = map_places(placed, zone)
-    except PhotocalError:
-        return ""
-    low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
-    reach = np.linalg.norm(high - low) + 200.0
-    away = np.linalg.norm(np.median(points.values[:, :2], axis=0) - (low + high) / 2)
-    return zone if away < reach else ""
 
 
 def _points_table(points: ObjectPoints) -> str:

@@ -5,23 +5,27 @@ them says least. So coordinates are compared here with each other, and where the
 are tried one by one: the one that makes them agree is named.
 """
 
+import datetime as dt
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from photocal.base.arrays import Floats
-from photocal.base.errors import ConfigurationError, PhotocalError
-from photocal.block.folder import read_block
+from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
+from photocal.block.folder import read_block, read_relations
 from photocal.block.model import Block, ObjectPoints
-from photocal.block.network import block_frame
+from photocal.block.network import OTHER_SURFACE_M, block_frame
 from photocal.exchange.parts import PointEntry, object_points
-from photocal.geometry.frames import reference_frame
+from photocal.exchange.source import read_json
+from photocal.geometry.frames import reference_frame, require_geoid
+from photocal.geometry.grids import missing_grids
 from photocal.geometry.oriented_images import given_places
+from photocal.geometry.systems import heights_at
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import list_images
-from photocal.measurement.marks import ControlMarks, in_map_system
-from photocal.measurement.picture_block import better_known, control_points
+from photocal.measurement.marks import ControlMarks, in_map_system, read_marks
+from photocal.measurement.picture_block import better_known, control_points, pictures_of_heads
 from photocal.measurement.position_files import map_places
 from photocal.measurement.tie_block import intersected, views_of
 from photocal.measurement.tracks import Tracks
@@ -35,16 +39,18 @@ REACH_HEIGHTS, REACH_M = 2.0, 20.0
 RAYS, RAYS_M = 0.15, 15.0
 # A hypothesis must leave so much less than the contradiction.
 EXPLAINS = 0.2
-# Points whose second extent is a smaller share of the first lie in one line.
-LINE = 0.02
 FEWEST = 3
+# Of so many control points some may be wrong.
+SOME_WRONG = 1 / 3
+# Grids are looked up so far around a place, deg.
+AROUND = 0.2
 _PICTURES = 10
 _UNITS = {"feet": 0.3048, "millimetres": 0.001, "centimetres": 0.01, "kilometres": 1000.0}
 Place = tuple[float, float, str, float]
 
 
 def check_project(project: Project) -> None:
-    """Complain of a system, of control and of places that cannot be right together."""
+    """Complain of a system, of control, of places and of inputs that cannot be right, before any work."""
     given = project.contents.measurements
     if given is not None and given.block is not None:
         return
@@ -54,14 +60,72 @@ def check_project(project: Project) -> None:
     _check_heights(project, control)
     if place is not None:
         _check_place(project, control, *place)
-    elif project.contents.flight is None and not any(f.has_position for f in facts_of_pictures(project)):
-        _check_line(project, control)
     if project.crs != "local" and len(control.names):
-        # Before hours of measuring, also of a geoid that is not here.
-        try:
-            reference_frame(project.crs, project.height, np.nanmedian(control.values, axis=0))
-        except ConfigurationError as refusal:
-            raise ConfigurationError(refusal.what, refusal.remedy, where=project.path) from refusal
+        _check_frame(project, control, place)
+    _check_inputs(project)
+
+
+def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -> None:
+    """Open what the system needs, a geoid that is not here among it, before hours of measuring."""
+    images = project.contents.images
+    sigma = None if images is None else images.position_sigma_m
+    facts = facts_of_pictures(project)
+    loose = isinstance(sigma, tuple) and sigma[2] >= OTHER_SURFACE_M
+    stated = any(np.isfinite(picture.position_sigma_m).all() for picture in facts)
+    placed = any(picture.has_position for picture in facts)
+    precise = project.contents.flight is not None or stated or (placed and not loose and sigma != "free")
+    middle = np.nanmedian(control.values, axis=0)
+    here = middle[None] if np.isfinite(middle).all() else np.zeros((0, 3))
+    try:
+        if precise:
+            require_geoid(project.crs, project.height, _with_heights(project.crs, place))
+        frame = reference_frame(project.crs, project.height, middle)
+        frame.to_local(here)
+    except ConfigurationError as refusal:
+        raise ConfigurationError(refusal.what, refusal.remedy, where=project.path) from refusal
+    except InputMalformedError as refusal:
+        lacks = missing_grids(project.crs, _around(place) if place is not None else None)
+        if not lacks:
+            raise
+        level = project.crs.split("+")[0]
+        raise ConfigurationError(
+            f"crs = {project.crs!r} needs {', '.join(lacks)}, which is not here",
+            f"photocal fetch-grids {project.crs} brings it; without it crs = {level!r} serves where no "
+            f"height of the pictures counts (position_sigma_m = [1.5, 1.5, {OTHER_SURFACE_M}] in [images])",
+            where=project.path,
+        ) from refusal
+
+
+def _around(place: Place) -> tuple[float, float, float, float]:
+    return place[1] - AROUND, place[0] - AROUND, place[1] + AROUND, place[0] + AROUND
+
+
+def _with_heights(crs: str, place: Place | None) -> str:
+    """Systems of heights that would say what orthometric ones count from."""
+    systems = [("3855", "EGM2008 height")] if place is None else heights_at(*place[:2])
+    offers = " or ".join(f'"{crs}+{code}" ({name})' for code, name in systems)
+    return (
+        f"name a compound system: {offers}; or position_sigma_m = [1.5, 1.5, {OTHER_SURFACE_M}] in [images], "
+        "and no height of the pictures counts"
+    )
+
+
+def _check_inputs(project: Project) -> None:
+    """Open every table that a later stage reads: what is wrong with one is told now."""
+    control, certificate = project.control, project.contents.certificate
+    if control.marks is not None and control.marks.exists():
+        read_marks(control.marks)
+    if control.distances is not None and project.contents.measurements is None:
+        points = control_points(project)
+        read_relations(control.distances, "distance", points.names)
+    if project.contents.images is not None:
+        pictures_of_heads(project)
+    if certificate.particulars is not None:
+        from photocal.report.certificate_metadata import read_particulars
+
+        read_particulars(certificate.particulars, dt.date.min)
+    if certificate.plan is not None:
+        read_json(certificate.plan)
 
 
 def _place(project: Project) -> Place | None:
@@ -143,20 +207,6 @@ def _check_heights(project: Project, control: ObjectPoints) -> None:
     )
 
 
-def _check_line(project: Project, control: ObjectPoints) -> None:
-    """Control in one line, where nothing else stops the block from turning about it."""
-    used = control.values[control.of_role("control")]
-    if len(used) < 2:
-        return
-    extent = np.linalg.svd(used - used.mean(axis=0), compute_uv=False)
-    if len(used) < FEWEST or extent[1] < LINE * extent[0]:
-        raise ConfigurationError(
-            f"the {len(used)} control points lie in one line: the block can turn about it",
-            "survey a point beside the line, or give pictures with positions",
-            where=project.control.points,
-        )
-
-
 def _check_place(
     project: Project, control: ObjectPoints, latitude: float, longitude: float, what: str, far: float
 ) -> None:
@@ -166,7 +216,8 @@ def _check_place(
     known = np.isfinite(control.values[:, :2]).all(axis=1)
     stated = np.where(known, _away(latitude, longitude, project.crs, control.values[:, :2]), 0.0)
     off = stated > far
-    if not off.any():
+    # A few that are wrong are left out by name; the others place the block.
+    if off.sum() <= SOME_WRONG * known.sum():
         return
     places, table, file = control.values[off, :2], project.control.points, project.path
     which = [name for name, wrong in zip(control.names, off, strict=True) if wrong]

@@ -106,7 +106,10 @@ class MarkingService:
             "marks": [
                 {"image": m.image, "point": m.point, "x": m.x, "y": m.y, "sx": m.sigma[0], "sy": m.sigma[1]}
                 for m in marks
+                # What is marked in a picture that is not there is marked nowhere.
+                if m.image in self._scene.pictures
             ],
+            "absent": sorted({m.image for m in marks} - set(self._scene.pictures)),
             "undo": undo,
             "redo": redo,
             "residuals": self._residuals(marks),

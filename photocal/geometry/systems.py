@@ -1,0 +1,219 @@
+"""Coordinate systems as people call them: by name, alias or country, held against coordinates and places."""
+
+import re
+import sqlite3
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photocal.base.arrays import Floats
+
+# Systems that are offered where a name leaves more than one.
+MOST = 5
+# How far control may lie from what pictures say of their place, m.
+NEAR_M = 5_000.0
+# What national systems are called at home, in the words of the register.
+_AT_HOME = {
+    "puwg": "pl",
+    "uklad": "pl",
+    "gauss boaga": "monte mario italy zone",
+    "gaussboaga": "monte mario italy zone",
+    "rdnew": "rd new",
+    "rijksdriehoek": "rd new",
+    "bng": "british national grid",
+    "eov": "hd 72 eov",
+    "gk": "gauss kruger",
+    "polska": "poland",
+    "brasil": "brazil",
+    "deutschland": "germany",
+    "italia": "italy",
+    "espana": "spain",
+    "osterreich": "austria",
+}
+# Words that say nothing of which system it is.
+_EMPTY = {"zone", "fuso", "huso", "zona", "crs", "coordinate", "system", "the", "of", "and", "e", "de"}
+_WORDS = re.compile(r"[a-z]+|\d+")
+
+
+@dataclass(frozen=True)
+class MapSystem:
+    """A map system of the register.
+
+    code: as "EPSG:2180".
+    area: name of its area of use.
+    bounds: west, south, east, north of it, deg.
+    """
+
+    code: str
+    name: str
+    area: str
+    bounds: tuple[float, float, float, float]
+
+    def __str__(self) -> str:
+        return f"{self.code} ({self.name}; {self.area.split('.')[0][:60].strip()})"
+
+
+def called(text: str, places: Floats | None = None, most: int = MOST) -> tuple[MapSystem, ...]:
+    """Map systems that a text may mean, the likeliest first; one alone where the text leaves no doubt.
+
+    places (n, 2): coordinates in it, east and north, or exchanged; a system is not meant in whose area of use
+        they do not lie.
+    """
+    wanted = _words(_translated(text))
+    if not wanted:
+        return ()
+    ranked = sorted(_ranked(wanted), key=lambda found: found[0])
+    shown: list[MapSystem] = []
+    best: tuple[int, int] | None = None
+    for rank, system in ranked:
+        # What fits fewer of the words is offered only where nothing fits more.
+        if best is not None and rank[:2] > best:
+            break
+        if places is not None and not covers(system, places):
+            continue
+        best = best or rank[:2]
+        shown.append(system)
+        if len(shown) == most:
+            break
+    official = [system for system in shown if system.code.startswith("EPSG:")]
+    return tuple(official or shown)
+
+
+def is_meant(text: str, system: MapSystem) -> bool:
+    """Whether every word of a text stands in one of the names of a system."""
+    wanted = _words(_translated(text))
+    return any(wanted <= _words(name) for name in (system.name, *_aliases().get(system.code, ())))
+
+
+def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST) -> tuple[MapSystem, ...]:
+    """Map systems in which coordinates, shape (n, 2), lie near a place that is known in degrees."""
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    middle, found = np.median(places, axis=0), list[tuple[float, MapSystem]]()
+    for system in _register():
+        west, south, east, north = system.bounds
+        if not (south <= latitude <= north and west <= longitude <= east and "EPSG:" in system.code):
+            continue
+        try:
+            way = Transformer.from_crs("EPSG:4326", system.code, always_xy=True)
+            away = float(np.linalg.norm(np.array(way.transform(longitude, latitude)) - middle))
+        except ProjError:
+            continue
+        if away <= NEAR_M:
+            # Of systems that are all near the smaller area is the likelier.
+            found.append(((east - west) * (north - south), system))
+    return tuple(system for _, system in sorted(found, key=lambda one: one[0])[:most])
+
+
+def covers(system: MapSystem, places: Floats) -> bool:
+    """Whether most coordinates lie in the area of use, as they are or east and north exchanged."""
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    west, south, east, north = system.bounds
+    try:
+        way = Transformer.from_crs(system.code, "EPSG:4326", always_xy=True)
+    except ProjError:
+        return False
+    for x, y in (places.T, places.T[::-1]):
+        longitude, latitude = (np.asarray(v, dtype=np.float64) for v in way.transform(x, y))
+        with np.errstate(invalid="ignore"):
+            inside = (longitude >= west) & (longitude <= east) & (latitude >= south) & (latitude <= north)
+        if 2 * inside.sum() > len(places):
+            return True
+    return False
+
+
+def heights_at(latitude: float, longitude: float, most: int = MOST) -> tuple[tuple[str, str], ...]:
+    """Vertical systems of a place, codes and names: those of the smaller areas first, the world's last."""
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_crs_info
+    from pyproj.enums import PJType
+
+    here = AreaOfInterest(longitude, latitude, longitude, latitude)
+    found = [
+        (_extent(info.area_of_use), info.code, info.name)
+        for info in query_crs_info("EPSG", PJType.VERTICAL_CRS, here, contains=True)
+        if "depth" not in info.name and "(ft" not in info.name
+    ]
+    world = [one for one in found if one[1] in ("5773", "3855")]
+    national = sorted(one for one in found if one not in world and one[0] < 10_000)
+    return tuple((code, name) for _, code, name in (*national[: most - len(world)], *world))
+
+
+def _extent(area: Any) -> float:
+    return float((area.east - area.west) * (area.north - area.south))
+
+
+def _translated(text: str) -> str:
+    plain = " ".join(_WORDS.findall(_folded(text)))
+    for home, register in _AT_HOME.items():
+        plain = re.sub(rf"\b{home}\b", register, plain)
+    return plain
+
+
+def _folded(text: str) -> str:
+    text = text.replace("ł", "l").replace("Ł", "L")
+    return unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(_WORDS.findall(_folded(text))) - _EMPTY
+
+
+def _ranked(wanted: frozenset[str]) -> Iterator[tuple[tuple[int, int, int, int, str], MapSystem]]:
+    """Systems with at least half of the words: those that lack fewer first, then by words nobody has said."""
+    for system in _register():
+        country = _words(system.area)
+        names = [_words(name) for name in (system.name, *_aliases().get(system.code, ()))]
+        lacks, more = min((len(wanted - words - country), len(words - wanted)) for words in names)
+        by_country = min(len(wanted - words) for words in names)
+        if 2 * lacks < len(wanted) or (lacks == 0 and by_country):
+            foreign = not system.code.startswith("EPSG:")
+            yield (lacks, int(foreign), by_country, more, system.code), system
+
+
+@cache
+def _register() -> tuple[MapSystem, ...]:
+    """Every map system in metres that is in use."""
+    from pyproj.database import query_crs_info
+    from pyproj.enums import PJType
+
+    # A system of several areas stands there once for each.
+    systems: dict[str, MapSystem] = {}
+    for info in query_crs_info(pj_types=PJType.PROJECTED_CRS):
+        area, code = info.area_of_use, f"{info.auth_name}:{info.code}"
+        if area is not None and info.auth_name in ("EPSG", "ESRI") and "(ft" not in info.name:
+            bounds = (area.west, area.south, area.east, area.north)
+            systems.setdefault(code, MapSystem(code, info.name, area.name, bounds))
+    return tuple(systems.values())
+
+
+@cache
+def _aliases() -> Mapping[str, tuple[str, ...]]:
+    """Other names of map systems, of the register's own file; none where it is not to be read."""
+    from pyproj.datadir import get_data_dir
+
+    found: dict[str, list[str]] = {}
+    for folder in get_data_dir().split(":" if ":\\" not in get_data_dir() else ";"):
+        path = Path(folder) / "proj.db"
+        if path.is_file():
+            for auth, code, name in _rows(path):
+                found.setdefault(f"{auth}:{code}", []).append(name)
+    return {code: tuple(names) for code, names in found.items()}
+
+
+def _rows(path: Path) -> Iterable[tuple[str, str, str]]:
+    query = "SELECT auth_name, code, alt_name FROM alias_name WHERE table_name = 'projected_crs'"
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            return list(database.execute(query))
+    except sqlite3.Error:
+        return []

@@ -1,0 +1,157 @@
+"""Control as people type it, looked at before any work: twins, slips of single points, single marks."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from photocal.base.arrays import Floats
+from photocal.block.model import ObjectPoints
+from photocal.exchange.parts import Mark
+
+# A point so far from the others, and so many times as far as they are from each other, is none of the site.
+FAR_M, FARTHER = 2_000.0, 20.0
+# Two names within so much, and within this share of the whole width, may be one point; one place, m.
+TWIN_M, TWIN_SHARE, SAME_M = 1.0, 0.02, 0.002
+FOOT_M = 0.3048
+# A height that is like the others but for a slip differs by so much from them, m.
+LEAST_M = 20.0
+# Neighbouring zones that are tried.
+ZONES = (-1, 1, -2, 2)
+MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Stray:
+    """A surveyed point that is none of the site.
+
+    row: of the point.
+    slip: what explains it, in words; empty where nothing does.
+    """
+
+    row: int
+    name: str
+    away_m: float
+    slip: str
+
+    def said(self) -> str:
+        """Say it in a sentence."""
+        far = f"{self.name} lies {self.away_m / 1000:.0f} km from the others"
+        return f"{far}: {self.slip}" if self.slip else far
+
+
+def stray_points(points: ObjectPoints, crs: str) -> tuple[Stray, ...]:
+    """Points far from where most of the others are, with the slip that would bring them there."""
+    places = points.values[:, :2]
+    known = np.isfinite(places).all(axis=1) & ~points.of_role("tie")
+    if known.sum() < 3:
+        return ()
+    middle = np.median(places[known], axis=0)
+    away = np.linalg.norm(places - middle, axis=1)
+    usual = float(np.median(away[known]))
+    limit = max(FAR_M, FARTHER * usual)
+    far = np.flatnonzero(known & (away > limit))
+    # Of two heaps of alike size neither is the site.
+    if 2 * len(far) >= known.sum():
+        return ()
+    return tuple(
+        Stray(int(k), points.names[k], float(away[k]), _slip(places[k], middle, limit, crs)) for k in far
+    )
+
+
+def _slip(place: Floats, middle: Floats, limit: float, crs: str) -> str:
+    if np.linalg.norm(place[::-1] - middle) <= limit:
+        return "E and N are exchanged"
+    if np.linalg.norm(place * FOOT_M - middle) <= limit:
+        return "it is in feet"
+    for zone, moved in _of_other_zones(place, crs):
+        if np.linalg.norm(moved - middle) <= limit:
+            return f"it is in {zone}"
+    return ""
+
+
+def _of_other_zones(place: Floats, crs: str) -> Iterator[tuple[str, Floats]]:
+    """Where a place would lie if it were in a neighbouring zone of the system."""
+    if not crs or crs == "local":
+        return
+    from pyproj import CRS, Transformer
+    from pyproj.exceptions import CRSError, ProjError
+
+    try:
+        system = CRS.from_user_input(crs)
+        level = system.sub_crs_list[0] if system.is_compound else system
+        authority = level.to_authority()
+        if authority is None or not authority[1].isdecimal():
+            return
+        for step in ZONES:
+            other = CRS.from_user_input(f"{authority[0]}:{int(authority[1]) + step}")
+            # Of the same family: zones differ in their number alone.
+            if other.is_projected and _family(other.name) == _family(level.name):
+                way = Transformer.from_crs(other, level, always_xy=True)
+                yield f"{':'.join(other.to_authority())} ({other.name})", np.array(way.transform(*place))
+    except (CRSError, ProjError):
+        return
+
+
+def _family(name: str) -> str:
+    return "".join(letter for letter in name if not letter.isdigit()).rstrip("NSEW ")
+
+
+def twins(points: ObjectPoints) -> Iterator[str]:
+    """Points that stand at one place, or so near that two names may mean one."""
+    known = np.flatnonzero(np.isfinite(points.values).all(axis=1) & ~points.of_role("tie"))
+    if len(known) < 2:
+        return
+    width = float(np.linalg.norm(np.ptp(points.values[known, :2], axis=0)))
+    near = max(SAME_M, min(TWIN_M, TWIN_SHARE * width))
+    for i, j in combinations(known, 2):
+        apart = points.values[i] - points.values[j]
+        level, names = float(np.hypot(*apart[:2])), f"{points.names[i]} and {points.names[j]}"
+        if level > near:
+            continue
+        if level > SAME_M:
+            yield f"{names} stand {level:.2f} m apart: are they one point?"
+        elif abs(apart[2]) > SAME_M:
+            heights = f"{points.values[i, 2]:g} and {points.values[j, 2]:g}"
+            yield f"{names} stand at one place with the heights {heights}: which is right?"
+        else:
+            yield f"{names} stand at one place: two names of one point"
+
+
+def heights_apart(points: ObjectPoints) -> Iterator[str]:
+    """Heights that would agree with the others if they were in feet, or had the other sign."""
+    heights = points.values[:, 2]
+    known = np.flatnonzero(np.isfinite(points.values).all(axis=1) & ~points.of_role("tie"))
+    if len(known) < 3:
+        return
+    middle = float(np.median(heights[known]))
+    if np.ptp(heights[known]) == 0.0:
+        yield f"the heights of all {len(known)} points are {middle:g}, which no survey gives"
+    usual = float(np.median(np.abs(heights[known] - middle)))
+    width = float(
+        np.linalg.norm(np.ptp(np.sort(points.values[known, :2], axis=0)[len(known) // 6 :], axis=0))
+    )
+    limit = max(20.0 * usual, 0.2 * min(width, 1000.0), 5.0)
+    for k in known:
+        for slip, there in (("in feet", heights[k] * FOOT_M), ("of the wrong sign", -heights[k])):
+            if abs(heights[k] - middle) > limit and abs(there - middle) < 0.1 * limit + usual:
+                yield f"the height of {points.names[k]}, {heights[k]:g}, would be like the others {slip}"
+
+
+def alone(marks: Sequence[Mark], points: ObjectPoints) -> Iterator[str]:
+    """Points with one mark, which say nothing of their own place."""
+    count = Counter(mark.point for mark in marks)
+    single = [name for name in points.names if count[name] == 1]
+    if single:
+        yield f"marked in one picture alone: {listed(single)}; a second mark would make a place of it"
+    bare = [name for name in points.names if not count[name]]
+    if bare and count:
+        yield f"without a mark: {listed(bare)}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Some names, and how many more there are."""
+    some = ", ".join(names[:MOST_NAMED])
+    return some if len(names) <= MOST_NAMED else f"{some} and {len(names) - MOST_NAMED} more"

@@ -1,0 +1,275 @@
+"""Marks made in pictures of another size, or turned as viewers turn them: which of these they are.
+
+People mark in what their program shows: a reduced copy, or the picture turned by its EXIF orientation. Marks
+of one point in two pictures tell which, for features of both pictures say where the one lies in the other.
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import combinations, groupby, islice, zip_longest
+from pathlib import Path
+
+import numpy as np
+
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, PhotocalError
+from photocal.exchange.parts import Mark
+from photocal.measurement.features import Features, FeatureSettings, detect
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.image_file import as_eight_bit, read_grey
+from photocal.measurement.matching import MatchSettings, match
+
+# Sizes that people reduce pictures to, of the stored ones, beside what EXIF says was the full one.
+FACTORS = (1.0, 0.5, 0.25, 2.0, 4.0)
+TURNS = ("stored", "exif", "90", "180", "270")
+# Pairs of pictures that are compared, on reduced copies; the nearest matches carry a mark over.
+MOST_PAIRS, LONGEST_PX, NEAREST, FEWEST = 6, 1200, 12, 20
+# Marks carried over miss by such a share of the picture's diagonal where they show one place, and by so many
+# times as much where they do not.
+FITS, CLEARLY = 0.02, 3.0
+# A smaller share of marks outside of their pictures are slips of their own.
+SLIPS = 0.2
+# EXIF orientations by how far viewers turn the picture clockwise, once those that mirror it have mirrored it.
+_TURNED = {3: 180, 4: 180, 5: 270, 6: 90, 7: 90, 8: 270}
+_MIRRORED = (2, 4, 5, 7)
+Facts = Mapping[str, ImageFacts]
+
+
+@dataclass(frozen=True)
+class MarkFrame:
+    """How marks were made.
+
+    factor: size of the pictures that they were made in, over the stored ones.
+    turn: "stored", "exif" for as viewers show them, or degrees clockwise.
+    """
+
+    factor: float = 1.0
+    turn: str = "stored"
+
+    def __str__(self) -> str:
+        """Write it as an option takes it."""
+        share = Fraction(self.factor).limit_denominator(1000)
+        parts = [] if self.factor == 1.0 else [str(share)]
+        parts += [] if self.turn == "stored" else [self.turn]
+        return " ".join(parts) or "1"
+
+    def said(self) -> str:
+        """Say it in words."""
+        size = "" if self.factor == 1.0 else f"of {Fraction(self.factor).limit_denominator(1000)} of the size"
+        turned = {"stored": "", "exif": "turned as EXIF orientation shows them"}
+        turn = turned.get(self.turn, f"turned by {self.turn} degrees clockwise")
+        return " and ".join(part for part in (size, turn) if part) or "as they are stored"
+
+    def stored(self, marks: Sequence[Mark], facts: Facts) -> tuple[Mark, ...]:
+        """Give marks in the stored grid of pictures that are there."""
+        return tuple(self._stored(mark, facts[mark.image]) for mark in marks if mark.image in facts)
+
+    def _stored(self, mark: Mark, picture: ImageFacts) -> Mark:
+        width, height = picture.size_px
+        # From the edge, in stored pixels; the centre of the first one is half a pixel from it.
+        x, y = (mark.x + 0.5) / self.factor, (mark.y + 0.5) / self.factor
+        turn, mirrored = self._turn_of(picture)
+        x, y = {0: (x, y), 90: (y, height - x), 180: (width - x, height - y), 270: (width - y, x)}[turn]
+        x = width - x if mirrored else x
+        return replace(mark, x=x - 0.5, y=y - 0.5)
+
+    def _turn_of(self, picture: ImageFacts) -> tuple[int, bool]:
+        if self.turn == "exif":
+            return _TURNED.get(picture.orientation, 0), picture.orientation in _MIRRORED
+        return (0 if self.turn == "stored" else int(self.turn)), False
+
+
+AS_STORED = MarkFrame()
+
+
+@dataclass(frozen=True)
+class FrameFit:
+    """How marks fit a frame.
+
+    outside: marks that lie outside of their pictures.
+    miss: median of what marks miss by that were carried over to another picture, share of the diagonal; NaN
+        where none could be.
+    """
+
+    frame: MarkFrame
+    outside: int
+    miss: float = math.nan
+
+
+@dataclass(frozen=True)
+class FrameChoice:
+    """Which frame marks were made in.
+
+    chosen: what they are taken for.
+    sure: whether that leaves no doubt.
+    fits: of the frames that were tried, the best first, that of the stored grid among them.
+    pairs: marks that were carried over.
+    """
+
+    chosen: MarkFrame
+    sure: bool
+    fits: tuple[FrameFit, ...]
+    pairs: int
+
+    def fit_of(self, frame: MarkFrame) -> FrameFit:
+        """Give how marks fit one of the frames."""
+        return next(fit for fit in self.fits if fit.frame == frame)
+
+
+def parse_frame(text: str) -> MarkFrame:
+    """Read an option: a factor ("1/2", "0.25"), a turn ("exif", "90"), or both; "1" is as stored."""
+    factor, turn = 1.0, "stored"
+    for word in text.lower().replace(",", " ").split():
+        if word in TURNS:
+            turn = word
+        elif re.fullmatch(r"\d+(\.\d+)?(/\d+)?|\.\d+", word) and 0.01 <= (value := _share(word)) <= 100:
+            factor = value
+        else:
+            raise ConfigurationError(
+                f"marks made in {text!r} are not understood",
+                "give the size of the pictures that they were made in over that of the stored ones (1/2), a "
+                "turn (exif, 90, 180, 270), or both",
+                where="--marks",
+            )
+    return MarkFrame(factor, turn)
+
+
+def _share(word: str) -> float:
+    above, _, below = word.partition("/")
+    return float(above) / float(below) if below and float(below) else float(above)
+
+
+def choose_frame(marks: Sequence[Mark], facts: Facts, folder: Mapping[str, Path]) -> FrameChoice:
+    """Find the frame of marks: where they fall inside, and where those of one point show one place.
+
+    folder: where the pictures lie, by name.
+    """
+    marks = [mark for mark in marks if mark.image in facts]
+    frames = _frames(marks, facts)
+    inside = [FrameFit(frame, _outside(frame.stored(marks, facts), facts)) for frame in frames]
+    as_stored = inside[0]
+    if as_stored.outside <= SLIPS * len(marks):
+        inside = [replace(fit, outside=max(0, fit.outside - as_stored.outside)) for fit in inside]
+        as_stored = inside[0]
+    possible = [fit for fit in inside if not fit.outside or fit is as_stored]
+    carried = _carried(marks, folder)
+    if not carried:
+        others = tuple(fit for fit in possible if not fit.outside and fit is not as_stored)
+        told = [fit for fit in others if fit.frame in _told(marks, facts)]
+        if as_stored.outside and len(told) == 1:
+            return FrameChoice(told[0].frame, True, (*told, as_stored), 0)
+        return FrameChoice(AS_STORED, not as_stored.outside, (as_stored, *others), 0)
+    judged = sorted(
+        (replace(fit, miss=_miss(fit.frame, carried, facts)) for fit in possible), key=lambda fit: fit.miss
+    )
+    best = judged[0]
+    own = next(fit for fit in judged if fit.frame == AS_STORED)
+    if own.miss <= FITS and not own.outside:
+        return FrameChoice(AS_STORED, True, tuple(judged), len(carried))
+    rivals = [fit for fit in judged[1:] if not _alike(best.frame, fit.frame, marks, facts)]
+    sure = best.miss <= FITS and all(fit.miss > CLEARLY * best.miss for fit in rivals) and not best.outside
+    return FrameChoice(best.frame if sure else AS_STORED, sure, tuple(judged), len(carried))
+
+
+def _frames(marks: Sequence[Mark], facts: Facts) -> list[MarkFrame]:
+    """What may be tried: that of the stored grid first."""
+    factors = dict.fromkeys([1.0, *_full(marks, facts), *FACTORS])
+    turned = any(facts[mark.image].orientation != 1 for mark in marks)
+    turns = [turn for turn in TURNS if turn != "exif" or turned]
+    return [MarkFrame(factor, turn) for turn in turns for factor in factors]
+
+
+def _full(marks: Sequence[Mark], facts: Facts) -> dict[float, None]:
+    """Sizes that EXIF says the pictures had, over those that they have."""
+    pictures = [facts[mark.image] for mark in marks]
+    return dict.fromkeys(
+        round(max(picture.full_size_px) / max(picture.size_px), 4)
+        for picture in pictures
+        if max(picture.full_size_px) > max(picture.size_px)
+    )
+
+
+def _told(marks: Sequence[Mark], facts: Facts) -> list[MarkFrame]:
+    """The frame that pictures tell themselves, where no viewer turns them."""
+    if any(facts[mark.image].orientation != 1 for mark in marks):
+        return []
+    return [MarkFrame(factor) for factor in _full(marks, facts)]
+
+
+def _outside(marks: Sequence[Mark], facts: Facts) -> int:
+    return sum(not inside(mark, facts[mark.image].size_px) for mark in marks)
+
+
+def inside(mark: Mark, size_px: tuple[int, int]) -> bool:
+    """Whether a mark lies in its picture."""
+    return -0.5 <= mark.x <= size_px[0] - 0.5 and -0.5 <= mark.y <= size_px[1] - 0.5
+
+
+def _alike(one: MarkFrame, other: MarkFrame, marks: Sequence[Mark], facts: Facts) -> bool:
+    """Whether two frames are the same for these pictures."""
+    pairs = zip(one.stored(marks, facts), other.stored(marks, facts), strict=True)
+    return all(math.hypot(a.x - b.x, a.y - b.y) < 1.0 for a, b in pairs)
+
+
+@dataclass(frozen=True)
+class _Carried:
+    """Two marks of a point, and places that both pictures show, (n, 2) each."""
+
+    first: Mark
+    second: Mark
+    here: Floats
+    there: Floats
+
+
+def _carried(marks: Sequence[Mark], folder: Mapping[str, Path]) -> list[_Carried]:
+    """Marks that features carry over from one picture to another."""
+    of_point = [list(some) for _, some in groupby(sorted(marks, key=_point), key=_point)]
+    some_pairs = [list(islice(combinations(some, 2), MOST_PAIRS)) for some in of_point]
+    # Pairs of different points first.
+    pairs = [pair for turn in zip_longest(*some_pairs) for pair in turn if pair is not None]
+    seen: dict[str, Features | None] = {}
+    carried: list[_Carried] = []
+    for first, second in pairs[: 2 * MOST_PAIRS]:
+        one, other = (_features(mark.image, folder, seen) for mark in (first, second))
+        if one is None or other is None or first.image == second.image:
+            continue
+        rows = match(one, other, MatchSettings())
+        if len(rows) >= FEWEST:
+            here, there = one.pixels[rows[:, 0]], other.pixels[rows[:, 1]]
+            carried.append(_Carried(first, second, here.astype(np.float64), there.astype(np.float64)))
+        if len(carried) == MOST_PAIRS:
+            break
+    return carried
+
+
+def _point(mark: Mark) -> str:
+    return mark.point
+
+
+def _features(name: str, folder: Mapping[str, Path], seen: dict[str, Features | None]) -> Features | None:
+    """Features of a reduced picture, in pixels of the stored grid."""
+    if name not in seen:
+        try:
+            grey = as_eight_bit(read_grey(folder[name]))
+            seen[name] = detect(grey, FeatureSettings(longest_px=LONGEST_PX, most=2000))
+        except (PhotocalError, KeyError):
+            seen[name] = None
+    return seen[name]
+
+
+def _miss(frame: MarkFrame, carried: Sequence[_Carried], facts: Facts) -> float:
+    """By how much marks of one point miss each other, share of the diagonal."""
+    misses = []
+    for pair in carried:
+        first, second = frame.stored([pair.first, pair.second], facts)
+        place = np.array([first.x, first.y])
+        near = np.argsort(np.linalg.norm(pair.here - place, axis=1))[:NEAREST]
+        # The ground near a mark is level enough for an affine transformation.
+        design = np.column_stack([pair.here[near] - place, np.ones(len(near))])
+        there = np.linalg.lstsq(design, pair.there[near], rcond=None)[0][2]
+        diagonal = math.hypot(*facts[second.image].size_px)
+        misses.append(math.hypot(*(there - [second.x, second.y])) / diagonal)
+    return float(np.median(misses))

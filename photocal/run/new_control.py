@@ -1,0 +1,357 @@
+"""Control of a new project settled before any work: system, kind of heights, frame of the marks, slips."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from photocal.base.errors import ConfigurationError, PhotocalError
+from photocal.block.model import NO_POINTS, ObjectPoints
+from photocal.exchange.parts import Mark
+from photocal.geometry.grids import missing_grids
+from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant
+from photocal.measurement.control_fit import FEWEST_CONTROL
+from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, twins
+from photocal.measurement.image_facts import ImageFacts
+from photocal.measurement.mark_frames import AS_STORED, FrameChoice, MarkFrame, choose_frame, inside
+from photocal.measurement.marks import ControlMarks, in_map_system, named_after
+from photocal.measurement.position_files import map_places
+from photocal.run.folder_survey import ControlFile
+
+HEIGHTS = ("ellipsoidal", "orthometric", "local")
+# Around a place, deg: grids are looked up there.
+_AROUND = 0.2
+# Control this near to the pictures' positions is in their zone, m beyond their width.
+_REACH_M = 200.0
+# Frames that are named in a question.
+_OFFERED = 3
+
+
+@dataclass
+class NewControl:
+    """Control as it goes into a project.
+
+    crs, height: empty where they are still to be said.
+    height_is_assumed: nobody says it, and no figure depends on it.
+    frame: of the pictures that the marks were made in.
+    rows, rows_used: of a list with a row for each mark.
+    refused: its rows that are not used, with the reason.
+    """
+
+    points: ObjectPoints = NO_POINTS
+    marks: tuple[Mark, ...] = ()
+    crs: str = ""
+    height: str = ""
+    height_is_assumed: bool = False
+    frame: MarkFrame = AS_STORED
+    rows: int = 0
+    rows_used: int = 0
+    refused: list[str] = field(default_factory=list)
+    known: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    doubtful: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+
+    @property
+    def fixing(self) -> int:
+        """Control points that two pictures and more show."""
+        count = Counter(mark.point for mark in self.marks)
+        roles = self.points.of_role("control")
+        return sum(count[name] >= 2 for name, used in zip(self.points.names, roles, strict=True) if used)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a person has said of control beside its file: system, kind of heights, frame of the marks."""
+
+    crs: str = ""
+    height: str = ""
+    frame: MarkFrame | None = None
+
+    def __post_init__(self) -> None:
+        if self.height and self.height not in HEIGHTS:
+            raise ConfigurationError(
+                f"heights of the kind {self.height!r} are not known",
+                f"give {', '.join(HEIGHTS[:2])} or {HEIGHTS[2]}",
+                where="--height",
+            )
+
+
+def settle(
+    given: ControlFile | None,
+    told: Told,
+    facts: Sequence[ImageFacts],
+    folder: Mapping[str, Path],
+    *,
+    flown: bool,
+) -> NewControl:
+    """Settle what control of a folder is.
+
+    folder: where the pictures lie, by name.
+    flown: whether a flight log has positions.
+    """
+    placed = [image for image in facts if image.has_position]
+    made = NewControl(crs=told.crs, height=told.height)
+    if given is not None and given.points is not None:
+        made.points, made.rows, made.refused = given.points, given.rows, list(given.refused)
+        _with_marks(made, given, told, facts, folder)
+    matters = bool(placed) or flown
+    # Nothing that is asked may be of no use.
+    placeable = matters or made.fixing >= FEWEST_CONTROL
+    _with_system(made, "" if given is None else given.crs, placed, placeable=placeable)
+    _with_heights(made, placed, matters=matters, flown=flown)
+    if made.points.names:
+        strays = stray_points(made.points, made.crs)
+        made.doubtful += [f"control point {stray.said()}" for stray in strays]
+        gone = {stray.row for stray in strays}
+        here = made.points.only(np.array([k for k in range(len(made.points.names)) if k not in gone], int))
+        made.doubtful += [f"control: {line}" for line in (*twins(here), *heights_apart(here))]
+        made.doubtful += [f"control: {line}" for line in alone(made.marks, made.points)]
+        if not matters and made.fixing < FEWEST_CONTROL:
+            made.missing.append(
+                f"{made.fixing} control points are marked in two pictures and more, {FEWEST_CONTROL} place a "
+                "block: it will be calibrated, not placed"
+            )
+    made.doubtful += [f"not used: {line}" for line in made.refused]
+    return made
+
+
+def _with_marks(
+    made: NewControl,
+    given: ControlFile,
+    told: Told,
+    facts: Sequence[ImageFacts],
+    folder: Mapping[str, Path],
+) -> None:
+    """Take the marks in pictures that are there, in the grid that these are stored in."""
+    pictures = {image.name: image for image in facts}
+    marks = named_after(given.marks, pictures)
+    absent = Counter(mark.image for mark in marks if mark.image not in pictures)
+    if absent:
+        every = len({mark.image for mark in marks})
+        made.doubtful.append(
+            f"{len(absent)} of {every} pictures are not in the folder: {listed(list(absent))}; "
+            f"what is marked in them, {absent.total()} of {len(marks)} marks, is not used"
+        )
+    here, again = dict[tuple[str, str], Mark](), list[Mark]()
+    for mark in marks:
+        if mark.image not in pictures:
+            continue
+        # A picture may stand there under two names, with its ending and without.
+        if here.setdefault((mark.image, mark.point), mark) is not mark:
+            again.append(mark)
+    if told.frame is not None:
+        made.frame = told.frame
+    elif here:
+        found = choose_frame(list(here.values()), pictures, folder)
+        made.frame = _frame(made, found, useful=_useful(here.values()))
+    stored = made.frame.stored(list(here.values()), pictures)
+    kept = tuple(mark for mark in stored if inside(mark, pictures[mark.image].size_px))
+    made.refused += [
+        f"{mark.place}: {mark.point} at {mark.x:.0f}, {mark.y:.0f} lies outside of {mark.image}"
+        for mark in stored
+        if not inside(mark, pictures[mark.image].size_px)
+    ]
+    made.refused += [f"{mark.place}: {mark.point} is marked in {mark.image} already" for mark in again]
+    if given.rows:
+        made.refused += [
+            f"{mark.place}: {mark.image} is not in the folder" for mark in marks if mark.image in absent
+        ]
+    made.marks, made.rows_used = kept, len(kept) if given.rows else 0
+
+
+def _useful(marks: Iterable[Mark]) -> bool:
+    """Whether some point has marks in two pictures, so that it can have a place."""
+    return max(Counter(mark.point for mark in marks).values(), default=0) > 1
+
+
+def _frame(made: NewControl, choice: FrameChoice, *, useful: bool) -> MarkFrame:
+    """Say which pictures the marks were made in, or ask."""
+    own, best = choice.fit_of(AS_STORED), choice.fits[0]
+    if choice.sure and choice.chosen == AS_STORED:
+        return AS_STORED
+    as_stored = f"{own.outside} marks fall outside of their pictures" if own.outside else "they fit nowhere"
+    if not np.isnan(own.miss):
+        as_stored += (
+            f", and {choice.pairs} pairs of marks miss each other by {100 * own.miss:.1f} % of the picture"
+        )
+    if choice.sure:
+        fits = "all fall inside"
+        if choice.pairs:
+            fits = f"{choice.pairs} pairs of marks meet to {100 * best.miss:.1f} % of the picture"
+        made.known.append(
+            f"marks: made in pictures {choice.chosen.said()}, and taken so: {fits} "
+            f"(as they stand {as_stored})"
+        )
+        return choice.chosen
+    if own.outside and not useful:
+        made.doubtful.append(f"marks: {as_stored}; nothing depends on it, for no point has a second mark")
+    elif own.outside:
+        offers = ", ".join(
+            f'"{fit.frame}"' for fit in choice.fits if fit.frame != AS_STORED and not fit.outside
+        )
+        made.asked.append(
+            f"marks: {as_stored}; made in pictures of another size or turned? photocal new FOLDER --again "
+            f"--marks SIZE says so ({offers or 'such as 1/2, 1/4, exif, 90'}; 1: as they are stored)"
+        )
+    elif not np.isnan(own.miss):
+        made.doubtful.append(
+            f"marks: {as_stored}, and no other size or turn explains it: are the names of the pictures right?"
+        )
+    return AS_STORED
+
+
+def _with_system(made: NewControl, written: str, placed: Sequence[ImageFacts], *, placeable: bool) -> None:
+    """Settle the coordinate system: of the control if there is any, else of the pictures."""
+    points, text = made.points, made.crs or written
+    if not points.names:
+        if text and text != "local":
+            made.crs = _resolved(made, text, placed, placeable=placeable)
+        elif placed and not text:
+            made.crs = zone_of(placed)
+        else:
+            made.crs = text or "local"
+    elif text:
+        made.crs = _resolved(made, text, placed, placeable=placeable)
+    elif placed:
+        made.crs = _system_of(points, placed)
+        if not made.crs:
+            offers = at_place(*_middle(placed), points.values[:, :2])
+            example = ' ("EPSG:31982")'
+            made.asked.append(f'crs: the system of the control points{_offered(offers, example)}, or "local"')
+    elif placeable:
+        made.asked.append('crs: the system of the control points ("EPSG:31982"), or "local"')
+    else:
+        made.crs = "local"
+        made.missing.append(
+            "nobody says the system of the control points: none is needed, for they place nothing"
+        )
+
+
+def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, placeable: bool) -> str:
+    """Give the code of a system that somebody has named; empty, and asked for, where it is not clear."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    if text.strip().lower() == "local":
+        return "local"
+    xy = made.points.values[:, :2]
+    degrees = bool(len(xy)) and bool((np.abs(xy) <= [180.0, 90.0]).all())
+    try:
+        system = CRS.from_user_input(text)
+    except CRSError:
+        system = None
+    if system is not None and (not system.is_geographic or degrees):
+        try:
+            moved = in_map_system(ControlMarks(text, made.points, ())) if len(xy) else None
+        except PhotocalError as refusal:
+            made.asked.append(f"crs: {refusal}")
+            return ""
+        if moved is None:
+            authority = system.to_authority()
+            return ":".join(authority) if authority and not system.is_compound else text
+        made.points = moved.points
+        return moved.crs
+    offers = called(text, xy if len(xy) else None)
+    if len(offers) == 1 and is_meant(text, offers[0]):
+        made.known.append(f"system: {text!r} is {offers[0]}")
+        return offers[0].code
+    if placed and len(xy):
+        near = at_place(*_middle(placed), xy)
+        offers = tuple(system for system in offers if system in near) or near
+    if not placeable:
+        made.missing.append(
+            f"system {text!r} is not known{_offered(offers)}: none is needed, for control places nothing"
+        )
+        return "local"
+    made.asked.append(f'crs: what is {text!r}?{_offered(offers, " write EPSG:n")}, or "local"')
+    return ""
+
+
+def _offered(offers: Sequence[MapSystem], example: str = "") -> str:
+    """Candidates with their areas of use, as what may be written."""
+    named = [f'"{one.code}" ({one.name}; {one.area.split(".")[0][:60]})' for one in offers]
+    return f" {' or '.join(named)}" if named else example
+
+
+def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bool, flown: bool) -> None:
+    """Settle the kind of the heights, and the grid that it needs."""
+    control = bool(made.points.names)
+    if made.crs == "local":
+        made.height = "local"
+    elif made.height == "local":
+        made.crs = "local"
+    elif not made.height and not control:
+        made.height = "ellipsoidal"
+    elif not made.height and not matters:
+        made.height, made.height_is_assumed = "orthometric", True
+        made.missing.append(
+            "the kind of the control points' heights: taken as orthometric; no position of the folder is "
+            "held against them, so that no figure depends on it"
+        )
+    elif not made.height:
+        else_local = "" if made.crs else ', or "local" with such a crs'
+        made.asked.append(
+            "height: whether the control points' heights are ellipsoidal or orthometric" + else_local
+        )
+    precise = flown or any(np.isfinite(image.position_sigma_m).all() for image in placed)
+    if made.height == "orthometric" and made.crs and precise:
+        _with_geoid(made, placed)
+
+
+def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:
+    """Ask for the system of orthometric heights that precise positions are held against, or for its grid."""
+    from pyproj import CRS
+
+    if not placed:
+        return
+    latitude, longitude = _middle(placed)
+    area = (longitude - _AROUND, latitude - _AROUND, longitude + _AROUND, latitude + _AROUND)
+    without = (
+        "without one: position_sigma_m = [1.5, 1.5, 50.0] in [images], and no height of the pictures counts"
+    )
+
+    def grid(crs: str) -> str:
+        """Say whether the grids of a system are here."""
+        lacks = missing_grids(crs, area)
+        return f"{', '.join(lacks)} is missing: photocal fetch-grids {crs}" if lacks else "its grid is here"
+
+    if CRS.from_user_input(made.crs).is_compound:
+        if lacks := missing_grids(made.crs, area):
+            made.doubtful.append(
+                f"grid {', '.join(lacks)} of {made.crs} is not here: photocal fetch-grids {made.crs}; "
+                f"{without}"
+            )
+        return
+    offers = " or ".join(
+        f'"{made.crs}+{code}" ({name}; {grid(f"{made.crs}+{code}")})'
+        for code, name in heights_at(latitude, longitude)
+    )
+    made.asked.append(f"crs: with the system of its heights, {offers}; {without}")
+    made.crs = ""
+
+
+def _middle(placed: Sequence[ImageFacts]) -> tuple[float, float]:
+    latitude, longitude = np.median([(image.latitude_deg, image.longitude_deg) for image in placed], axis=0)
+    return float(latitude), float(longitude)
+
+
+def zone_of(placed: Sequence[ImageFacts]) -> str:
+    """UTM zone of the middle of the pictures."""
+    middle = np.mean([(image.longitude_deg, image.latitude_deg, 0.0) for image in placed], axis=0)
+    return in_map_system(ControlMarks("EPSG:4326", ObjectPoints(("middle",), middle[None]), ())).crs
+
+
+def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
+    """The zone of the pictures, when the control points lie among them in it; else empty."""
+    zone = zone_of(placed)
+    try:
+        places = map_places(placed, zone)
+    except PhotocalError:
+        return ""
+    low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
+    reach = np.linalg.norm(high - low) + _REACH_M
+    away = np.linalg.norm(np.median(points.values[:, :2], axis=0) - (low + high) / 2)
+    return zone if away < reach else ""

@@ -1,0 +1,77 @@
+"""A project file made again: a person's answers and comments stay, what was found since is added."""
+
+import difflib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT, Table
+
+from photocal.base.errors import InputMalformedError
+from photocal.project import ASKED, NAME
+
+# What tells entries of a list of tables apart.
+_IDS = {"camera": "id", "head": "camera"}
+
+
+def renewed(folder: Path, files: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Give the files as they become, and the lines of the project file that change.
+
+    Keys that stand there stay as they are, but those still to be filled in. Tables of control and marks are
+    written anew where the project file did not have them, or only where nobody has changed them: rows that
+    are there stay, new ones are added.
+    """
+    path = folder / NAME
+    before = path.read_text(encoding="utf-8")
+    try:
+        document, found = tomlkit.parse(before), tomlkit.parse(files[NAME])
+    except TOMLKitError as refusal:
+        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
+    _merge(document, found)
+    after = tomlkit.dumps(document)
+    lines = difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=0)
+    changes = [
+        line for line in lines if line[:1] in "+-" and line[:3] not in ("+++", "---") and line[1:].strip()
+    ]
+    made = {NAME: after}
+    for name, content in files.items():
+        if name == NAME:
+            continue
+        merged, added = _rows(folder / name, content)
+        made[name] = merged
+        changes += [f"+ {name}: {row}" for row in added]
+    return made, tuple(changes)
+
+
+def _merge(kept: Any, found: Any) -> None:
+    """Add what one table lacks, and fill in what is still asked."""
+    for key, value in found.items():
+        if key not in kept:
+            kept.append(key, value)
+        elif isinstance(value, AoT) and isinstance(kept[key], AoT):
+            name = _IDS.get(key, "id")
+            there = {str(entry.get(name)) for entry in kept[key]}
+            for entry in value:
+                if str(entry.get(name)) not in there:
+                    kept[key].append(entry)
+        elif isinstance(value, Table) and isinstance(kept[key], Table):
+            _merge(kept[key], value)
+        elif kept[key] == ASKED and value != ASKED:
+            kept[key] = value
+
+
+def _rows(path: Path, content: str) -> tuple[str, list[str]]:
+    """Rows of a table that is there, and those that are new behind them, by their first cells."""
+    if not path.exists():
+        return content, content.splitlines()[1:]
+    there = path.read_text(encoding="utf-8")
+    head, *rows = content.splitlines()
+    if there.splitlines()[:1] != [head]:
+        return there, []
+    # An image and a point name a mark, a point names a point.
+    names = 2 if head.startswith("image,point,") else 1
+    known = {tuple(row.split(",")[:names]) for row in there.splitlines()}
+    added = [row for row in rows if tuple(row.split(",")[:names]) not in known]
+    return there.rstrip("\n") + "\n" + "".join(f"{row}\n" for row in added), added

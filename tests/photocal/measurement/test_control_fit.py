@@ -1,0 +1,142 @@
+"""Control brought to a block of pictures: gross errors are named one by one, and none of them ends it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from photocal.block.model import Block, Images, ObjectPoints
+from photocal.geometry.camera import camera
+from photocal.geometry.oriented_images import OrientedImages
+from photocal.measurement.oriented_ties import First, first_orientation
+from photocal.measurement.tracks import Tracks
+from tests.photocal.findings.english import english
+
+Floats = NDArray[np.float64]
+LENS = camera("c", "brown-ideal", "px", (1000, 800), (1.0, 1.0), {"c": 900.0})
+STATIONS = np.array([[x, y, 60.0 + 0.3 * x] for x in (-18.0, -6, 6, 18) for y in (-10.0, 10)])
+# Of nine points in the corners, at the sides and in the middle.
+SURVEY = np.array(
+    [[x, y, 0.1 * x - 0.05 * y + (2 if x * y else 0)] for x in (-30.0, 0, 30) for y in (-20.0, 0, 20)]
+)
+NAMES = tuple(f"P{k + 1}" for k in range(9))
+
+
+def _views() -> OrientedImages:
+    rng = np.random.default_rng(2)
+    angles = np.radians(rng.normal(0, 3, (8, 3)))
+    return OrientedImages(("i",) * 8, (LENS,), np.zeros(8, np.int64), np.hstack([angles, STATIONS]))
+
+
+def _rays(places: Floats, noise_px: float, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+    views, count = _views(), len(places)
+    point, image = np.repeat(np.arange(count), 8), np.tile(np.arange(8), count)
+    pixels = views.project(image, places[point])
+    pixels += np.random.default_rng(seed).normal(0, noise_px, pixels.shape)
+    inside = ((pixels > 0) & (pixels < [999, 799])).all(axis=1)
+    return point[inside], image[inside], pixels[inside]
+
+
+def oriented(
+    given: Floats, positions: Floats | None = None, marks: Floats | None = None, some: slice = slice(None)
+) -> First:
+    """Orient eight pictures of hilly ground with control as somebody has typed it."""
+    rng = np.random.default_rng(5)
+    ground = np.column_stack([rng.uniform(-40, 40, 160), rng.uniform(-28, 28, 160), rng.uniform(-4, 4, 160)])
+    track, image, pixels = _rays(ground, 0.3, 1)
+    tracks = Tracks(track, image, pixels, np.ones(len(track))).some(np.ones(len(track), dtype=np.bool_))
+    values, sigma = np.full((8, 6), np.nan), np.full((8, 6), np.inf)
+    if positions is not None:
+        values[:, 3:], sigma[:, 3:] = positions, 1.5
+    images = Images(tuple(f"{k}.jpg" for k in range(8)), np.zeros(8, np.int64), values, sigma)
+    points = ObjectPoints(NAMES, given, np.full((9, 3), 0.02), np.zeros(9, np.int64))
+    block = Block("b", "local", "", "control", (LENS,), images, points)
+    point, image, pixels = _rays(SURVEY, 0.5, 3)
+    pixels = pixels if marks is None else pixels + marks[: len(pixels)]
+    kept = np.isin(point, np.arange(9)[some])
+    seen = block.observations.plus(image[kept], point[kept], pixels[kept], np.ones((int(kept.sum()), 2)))
+    return first_orientation(replace(block, observations=seen), tracks)
+
+
+def said(found: First, code: str) -> list[str]:
+    return [one.subject for one in found.findings if one.code == code]
+
+
+def stations(found: First) -> float:
+    """By how much the stations are off, m: three pixels on the ground, of 60 m in 900 px, are 0.2 m."""
+    return float(np.abs(found.adjusted.values[:, 3:] - STATIONS).max())
+
+
+@pytest.mark.parametrize("positioned", [False, True])
+def test_right_control_places_the_block(positioned: bool) -> None:
+    rng = np.random.default_rng(4)
+    found = oriented(SURVEY, STATIONS + rng.normal(0, 1.0, STATIONS.shape) if positioned else None)
+    assert not [one for one in found.findings if one.code.startswith(("control", "mark", "block"))]
+    assert found.adjusted.start.datum == "control"
+    assert stations(found) < 0.2
+
+
+@pytest.mark.parametrize("positioned", [False, True])
+@pytest.mark.parametrize("wrong", ["5 m", "up", "swapped", "half a metre"])
+def test_a_third_of_the_control_may_be_gross(wrong: str, positioned: bool) -> None:
+    """Expected: exactly those are named, by what was added, and the block lies as without them."""
+    given, bad = SURVEY.copy(), [1, 4, 6]
+    if wrong == "5 m":
+        given[bad] += [[5.0, 0, 0], [0, -5.0, 0], [3.0, 4.0, 0]]
+    elif wrong == "up":
+        given[bad] += [[0, 0, 5.0], [0, 0, -5.0], [0, 0, 5.0]]
+    elif wrong == "half a metre":
+        given[bad] += [[0.9, 0, 0], [0, -0.9, 0], [0, 0.9, 0]]
+    else:
+        bad = [0, 5]
+        given[bad] = given[bad][:, [1, 0, 2]]
+    positions = STATIONS + np.random.default_rng(4).normal(0, 1.0, STATIONS.shape) if positioned else None
+    found = oriented(given, positions)
+    assert said(found, "control-off") == [NAMES[k] for k in bad]
+    texts = [english(one) for one in found.findings if one.code == "control-off"]
+    added = np.linalg.norm(given - SURVEY, axis=1)[bad]
+    for text, metres in zip(texts, added, strict=True):
+        stated = float(text.split(": by ")[1].split(" m")[0])
+        assert stated == pytest.approx(metres, abs=0.3)
+    assert stations(found) < 0.2
+    assert [
+        name
+        for name in found.marked.points.names
+        if found.marked.points.of_role("control")[found.marked.points.names.index(name)]
+    ] == [n for k, n in enumerate(NAMES) if k not in bad]
+
+
+def test_control_that_contradicts_itself_leaves_the_block_free() -> None:
+    """Every point somewhere else: the block is adjusted, and what is known of it is its shape."""
+    found = oriented(SURVEY + np.random.default_rng(7).normal(0, 20, SURVEY.shape))
+    assert found.adjusted.start.datum == "free"
+    assert any("contradict each other" in english(one) for one in found.findings)
+    assert said(found, "block-not-placed") == [""]
+    assert not found.marked.points.of_role("control").any()
+
+
+def test_points_in_a_line_or_too_few_are_a_sentence() -> None:
+    line = oriented(SURVEY, some=slice(3, 6))
+    assert any("lie in one line" in english(one) for one in line.findings)
+    few = oriented(SURVEY, some=slice(0, 2))
+    assert any("2 of 9 are marked" in english(one) for one in few.findings)
+    assert {line.adjusted.start.datum, few.adjusted.start.datum} == {"free"}
+
+
+def test_control_against_positions_is_said_and_places_the_block() -> None:
+    found = oriented(SURVEY, STATIONS + [100.0, -30, 0])
+    (one,) = [one for one in found.findings if one.code == "control-against-positions"]
+    assert (one.figures["east_m"], one.figures["north_m"]) == pytest.approx((-100.0, 30.0), abs=0.5)
+    assert stations(found) < 0.2
+
+
+def test_a_mark_beside_its_point_is_left_out_alone() -> None:
+    marks = np.zeros((72, 2))
+    marks[3] = [60.0, -80.0]
+    found = oriented(SURVEY, marks=marks)
+    (one,) = [one for one in found.findings if one.code == "mark-left-out"]
+    assert one.figures["px"] == pytest.approx(100.0, abs=8.0)
+    assert stations(found) < 0.2

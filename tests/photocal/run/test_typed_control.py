@@ -1,0 +1,226 @@
+"""Control as people type it, from `photocal new` to the certificate: no slip costs the block."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import pytest
+from pyproj import Transformer
+
+from photocal.measurement.marks import read_marks
+from tests.photocal.run.typed_site import CRS, Row, site_folder
+
+WIDTH, HEIGHT = 480, 360
+# How viewers show a stored mark, by the EXIF standard, in pixels from the edges.
+SHOWN = {
+    3: lambda x, y: (WIDTH - x, HEIGHT - y),
+    6: lambda x, y: (HEIGHT - y, x),
+    8: lambda x, y: (y, WIDTH - x),
+}
+
+
+class Answer(Protocol):
+    """What a command said."""
+
+    code: int
+    out: str
+    err: str
+
+
+Photocal = Callable[..., Answer]
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The flight, rendered once."""
+    return tmp_path_factory.mktemp("rendered")
+
+
+def resized(factor: float) -> Callable[[list[Row]], list[Row]]:
+    """Marks as in pictures of another size."""
+    return lambda rows: [
+        replace(row, x=(row.x + 0.5) * factor - 0.5, y=(row.y + 0.5) * factor - 0.5) for row in rows
+    ]
+
+
+def shown(orientation: int) -> Callable[[list[Row]], list[Row]]:
+    """Marks as in a viewer that turns pictures by EXIF."""
+
+    def turned(row: Row) -> Row:
+        x, y = SHOWN[orientation](row.x + 0.5, row.y + 0.5)
+        return replace(row, x=x - 0.5, y=y - 0.5)
+
+    return lambda rows: [turned(row) for row in rows]
+
+
+def new(photocal: Photocal, folder: Path, *more: str) -> dict[str, list[str]]:
+    said = photocal("new", folder, "--json", *more)
+    assert said.code == 0, said.err
+    found = json.loads(said.out)
+    rows = found["rows"]
+    # What was read is used or named.
+    assert rows["read"] == rows["used"] + len(rows["not_used"])
+    return dict(found)
+
+
+def ran(photocal: Photocal, folder: Path, *more: str) -> str:
+    said = photocal("run", folder, *more)
+    assert said.code == 0, said.err
+    return " ".join((said.out + said.err).split())
+
+
+@pytest.mark.parametrize(
+    ("change", "orientation", "named"),
+    [
+        (resized(0.5), 1, "of 1/2 of the size"),
+        (resized(0.25), 1, "of 1/4 of the size"),
+        (resized(2.0), 1, "of 2 of the size"),
+        (shown(3), 3, "turned as EXIF orientation shows them"),
+        (shown(6), 6, "turned as EXIF orientation shows them"),
+        (shown(8), 8, "turned as EXIF orientation shows them"),
+        # The pictures were turned back afterwards, and EXIF says nothing of it any more.
+        (shown(3), 1, "turned by 180 degrees"),
+        (shown(6), 1, "turned by 90 degrees"),
+        (shown(8), 1, "turned by 270 degrees"),
+        (lambda rows: resized(0.5)(shown(6)(rows)), 6, "of 1/2 of the size and turned as EXIF"),
+    ],
+    ids=["half", "quarter", "double", "exif-3", "exif-6", "exif-8", "180", "90", "270", "half-exif-6"],
+)
+def test_marks_made_in_other_pictures_are_brought_to_these(
+    pictures: Path,
+    tmp_path: Path,
+    photocal: Photocal,
+    change: Callable[[list[Row]], list[Row]],
+    orientation: int,
+    named: str,
+) -> None:
+    """Expected: the marks as they are in the stored grid, to the two decimals of the list."""
+    meant: list[Row] = []
+
+    def spoil(rows: list[Row]) -> list[Row]:
+        meant.extend(rows)
+        return change(rows)
+
+    site_folder(pictures, tmp_path / "f", spoil, orientation=orientation)
+    found = new(photocal, tmp_path / "f")
+    assert any(named in line for line in found["found"]), found
+    marks = {(mark.image, mark.point): (mark.x, mark.y) for mark in read_marks(tmp_path / "f/marks.csv")}
+    assert len(marks) == len(meant)
+    for row in meant:
+        assert marks[row.image, row.name] == pytest.approx((row.x, row.y), abs=0.03)
+
+
+def test_marks_as_they_are_stored_are_left_alone(pictures: Path, tmp_path: Path, photocal: Photocal) -> None:
+    site_folder(pictures, tmp_path / "f", orientation=6)
+    assert not any(line.startswith("marks") for line in new(photocal, tmp_path / "f")["found"])
+
+
+@pytest.mark.parametrize("name", ["PUWG1992", "CS92", "ETRF2000-PL / CS92", "EPSG:2180", "Poland CS92"])
+def test_systems_by_the_names_that_people_give_them(
+    pictures: Path, tmp_path: Path, photocal: Photocal, name: str
+) -> None:
+    site_folder(pictures, tmp_path / "f", first=name)
+    found = new(photocal, tmp_path / "f")
+    assert found["asked"] == []
+    assert 'crs = "EPSG:2180"' in (tmp_path / "f/project.toml").read_text()
+
+
+def test_a_system_that_may_be_several_is_asked_for_with_the_candidates(
+    pictures: Path, tmp_path: Path, photocal: Photocal
+) -> None:
+    site_folder(pictures, tmp_path / "f", first="UTM 34N")
+    found = new(photocal, tmp_path / "f", "--crs", "UTM zone 34N")
+    (asked,) = found["asked"]
+    assert asked.startswith("crs: what is 'UTM zone 34N'?")
+    assert 1 <= asked.count("EPSG:") <= 5
+
+
+def test_absent_pictures_twins_and_single_marks_are_named_before_any_work(
+    pictures: Path, tmp_path: Path, photocal: Photocal
+) -> None:
+    def spoil(rows: list[Row]) -> list[Row]:
+        x, y, z = rows[0].place
+        kept = [row for row in rows if row.name != "G6"] + [row for row in rows if row.name == "G6"][:1]
+        twin = [replace(row, place=(x, y, z + 0.5), name="G7", x=row.x + 9) for row in rows[:2]]
+        near = [replace(row, place=(x + 0.2, y, z), name="G8", y=row.y + 9) for row in rows[:2]]
+        return [*kept, *twin, *near]
+
+    site_folder(pictures, tmp_path / "f", spoil, absent=("p4.jpg", "p5.jpg"))
+    told = " ".join(new(photocal, tmp_path / "f")["doubtful"])
+    assert "2 of 8 pictures are not in the folder: p4.jpg, p5.jpg" in told
+    assert re.search(r"G1 and G7 stand at one place with the heights 110 and 110\.5", told)
+    assert "G1 and G8 stand 0.20 m apart" in told
+    assert "G6" in told
+    assert {mark.image for mark in read_marks(tmp_path / "f/marks.csv")}.isdisjoint({"p4.jpg", "p5.jpg"})
+
+
+def gross(slip: str) -> Callable[[list[Row]], list[Row]]:
+    """A third of the points with one slip."""
+    to_next = Transformer.from_crs(CRS, "EPSG:32633", always_xy=True)
+
+    def spoiled(row: Row) -> Row:
+        x, y, z = row.place
+        if row.name not in ("G2", "G4"):
+            return row
+        if slip == "5 m":
+            return replace(row, place=(x + (5.0 if row.name == "G2" else -5.0), y, z))
+        if slip == "swapped":
+            return replace(row, place=(y, x, z))
+        return replace(row, place=(*to_next.transform(x, y), z))
+
+    return lambda rows: [spoiled(row) for row in rows]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("positions", [False, True], ids=["control alone", "with positions"])
+@pytest.mark.parametrize("slip", ["5 m", "swapped", "zone"])
+def test_a_third_of_the_control_may_be_gross(
+    pictures: Path, tmp_path: Path, photocal: Photocal, slip: str, positions: bool
+) -> None:
+    """Expected: both points named, the others hold the block to centimetres, and the certificate says it."""
+    typed = site_folder(pictures, tmp_path / "f", gross(slip), positions=positions)
+    more = ("--height", "orthometric") if positions else ()
+    found = new(photocal, tmp_path / "f", *more)
+    assert found["asked"] == []
+    if slip == "swapped":
+        assert sum("E and N are exchanged" in line for line in found["doubtful"]) == 2
+    said = ran(photocal, tmp_path / "f")
+    for name in ("G2", "G4"):
+        assert re.search(rf"Control point {name} (does not lie where its rays meet: by|lies)", said), said
+    assert not re.search(r"Control point G[1356]", said)
+    work = tmp_path / "f/work"
+    points = (work / "calibration/points.csv").read_text().splitlines()
+    head = points[0].split(",")
+    place = {
+        cells[0]: dict(zip(head, cells, strict=True)) for cells in (line.split(",") for line in points[1:])
+    }
+    for row in typed:
+        if row.name in ("G1", "G3", "G5", "G6"):
+            adjusted = [float(place[row.name][axis]) for axis in "XYZ"]
+            assert adjusted == pytest.approx(row.place, abs=0.06)
+    assert (work / "certificate/certificate.pdf").exists()
+
+
+@pytest.mark.slow
+def test_a_free_block_is_certified_as_calibrated_not_placed(
+    pictures: Path, tmp_path: Path, photocal: Photocal
+) -> None:
+    """Each point marked once: nothing of a map on any page, and why on the first."""
+
+    def single(rows: Sequence[Row]) -> list[Row]:
+        return list({row.name: row for row in rows}.values())
+
+    site_folder(pictures, tmp_path / "f", single, first="PUWG1992")
+    assert new(photocal, tmp_path / "f")["asked"] == []
+    ran(photocal, tmp_path / "f")
+    certificate = tmp_path / "f/work/certificate"
+    for name in ("certificate.html", "certificate.json"):
+        text = (certificate / name).read_text(encoding="utf-8")
+        assert "not placed" in text
+        for word in ("EPSG", "PUWG", "CS92", "orthometric", r"\b63(45|46)\d\d\.\d", r"\b485[23]\d\d\.\d"):
+            assert not re.search(word, text), (name, word)
