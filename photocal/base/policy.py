@@ -104,6 +104,8 @@ STRONG_CORRELATION = 0.8
 FEWEST_REDUNDANT = 2.0
 # With fewer control points a contradiction cannot be laid at the door of one of them.
 FEWEST_CONTROL_TO_BLAME = 4
+# So many control points orient a block; a block that has them and cannot be oriented has something wrong.
+FEWEST_CONTROL = 3
 # Three points orient an image in up to four ways, and nothing checks them.
 FEWEST_RAYS_OF_IMAGE = 4
 # On either side of a change of the camera; fewer images say nothing of a principal distance.

@@ -54,12 +54,16 @@ def on_ground(finding: Finding, asked: Asked) -> float | None:
 
 
 def weighed(finding: Finding, asked: Asked) -> Finding:
-    """Give a finding the severity of its harm; one whose harm is not known keeps its own."""
+    """Give a finding the severity of its harm; one whose harm is not known keeps its own.
+
+    What moves image points visibly harms whatever is measured in them, however little it moves this block.
+    """
     effect = on_ground(finding, asked)
     if effect is None or finding.severity not in ("grave", "doubtful"):
         return finding
     size = finding.size and replace(finding.size, ground_m=effect)
-    if effect < asked.ground_m:
+    seen = size is not None and (size.px or 0.0) >= policy.SMALL_PX
+    if effect < asked.ground_m and not seen:
         return replace(finding, severity="note", size=size)
     if finding.severity == "grave" and _RIVALS & set(finding.clauses):
         return replace(finding, severity="doubtful", size=size)

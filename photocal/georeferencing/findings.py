@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from photocal.base import policy
-from photocal.findings.finding import FACTOR, Figure, Finding, untested
+from photocal.findings.finding import FACTOR, Figure, Finding, Severity, untested
 from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_placed
 from photocal.georeferencing.differences import Differences
 from photocal.georeferencing.methods import Method
@@ -22,7 +22,7 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     """Give what was found: mistakes and errors first, each under one name, then what follows of them."""
     listed = [*check.plausibility]
     if check.systematic is not None:
-        listed += cause_findings(check.systematic, check.slips)
+        listed += cause_findings(check.systematic, check.slips, _target(check))
     elif coarsely_placed(check.block):
         listed.append(Finding("coarse-positions", "note"))
     for judged in check.judged:
@@ -34,6 +34,13 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
     return (*listed, *_refused(check))
 
 
+def _target(check: BlockCheck) -> float | None:
+    """The smallest root mean square error that is asked of the product, m."""
+    questions = (judged.assessment.question for judged in check.judged if judged.assessment is not None)
+    asked = next(((q.target_horizontal_m, q.target_vertical_m) for q in questions), ())
+    return min((target for target in asked if target is not None), default=None)
+
+
 def _refused(check: BlockCheck) -> list[Finding]:
     """Name the methods that the block does not allow; what it was never meant for is no fault."""
     block = check.block
@@ -43,10 +50,18 @@ def _refused(check: BlockCheck) -> list[Finding]:
     places, angles = known[:, 3:].any(), known[:, :3].all(axis=1).sum() > 1
     positions, attitudes = places or len(block.positions.image), angles or len(block.attitudes.image)
     meant = {"direct": positions and attitudes, "integrated": positions or attitudes, "indirect": True}
+    # What should have been possible and is not has a cause that nobody has found.
+    control = int(block.points.of_role("control").sum())
+    needed = {"direct": False, "integrated": True, "indirect": control >= policy.FEWEST_CONTROL}
     return [
         Finding("no-control", "note")
         if method == "indirect" and without
-        else Finding("method-refused", "doubtful", method, {"method": method, "reason": reason})
+        else Finding(
+            "method-refused",
+            "grave" if needed[method] else "doubtful",
+            method,
+            {"method": method, "reason": reason},
+        )
         for method, reason in check.refused
         if meant[method]
     ]
@@ -82,8 +97,11 @@ def _together(method: Method, check: Differences) -> list[Finding]:
         return [Finding("prediction-too-good", "doubtful", method, figures)] if check.ratio > limit else []
     listed = []
     if joint.exceeds:
-        figures = {"method": method, "ratio": math.sqrt(joint.chi_squared / joint.degrees_of_freedom)}
-        listed.append(Finding("prediction-too-good", "doubtful", method, figures))
+        ratio = math.sqrt(joint.chi_squared / joint.degrees_of_freedom)
+        figures = {"method": method, "ratio": ratio, "p": joint.p_value}
+        # Of direct georeferencing another method takes the place.
+        severity: Severity = "grave" if method != "direct" and ratio > 1.0 + FACTOR else "doubtful"
+        listed.append(Finding("prediction-too-good", severity, method, figures))
     if joint.biased:
         pairs = zip("XYZ", joint.mean, joint.mean_sigma, strict=True)
         numbers = tuple(f"{axis} {mean:+.3f} +- {sigma:.3f}" for axis, mean, sigma in pairs)

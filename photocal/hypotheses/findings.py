@@ -13,6 +13,7 @@ from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Figure, Finding, Severity, Size
+from photocal.findings.harm import Asked, harmful_from, weighed
 from photocal.geometry.camera import Camera
 from photocal.hypotheses.adequacy import Memory
 from photocal.hypotheses.causes import Cause
@@ -38,8 +39,13 @@ def no_slips(_point: str, _error: Floats, _sigma: Floats) -> tuple[str, ...]:
     return ()
 
 
-def cause_findings(found: SystematicErrors, slips: Slips = no_slips) -> tuple[Finding, ...]:
-    """Give the causes that were found, the gravest first, and what is said of the observations beside them."""
+def cause_findings(
+    found: SystematicErrors, slips: Slips = no_slips, target_m: float | None = None
+) -> tuple[Finding, ...]:
+    """Give the causes that were found, the gravest first, and what is said of the observations beside them.
+
+    target_m: root mean square error that is asked of the block; it says what is harmful.
+    """
     listed = list[Finding]()
     if found.adequate:
         listed += [stated_sigma(group) for group in found.sigmas]
@@ -47,7 +53,18 @@ def cause_findings(found: SystematicErrors, slips: Slips = no_slips) -> tuple[Fi
     else:
         listed += [_of_model(found, error) for error in found.errors if _is_field(error)]
         listed.append(_unexplained(found))
-    return (*listed, *_of_rays(found), *_of_memory(found))
+    asked = asked_of(found.first, target_m)
+    return (*(weighed(one, asked) for one in listed), *_of_rays(found), *_of_memory(found))
+
+
+def asked_of(fitted: AdjustedNetwork, target_m: float | None = None) -> Asked:
+    """Give what a block is asked for, and its distance, speed and c, as its adjustment has them."""
+    rays, state, camera = fitted.network.rays, fitted.state, fitted.network.cameras[0]
+    c = float(fitted.solution.cameras[0, 0])
+    distance = float(np.mean(np.linalg.norm(state.points[rays.point] - state.centre[rays.image], axis=1)))
+    flown = np.linalg.norm(fitted.network.positions.velocity, axis=1)
+    speed = float(np.median(flown)) if len(flown) else 0.0
+    return Asked(harmful_from(min(camera.pitch) / c * distance, target_m), distance, speed, c)
 
 
 def stated_sigma(group: GroupTest) -> Finding:
@@ -372,17 +389,18 @@ def _unexplained(found: SystematicErrors) -> Finding:
     """Something is left that nothing of the table explains: its candidates with their shares, none blamed."""
     best = [(error.hypothesis.name, error.share) for error in found.errors]
     shares = tuple(f"{code} {max(share, 0.0):.2f}" for code, share in best if np.isfinite(share))
+    factor = float(np.sqrt(max(found.fit.factor, 0.0)))
     figures: dict[str, Figure] = {
-        "factor": float(np.sqrt(max(found.fit.factor, 0.0))),
+        "factor": factor,
         "group": found.fit.groups[0] if found.fit.groups else "image",
         "shares": shares,
         "explained": found.explained if np.isfinite(found.explained) else 0.0,
         "pattern": found.fit.pattern,
     }
     clauses = ("explains-part",) if shares else ()
-    return Finding(
-        "unexplained", "doubtful", "", figures, clauses, Size(float(figures["factor"] or 0.0), "1")
-    )  # type: ignore[arg-type]
+    # The standard deviations say nothing of what is behind so large a misfit.
+    severity: Severity = "grave" if factor > policy.WORTH_A_WORD else "doubtful"
+    return Finding("unexplained", severity, "", figures, clauses, Size(factor, "1"))
 
 
 def _of_rays(found: SystematicErrors) -> list[Finding]:

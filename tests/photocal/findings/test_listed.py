@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from photocal.base.codec import same
 from photocal.base.errors import InputMalformedError
 from photocal.findings.finding import Finding, Size
-from photocal.findings.hypotheses import FAULTS
+from photocal.hypotheses.table import FAULTS
 from photocal.findings.listed import Findings
 from photocal.findings.texts import catalogue, finding_text
 

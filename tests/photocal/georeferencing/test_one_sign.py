@@ -66,7 +66,7 @@ def test_all_writers_of_a_check(photocal: Photocal, block: tuple[Path, str], tmp
     given = [point["dX_m"] for point in points if point["point"] == name]
     given += [float(row["dX_m"]) for row in rows(out / "ground_points.csv") if row["point"] == name]
     assert len(given) == 6
-    text = photocal("check", folder).out
+    text = photocal("check", folder, "--details").out
     given += [float(d) for d in re.findall(rf"^{name} +([+-][0-9.]+)", text, re.MULTILINE)]
     assert given == pytest.approx([-MOVED_M] * 9, abs=0.2)
     assert content["sign"] in text
