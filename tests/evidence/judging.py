@@ -17,7 +17,7 @@ import numpy as np
 import photocal
 from photocal.adjustment.ledger import ledger
 from photocal.base.errors import PhotocalError
-from photocal.findings.finding import verdict
+from photocal.findings.verdict import judge
 from photocal.georeferencing.output import to_json
 from tests.independent.flights import Design, Errors, World, measured, world
 from tests.independent.folder import Placement, write_folder
@@ -72,7 +72,7 @@ def judged(kind: str, name: str, design: Design, errors: Errors, seed: int, at: 
         name,
         seed,
         content.get("verdict", {}).get("code", "refused"),
-        "refused" if outcome is None else verdict(listed).code,
+        "refused" if outcome is None else judge(listed).outcome.code,
         told_by_check(content),
         cell(Told(one.code, one.severity, one.subject, one.cause) for one in listed),
         *(at_checks or (np.nan, np.nan, np.nan, 0)),

@@ -15,7 +15,8 @@ from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.search import Search, search
 from photocal.block.folder import read_block
 from photocal.block.network import assemble
-from photocal.findings.finding import Finding, verdict
+from photocal.findings.finding import Finding
+from photocal.findings.verdict import judge
 from photocal.geometry.camera import PARAMETERS
 from tests.photocal.analysis.findings import said, sized
 
@@ -87,7 +88,7 @@ def test_c_is_biased(told_nothing: Search) -> None:
     assert "c is biased by +0.028 mm (20.4721 adjusted, 20.4443 corrected; 3.2 formal" in said(found)
     # It moves the points of the block, too.
     assert found.severity == "grave"
-    assert verdict(findings(told_nothing)).code == "not-usable"
+    assert judge(findings(told_nothing)).outcome.code == "not-usable"
     # Distance times the relative error: some 10 m from the wall.
     assert sized(found).ground_m == pytest.approx(0.0277 / 20.4721 * 9.9, rel=0.03)
 
