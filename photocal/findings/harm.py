@@ -47,8 +47,7 @@ def on_ground(finding: Finding, asked: Asked) -> float | None:
     if size is not None:
         per_unit = {"m": 1.0, "deg": math.radians(1.0) * asked.distance_m, "s": asked.speed_m_s}
         effects += [size.ground_m, abs(size.figure) * per_unit.get(size.unit, math.nan)]
-    of_c = figures.get("on_c") or ()
-    effects += [change / asked.c * asked.distance_m for change in of_c if isinstance(change, float)]
+    effects.append(figures.get("change_of_c", math.nan) / asked.c * asked.distance_m)
     known = [abs(effect) for effect in effects if isinstance(effect, float) and math.isfinite(effect)]
     return max(known) if known else None
 

@@ -111,6 +111,7 @@ def _judged(found: SystematicErrors, error: SystematicError) -> dict[str, Figure
         "moved_plane_m": float(np.hypot(*moved[:2])),
         "moved_height_m": float(moved[2]),
         "on_c": tested.on_c,
+        "change_of_c": max(tested.change_of_c, key=abs, default=0.0),
     }
 
 

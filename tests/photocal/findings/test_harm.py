@@ -35,7 +35,7 @@ def test_an_error_is_carried_to_the_ground(size: Size | None, expected: float | 
 
 
 def test_what_a_change_of_c_does_at_the_distance_of_the_block() -> None:
-    finding = Finding("lever-arm", "grave", figures={"on_c": (0.005,), "moved_height_m": 0.01})
+    finding = Finding("lever-arm", "grave", figures={"change_of_c": -0.005, "moved_height_m": 0.01})
     assert on_ground(finding, ASKED) == pytest.approx(0.05)
 
 
