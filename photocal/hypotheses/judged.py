@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from photocal.adjustment.covariance import Shared
 from photocal.adjustment.network import Network
@@ -85,17 +85,22 @@ def limit_of(cause: Cause, families: int) -> float:
 
 
 def judge(
-    these: Candidates, cause: Cause, others: Sequence[Cause], families: int, stated: Stated
+    these: Candidates,
+    cause: Cause,
+    others: Sequence[Cause],
+    before: tuple[float, int],
+    families: int,
+    stated: Stated,
 ) -> Hypothesis:
     """Test a cause beside others that are free already.
 
+    before: v'Pv and degrees of freedom with these.
     raises IllPosedError: when it cannot be told from them.
     """
     solution = these.adjusted.solution
-    before, freedom = these.fall(others)
-    after, left = these.fall((*others, cause))
+    (fall_from, freedom), (after, left) = before, these.fall((*others, cause))
     unknowns = max(cause.unknowns, 1)
-    gain = max(before - after, 0.0)
+    gain = max(fall_from - after, 0.0)
     # As many weak observations as unknowns came in: the degrees of freedom are those of the data.
     freedom = max(min(freedom, left) - (0 if left < freedom else unknowns), 1)
     factor = after / freedom
@@ -103,8 +108,8 @@ def judge(
     scale = factor if cause.field is not None else max(factor, 1.0, _scatter(solution, cause, gain))
     f = gain / unknowns / max(scale, 1e-300)
     level = limit_of(cause, families)
-    critical = float(stats.f(unknowns, freedom).ppf(1.0 - level))
-    p_value = min(1.0, float(stats.f.sf(f, unknowns, freedom)) * families * cause.choices)
+    critical = float(special.fdtri(unknowns, freedom, 1.0 - level))
+    p_value = min(1.0, float(special.fdtrc(unknowns, freedom, f)) * families * cause.choices)
     cost = unknowns * math.log(solution.observations) + 2.0 * math.log(cause.choices)
     empty = Hypothesis(
         cause.fault.code, gain, factor, cause.unknowns, f, critical, f > critical, (), 0.0, 0.0,
@@ -155,7 +160,7 @@ def moved_surely(c_before: Floats, had: Floats, c: Floats, has: Floats, stated: 
     """See `_moved_surely`: values and standard deviations before and after, and as they were stated."""
     change = np.abs(c - c_before)
     spread = np.sqrt(np.maximum(has**2 - had**2, 0.0))
-    sure = (had > 0.0) & (change > stats.norm.isf(policy.SIGNIFICANCE / 2.0) * spread)
+    sure = (had > 0.0) & (change > -special.ndtri(policy.SIGNIFICANCE / 2.0) * spread)
     wider = stated.sigma_c > had
     moved = np.where(wider, np.abs(c - stated.c), change)
     sigma = np.maximum(stated.sigma_c, had)
@@ -180,13 +185,13 @@ def positions_moved(network: Network, solution: Shared, cause: Cause, stated: St
         n = len(columns) // len(entry.frees)
         against = np.kron(np.eye(n) - (1.0 - np.eye(n)) / (n - 1), np.eye(len(entry.frees)))
         moved, covariance = against @ moved, against @ covariance @ against.T
-    sure = np.abs(moved) > stats.norm.isf(policy.SIGNIFICANCE / 2.0) * np.sqrt(np.diag(covariance))
+    sure = np.abs(moved) > -special.ndtri(policy.SIGNIFICANCE / 2.0) * np.sqrt(np.diag(covariance))
     return float(np.max(np.abs(moved) / scale, where=sure, initial=0.0))
 
 
 def estimate(name: str, unit: str, value: float, given: float, sigma: float) -> Estimate:
     """A freed value with its sigma and its test against the given one."""
-    critical = float(stats.norm.ppf(1.0 - policy.SIGNIFICANCE / 2.0))
+    critical = float(-special.ndtri(policy.SIGNIFICANCE / 2.0))
     t = (value - given) / sigma if sigma > 0 else 0.0
     return Estimate(name, unit, value - given, value, sigma, t, abs(t) > critical)
 

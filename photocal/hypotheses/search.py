@@ -189,6 +189,13 @@ def systematic_errors(
         search = _Search(candidates(last, _less(table, confirmed), None, fields), stated)
         accepted = search.chosen(search.beside(()))
     errors = [_told(error, total, given, last, alone=len(errors) == 1) for error in errors]
+    memory = memory_of(last)
+    if memory is not None and memory.likely:
+        # Errors that stay alike for minutes make shifts of their own.
+        shared_errors = [error for error in errors if _by_memory(error, memory)]
+        errors = [error for error in errors if error not in shared_errors]
+        confirmed = [cause for cause in confirmed if all(e.cause is not cause for e in shared_errors)]
+        last = last if errors or not shared_errors else given
     estimates = tuple(e for cause in confirmed for e in _final(given, last, cause, errors))
     excess = _excess(start if at_once is None else first, last)
     found = tuple(
@@ -209,7 +216,7 @@ def systematic_errors(
         gross,
         fit_of(last),
         explained,
-        memory_of(last),
+        memory,
         shared,
     )
 
@@ -281,6 +288,8 @@ class _Search:
             1,
         )
         self._agreed = dict[tuple[str, str], bool]()
+        self._known = dict[tuple[object, ...], Hypothesis | None]()
+        self._before = dict[tuple[object, ...], tuple[float, int]]()
         self.refused = dict[str, str]()
 
     def beside(self, accepted: tuple[Cause, ...]) -> dict[Cause, Hypothesis]:
@@ -362,12 +371,21 @@ class _Search:
 
     def _tested(self, cause: Cause, others: tuple[Cause, ...]) -> Hypothesis | None:
         """Test a cause beside others; None when it cannot be freed."""
+        beside = tuple(sorted(other.key for other in others))
+        key = (cause.key, *beside)
+        if key in self._known:
+            return self._known[key]
+        tested: Hypothesis | None
         try:
-            return judge(self.these, cause, others, self._families, self.stated)
+            before = self._before[beside] if beside in self._before else self.these.fall(others)
+            self._before[beside] = before
+            tested = judge(self.these, cause, others, before, self._families, self.stated)
         except IllPosedError as refusal:
+            tested = None
             if not others:
                 self.refused[cause.fault.code] = refusal.what
-            return None
+        self._known[key] = tested
+        return tested
 
 
 def as_good(cause: Cause, best: Hypothesis, tries: dict[Cause, Hypothesis]) -> tuple[Hypothesis, ...]:
@@ -461,7 +479,8 @@ def gross_rays(adjusted: AdjustedNetwork) -> Flags:
         network.rays.point, w.max(axis=1, initial=0.0) > limit / 2.0, len(network.point_names)
     )
     surveyed = np.isin(network.rays.point, control_points(network))
-    return far & ~(surveyed & (count > 1)[network.rays.point])
+    many = count > np.maximum(_SINGLE * np.bincount(network.rays.point, minlength=len(count)), 1)
+    return far & ~(surveyed & many[network.rays.point])
 
 
 def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
@@ -574,6 +593,13 @@ def _confirmed(
             return fit(with_measurements(network, plane), given.state), amounts
     except (IllPosedError, NotConvergedError):
         return None
+
+
+def _by_memory(error: SystematicError, memory: Memory) -> bool:
+    """Whether positions that share their errors explain what looks like a shift or a lever arm of theirs."""
+    cause, tested = error.cause, error.hypothesis
+    of_positions = cause is not None and cause.fault.where[0] == "positions" and bool(cause.fault.frees)
+    return of_positions and tested.f / memory.inflation < tested.critical
 
 
 def _told(

@@ -7,10 +7,11 @@ or errors of rays, positions and control points are added (Rao 1948): fall of v'
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from photocal.adjustment.condensed import Condensed, condensed, observed
+from photocal.adjustment.condensed import Condensed, Observed, condensed, observed
 from photocal.adjustment.covariance import Shared
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.envelope import solve
@@ -56,6 +57,11 @@ class System:
     matrix: Floats
     right: Floats
 
+    @cached_property
+    def _there(self) -> Observed:
+        """What the values of what is shared bring as they stand in the matrix."""
+        return observed(self.shared, self.shared.cameras, self.shared.mounting)
+
     @property
     def border(self) -> int:
         """Where what is added begins."""
@@ -69,7 +75,7 @@ class System:
         returns: matrix and right side of the unknowns, their places, v'Pv and degrees of freedom with all
             unknowns at the state.
         """
-        there = observed(self.shared, self.shared.cameras, self.shared.mounting)
+        there = self._there
         here = observed(self.shared, cameras, mounting)
         extra = self.border + np.asarray(added, dtype=np.int64)
         chosen = np.concatenate([np.flatnonzero(here.unknown), extra])

@@ -21,6 +21,9 @@ SYMPTOMS = (
     "method-refused",
 )
 
+# Codes of findings and clauses that earlier versions stored: their texts stay, so that old files open.
+FORMER = ("control-contradicts", "positions_off", "or-change")
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -100,6 +103,12 @@ FAULTS: tuple[Fault, ...] = (
     Fault("event-time-base", ("time",)),
     Fault("height-kind", ("positions",)),
 )
+
+
+def searched(code: str, table: tuple[Fault, ...] = FAULTS) -> bool:
+    """Whether the search judges a fault itself, rather than another stage."""
+    entry = fault(code, table)
+    return entry is not None and (bool(entry.frees) or entry.each != "block" or bool(entry.kind_of))
 
 
 def fault(code: str, table: tuple[Fault, ...] = FAULTS) -> Fault | None:

@@ -16,7 +16,7 @@ from photocal.findings.listed import Findings
 from photocal.findings.texts import catalogue, finding_json
 from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json
 from photocal.geometry.camera import PARAMETERS
-from photocal.hypotheses.table import FAULTS, Fault, fault
+from photocal.hypotheses.table import FAULTS, Fault, fault, searched
 from photocal.measurement.maker_tag import tag_finding
 from photocal.navigation.ppk_figures import FIGURES as PPK
 from photocal.navigation.ppk_figures import PpkFigures
@@ -31,7 +31,9 @@ from photocal.run.stage import StageResult, is_stage
 # With two thirds of the positions fixed, it is they that carry what is found.
 _JUDGED_FROM_PERCENT = 200.0 / 3.0
 # What else looks like what the search for systematic errors blames: told instead of it.
-_EXCUSES = ("rolling-shutter", "c-drift", "ppk-not-fixed")
+_EXCUSES = ("ppk-not-fixed",)
+# Stages in which causes are sought.
+_OF_CAUSES = ("georeferencing", "analysis")
 _ORDER = ("refused", "grave", "doubtful", "consequence", "note")
 _NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
 
@@ -39,12 +41,24 @@ _NOT_CHECKED = Finding("not-checked", "doubtful", stage="certificate")
 def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, ...]:
     """Collect the findings of the stages: causes, consequences, notes, each in the order of the stages."""
     listed: list[Finding] = []
+    sought = False
     for stage, name, read in _SOURCES:
         path = work / stage / name
-        if path.is_file() and (stages is None or stage in stages):
-            add_new(listed, read(path), stage)
+        if not path.is_file() or (stages is not None and stage not in stages):
+            continue
+        found = read(path)
+        if stage == "analysis" and sought:
+            # The same search on the same block, which the check has told.
+            found = (finding for finding in found if not searched(finding.code))
+        add_new(listed, found, stage)
+        sought = sought or (stage == "georeferencing" and _has_sought(path))
     ppk = work / "ppk" / PPK
     return causes_first(listed, PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
+
+
+def _has_sought(path: Path) -> bool:
+    """Whether a check looked for causes, rather than had no hold for them."""
+    return bool((read_json(path) or {}).get("systematic_errors"))
 
 
 def add_new(listed: list[Finding], findings: Iterable[Finding], stage: str) -> None:
@@ -112,11 +126,9 @@ def causes_first(
 ) -> tuple[Finding, ...]:
     """Mark what follows from other findings, and put it behind them.
 
-    A surveyor who reads two causes does not know which to believe. The search for systematic errors names
-    no more than the observations need; here the other stages come in: what positions without fixed
-    ambiguities contradict, or images whose rows are not of one moment, is no proof against base, antenna,
-    lever arm or zoom. Unless the search explains more than what would excuse it: then that is what follows.
-    Where both explain as much, the one is told with the other: the flight cannot tell.
+    A surveyor who reads two causes does not know which to believe. The search of `hypotheses` names no more than
+    the observations need, and its rivals with each; here the stages outside of it come in: what positions without
+    fixed ambiguities contradict is no proof against base, antenna or lever arm.
     """
     findings = tuple(given)
     codes = {finding.code for finding in findings}
@@ -124,37 +136,13 @@ def causes_first(
         codes.discard("ppk-not-fixed")
     excuse = next((entry for code in _EXCUSES if code in codes and (entry := fault(code, table))), None)
     if excuse is not None:
-        alike = [f for f in findings if f.stage == "georeferencing" and f.code in excuse.imitates]
-        excuses = [finding for finding in findings if finding.code == excuse.code]
-        behind = [f for f in excuses if any(_beyond(other, f) > policy.AS_GOOD for other in alike)]
-        if behind:
-            findings = tuple(replace(f, severity="consequence") if f in behind else f for f in findings)
-        else:
-            findings = tuple(
-                _not_judged(f, excuse.code) if f in alike else _with_rivals(f, alike) if f in excuses else f
-                for f in findings
-            )
+        alike = [f for f in findings if f.stage in _OF_CAUSES and f.code in excuse.imitates]
+        findings = tuple(_not_judged(f, excuse.code) if f in alike else f for f in findings)
     codes = {finding.code for finding in findings}
     symptoms = {code for cause in table if cause.code in codes for code in cause.symptoms}
     findings = tuple(replace(f, severity="consequence") if f.code in symptoms else f for f in findings)
     order = ("warning", "consequence", "note")
     return tuple(sorted(findings, key=lambda finding: order.index(kind(finding))))
-
-
-def _beyond(finding: Finding, excuse: Finding) -> float:
-    """By how much more it lowers v'Pv of the same observations than what would excuse it; NaN if unknown."""
-    ours, others = finding.figures.get("fall"), excuse.figures.get("fall")
-    return ours - others if isinstance(ours, float) and isinstance(others, float) else math.nan
-
-
-def _with_rivals(excuse: Finding, others: Sequence[Finding]) -> Finding:
-    """The same, with what explains the observations as well as it does."""
-    rivals = tuple(
-        dict.fromkeys(other.code for other in others if abs(_beyond(other, excuse)) <= policy.AS_GOOD)
-    )
-    if not rivals:
-        return excuse
-    return replace(excuse, figures={**excuse.figures, "same": rivals}, clauses=(*excuse.clauses, "same"))
 
 
 def _not_judged(finding: Finding, cause: str) -> Finding:

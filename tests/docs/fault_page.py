@@ -14,7 +14,7 @@ Made from the one table of them (`photocal/hypotheses/table.py`) and its texts; 
 [the guide](guide/warnings.md). A new fault is one entry there and its texts `term.CODE`, `finding.CODE` and,
 where there is something to do, `remedy.CODE` in `findings_en.toml` and `findings_pt-BR.toml`.
 
-| code | what is wrong | the search frees | prior (m, rad, s, share of c) | what it looks like |
+| code | what is wrong | the search frees or adds | prior (m, rad, s, share of c) | what it looks like |
 |---|---|---|---|---|
 """
 
@@ -26,8 +26,18 @@ def page() -> str:
 
 
 def _row(one: Fault) -> str:
-    each = {"block": "", "strip": ", each strip", "part": ", before and after an image"}[one.each]
-    frees = f"{', '.join(one.frees)}{each}" if one.frees else f"as `{one.kind_of}`" if one.kind_of else "-"
+    each = {
+        "strip": ", each strip",
+        "one-strip": ", one strip",
+        "part": ", before and after an image",
+    }.get(one.each, "")
+    added = {
+        "field": "a field of the image coordinates",
+        "image": "the position of one image",
+        "point": "the coordinates of control points, one or up to a third of them",
+        "pair": "two control points that changed places",
+    }.get(one.each, "-")
+    frees = f"{', '.join(one.frees)}{each}" if one.frees else f"as `{one.kind_of}`" if one.kind_of else added
     prior = "-" if not one.frees else f"{one.prior:g}"
     like = (
         "everything else" if "*" in one.imitates else ", ".join(f"`{code}`" for code in one.imitates) or "-"
