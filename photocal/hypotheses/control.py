@@ -354,7 +354,7 @@ def _fitting(
 
 
 def _digit_slip(given: float, wanted: float, tolerance: float) -> tuple[tuple[str, ...], float]:
-    """Two digits swapped, one digit or the sign wrong, feet for metres: code, given, wanted; and the value."""
+    """Two digits swapped, one digit or the sign wrong, feet for metres: code, given, wanted; its value."""
     text = f"{given:.3f}"
     places = [i for i, mark in enumerate(text) if mark.isdigit()]
     for i, j in pairwise(places):

@@ -87,7 +87,7 @@ def ray_fields(network: Network, state: State, computed: Floats, near: str = "")
 
 
 def _change_of_c(network: Network, state: State, computed: Floats, camera: int, near: str) -> list[Field]:
-    """Give c as a drift from the first image to the last, then as changes at places; none for a few images."""
+    """Give c as a drift from the first image to the last, then as changes at places; none of few images."""
     exposures, image = network.exposures, network.rays.image
     order = order_of(exposures.time, np.flatnonzero(exposures.camera == camera))
     of_camera = exposures.camera[image] == camera

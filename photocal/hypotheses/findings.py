@@ -42,7 +42,7 @@ def no_slips(_point: str, _error: Floats, _sigma: Floats) -> tuple[str, ...]:
 def cause_findings(
     found: SystematicErrors, slips: Slips = no_slips, target_m: float | None = None
 ) -> tuple[Finding, ...]:
-    """Give the causes that were found, the gravest first, and what is said of the observations beside them.
+    """Give the causes that were found, the gravest first, and what is told of the observations.
 
     target_m: root mean square error that is asked of the block; it says what is harmful.
     """
@@ -134,7 +134,7 @@ def _named(found: SystematicErrors, error: SystematicError, slips: Slips) -> lis
     if _is_field(error):
         return [_of_model(found, error)]
     if cause is not None and cause.fault.each == "pair":
-        return [_exchanged(found, error, cause)]
+        return [_exchanged(found, cause)]
     if cause is not None and cause.fault.each == "point":
         return _mistyped(error, cause, slips)
     if tested.name == "strip-position":
@@ -277,7 +277,7 @@ def _mistyped(error: SystematicError, cause: Cause, slips: Slips) -> list[Findin
     return listed
 
 
-def _exchanged(found: SystematicErrors, error: SystematicError, cause: Cause) -> Finding:
+def _exchanged(found: SystematicErrors, cause: Cause) -> Finding:
     values = found.first.network.points.values[list(cause.members)]
     apart = float(np.linalg.norm(values[0] - values[1]))
     figures: dict[str, Figure] = {"points": tuple(cause.subject.split(" ")), "apart_m": apart}

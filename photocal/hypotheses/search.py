@@ -113,7 +113,7 @@ class SystematicErrors:
 
     @property
     def adequate(self) -> bool:
-        """Whether what was found may be called a cause: the model with it passes, or leaves hardly anything."""
+        """Whether what was found may be called a cause: the model with it passes, or leaves hardly any."""
         return self.fit.passes or self.explained >= policy.EXPLAINED
 
 
@@ -648,7 +648,7 @@ def _applied(network: Network, cause: Cause) -> Network:
 
 
 def _taken_out(network: Network, kind: str, index: int) -> Network:
-    """Without the position of an image or the coordinates of a control point; where one ray is left, barely."""
+    """Without a position, or the coordinates of a control point, barely where one ray is left."""
     if kind == "control" and np.sum(network.rays.point == index) < 2:
         weight = network.points.weight.copy()
         weight[index] = weight[index] / _ASIDE**2

@@ -30,8 +30,8 @@ class Fault:
     """One thing that may be wrong.
 
     where: what it falsifies.
-    frees: what it adds as unknowns: names of the mounting's common values (`adjustment.mounting.COMMON`) or of
-        camera parameters; nothing for a field of displacements, a wrong observation, or what is found in
+    frees: what it adds as unknowns: names of the mounting's common values (`adjustment.mounting.COMMON`) or
+        of camera parameters; nothing for a field of displacements, a wrong observation, or what is found in
         another way.
     each: for what those are freed: once, for each strip, for one strip, for the images before and after a
         change of the camera; or what is wrong: a field of one camera's rays, the position of one image, a
@@ -41,7 +41,7 @@ class Fault:
     imitates: what it looks like: "*" for whatever else there is.
     contains: faults that it contains: beside it they are not tested, and it is no other name for them.
     kind_of: the fault that it is a special case of.
-    model: whether it is the model of a camera that lacks something, rather than something that was done wrong.
+    model: whether it is the model of a camera that lacks something, rather than what was done wrong.
     """
 
     code: str

@@ -126,9 +126,9 @@ def causes_first(
 ) -> tuple[Finding, ...]:
     """Mark what follows from other findings, and put it behind them.
 
-    A surveyor who reads two causes does not know which to believe. The search of `hypotheses` names no more than
-    the observations need, and its rivals with each; here the stages outside of it come in: what positions without
-    fixed ambiguities contradict is no proof against base, antenna or lever arm.
+    A surveyor who reads two causes does not know which to believe. The search of `hypotheses` names no more
+    than the observations need, and its rivals with each; here the stages outside of it come in: what
+    positions without fixed ambiguities contradict is no proof against base, antenna or lever arm.
     """
     findings = tuple(given)
     codes = {finding.code for finding in findings}

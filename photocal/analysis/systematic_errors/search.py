@@ -1,4 +1,4 @@
-"""What an analysis looks at beside causes: how groups, images, axes, cameras and places on the sensor scatter."""
+"""What an analysis looks at beside causes: how groups, images, axes, cameras and places scatter."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

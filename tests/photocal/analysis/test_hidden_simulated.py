@@ -269,7 +269,8 @@ def test_a_principal_distance_that_changes_within_the_flight_is_named(shape: str
     first = findings(search(fitted))[0]
     assert first.code == code
     # 0.3 % are told apart; a fortieth of it are not.
-    assert not first.figures.get("alike") and not first.figures["same"]
+    assert not first.figures.get("alike")
+    assert not first.figures["same"]
     if shape != "step":
         assert abs(sized(first).figure - 0.003 * aerial.LENS["c"]) < 4 * (sized(first).sigma or 0.0)
     c = within_flight(fitted, 0)[0]
