@@ -10,6 +10,8 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.base.arrays import Floats
 
+# Share of c, per m, that is rounding.
+_ROUNDING = 1e-8
 _UP = np.array([0.0, 0.0, 1.0])
 # Groups of observations that a common error of positions changes.
 _GROUPS = ("position", "exposure")
@@ -37,7 +39,9 @@ def c_by_common_height(at: Factored) -> Floats | None:
     step = covariance_column(at, right, np.zeros_like(at.state.points))[0]
     for k, (parameters, columns) in enumerate(at.problem.layout.camera_columns):
         changes[k] = step[columns[parameters == 0]].sum()
-    return changes
+    # A block without control moves as a whole: what is left of c is rounding.
+    of_c = np.array([camera.values[0] for camera in network.cameras])
+    return np.where(np.abs(changes) > _ROUNDING * of_c, changes, 0.0)
 
 
 def _raised(network: Network) -> Network:

@@ -11,7 +11,8 @@ from tests.independent.faults import Fault
 
 # What follows of errors, what a block cannot tell, and what is said of samples: none of it is a cause.
 NO_CAUSES = (
-    *("check-outside-prediction", "control-outside-prediction", "prediction-too-good", "global-test"),
+    *("check-outside-prediction", "control-outside-prediction", "prediction-too-good", "check-mean"),
+    "global-test",
     *("global-factor", "method-refused", "not-separated", "not-determined", "no-check-points", "no-control"),
     *("coarse-positions", "c-on-positions", "heights-on-positions", "small-sample", "single-check-point"),
     *("bias", "outliers", "not-normal", "c-bias", "significance", "jackknife", "not-explained"),

@@ -75,13 +75,12 @@ def test_start_values_are_not_judged(tmp_path: Path) -> None:
     assert not direct.predicted
     # Start values of c and boresight make metres of what the sigmas call centimetres.
     assert differences(block, direct, "check").ratio > 3.0
-    open_values = replace(check.of("direct"), result=direct, check=differences(block, direct, "check"))  # type: ignore[type-var]
-    said = [one for one in block_findings(replace(check, judged=(open_values,))) if one.subject == "direct"]
-    causes = [
-        one.cause
-        for one in block_findings(replace(check, judged=(open_values,)))
-        if one.severity == "untested"
-    ]
+    stated = check.of("direct")
+    assert stated is not None
+    open_values = replace(stated, result=direct, check=differences(block, direct, "check"))
+    listed = block_findings(replace(check, judged=(open_values,)))
+    said = [one for one in listed if one.subject == "direct"]
+    causes = [one.cause for one in listed if one.severity == "untested"]
     assert said == []
     assert causes == ["start-values-used"]
 
