@@ -110,6 +110,9 @@ def with_datum(problem: Problem, state: State) -> Problem:
     if problem.network.datum_points is None:
         return problem
     normal = normal_equations(problem, state)
+    if not np.isfinite(normal.matrix).all():
+        # Of points in a camera's own plane nothing can be judged: the solver says which.
+        return problem
     moves, _ = similarity_moves(problem, state)
     null = moves @ open_combinations(problem, normal, moves)
     if not null.shape[1]:

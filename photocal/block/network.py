@@ -32,8 +32,9 @@ from photocal.geometry.rotation import matrix_from_angles
 # Start coordinates are impossible where a ray misses them by this many principal distances, and by this many
 # times what rays usually miss: attitudes of a flight may be degrees off, those of all images alike.
 _ASTRAY, _UNLIKE = 0.25, 8.0
-# Heights of positions that are known no better may count from another surface, m.
-OTHER_SURFACE_M = 50.0
+# Heights of positions that are known no better may count from another surface, m; those that are known so
+# well were measured by GNSS from the ellipsoid.
+OTHER_SURFACE_M, ELLIPSOIDAL_M = 50.0, 1.0
 
 
 def with_start_values(
@@ -155,7 +156,7 @@ def assemble(block: Block) -> NetworkOfBlock:
     rays_of_point = np.bincount(block.observations.point, minlength=len(block.points.names))
     _require_rays(block, rays_of_point)
     _require_datum(block, rays_of_point)
-    if len(block.positions.image) or (block.images.sigma[:, 5] < OTHER_SURFACE_M).any():
+    if len(block.positions.image) or (block.images.sigma[:, 5] < ELLIPSOIDAL_M).any():
         require_geoid(block.frame, block.height)
     used = np.flatnonzero(rays_of_point)
     position = np.full(len(rays_of_point), -1)

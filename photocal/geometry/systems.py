@@ -192,7 +192,7 @@ def _register() -> tuple[MapSystem, ...]:
         area, code = info.area_of_use, f"{info.auth_name}:{info.code}"
         if area is not None and info.auth_name in ("EPSG", "ESRI") and "(ft" not in info.name:
             bounds = (area.west, area.south, area.east, area.north)
-            systems.setdefault(code, MapSystem(code, info.name, area.name, bounds))
+            systems.setdefault(code, MapSystem(code, info.name, area.name or "", bounds))
     return tuple(systems.values())
 
 

@@ -133,6 +133,9 @@ def fit_control(adjusted: AdjustedTies, start: Block, views: OrientedImages) -> 
     # What counts in plane or height alone is held against nothing here.
     partly = points.of_role("control") & ~np.isfinite(points.sigma).all(axis=1)
     keeps |= partly & (controlled or placed)
+    # What is marked nowhere does no harm, and is named as such.
+    unseen = np.bincount(rays.tracks.track, minlength=len(points.names)) == 0
+    keeps |= surveyed & unseen & (controlled or placed)
     why = fit.why if control.any() else ""
     findings += _sentences(
         fit, why, target, judged, views, adjusted, placed=placed, listed=int(control.sum())

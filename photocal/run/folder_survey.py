@@ -1,7 +1,7 @@
 """What lies in the folder of a flight: pictures, control, marks, logs, and projects of other programs."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -75,12 +75,15 @@ class FolderContents:
     unread: list[str] = field(default_factory=list)
 
 
-def survey(folder: Path) -> FolderContents:
-    """Look at everything in a folder; raises InputNotFoundError when it is no folder."""
+def survey(folder: Path, leave_out: Collection[Path] = ()) -> FolderContents:
+    """Look at everything in a folder; raises InputNotFoundError when it is no folder.
+
+    leave_out: files that are no source of anything.
+    """
     if not folder.is_dir():
         raise InputNotFoundError("is no folder", "name the folder of the flight", where=folder)
     seen = FolderContents(folder)
-    files = sorted(_files(folder, _DEPTH))
+    files = sorted(path for path in _files(folder, _DEPTH) if path not in leave_out)
     seen.pictures = _pictures(files, seen.unread)
     sizes = {image.name: image.size_px for facts in seen.pictures.values() for image in facts}
     for path in files:

@@ -19,6 +19,7 @@ from photocal.measurement.mark_frames import AS_STORED, FrameChoice, MarkFrame, 
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after
 from photocal.measurement.position_files import map_places
 from photocal.run.folder_survey import ControlFile
+from photocal.run.project_checks import FREED
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
 # Around a place, deg: grids are looked up there.
@@ -309,9 +310,7 @@ def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:
         return
     latitude, longitude = _middle(placed)
     area = (longitude - _AROUND, latitude - _AROUND, longitude + _AROUND, latitude + _AROUND)
-    without = (
-        "without one: position_sigma_m = [1.5, 1.5, 50.0] in [images], and no height of the pictures counts"
-    )
+    without = f"without one: {FREED}"
 
     def grid(crs: str) -> str:
         """Say whether the grids of a system are here."""

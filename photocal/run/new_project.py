@@ -28,7 +28,7 @@ from photocal.project import ASKED, NAME
 from photocal.run.camera_card import chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, ControlFile, FolderContents, survey
 from photocal.run.new_control import Told, settle
-from photocal.run.renewed_project import renewed
+from photocal.run.renewed_project import renewed, written_before
 
 PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
@@ -74,7 +74,7 @@ def new_project(
     raises OutputError: when one of the files is there already.
     """
     told = Told(crs, height, parse_frame(marks) if marks else None)
-    seen = survey(folder)
+    seen = survey(folder, written_before(folder) if again else ())
     if not seen.pictures and not seen.logs:
         raise InputNotFoundError(
             "has neither pictures nor a flight log",

@@ -15,7 +15,7 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.block.folder import read_block, read_relations
 from photocal.block.model import Block, ObjectPoints
-from photocal.block.network import OTHER_SURFACE_M, block_frame
+from photocal.block.network import ELLIPSOIDAL_M, block_frame
 from photocal.exchange.parts import PointEntry, object_points
 from photocal.exchange.source import read_json
 from photocal.geometry.frames import reference_frame, require_geoid
@@ -40,6 +40,8 @@ RAYS, RAYS_M = 0.15, 15.0
 # A hypothesis must leave so much less than the contradiction.
 EXPLAINS = 0.2
 FEWEST = 3
+# What serves without a geoid.
+FREED = 'position_sigma_m = "free" in [images], and control alone places the block'
 # Of so many control points some may be wrong.
 SOME_WRONG = 1 / 3
 # Grids are looked up so far around a place, deg.
@@ -69,11 +71,10 @@ def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -
     """Open what the system needs, a geoid that is not here among it, before hours of measuring."""
     images = project.contents.images
     sigma = None if images is None else images.position_sigma_m
-    facts = facts_of_pictures(project)
-    loose = isinstance(sigma, tuple) and sigma[2] >= OTHER_SURFACE_M
-    stated = any(np.isfinite(picture.position_sigma_m).all() for picture in facts)
-    placed = any(picture.has_position for picture in facts)
-    precise = project.contents.flight is not None or stated or (placed and not loose and sigma != "free")
+    facts = [picture for picture in facts_of_pictures(project) if picture.has_position]
+    stated = any(picture.position_sigma_m[2] < ELLIPSOIDAL_M for picture in facts)
+    typed = bool(facts) and isinstance(sigma, tuple) and sigma[2] < ELLIPSOIDAL_M
+    precise = project.contents.flight is not None or typed or (stated and sigma != "free")
     middle = np.nanmedian(control.values, axis=0)
     here = middle[None] if np.isfinite(middle).all() else np.zeros((0, 3))
     try:
@@ -90,8 +91,7 @@ def _check_frame(project: Project, control: ObjectPoints, place: Place | None) -
         level = project.crs.split("+")[0]
         raise ConfigurationError(
             f"crs = {project.crs!r} needs {', '.join(lacks)}, which is not here",
-            f"photocal fetch-grids {project.crs} brings it; without it crs = {level!r} serves where no "
-            f"height of the pictures counts (position_sigma_m = [1.5, 1.5, {OTHER_SURFACE_M}] in [images])",
+            f"photocal fetch-grids {project.crs} brings it; without it: crs = {level!r} and {FREED}",
             where=project.path,
         ) from refusal
 
@@ -104,10 +104,7 @@ def _with_heights(crs: str, place: Place | None) -> str:
     """Systems of heights that would say what orthometric ones count from."""
     systems = [("3855", "EGM2008 height")] if place is None else heights_at(*place[:2])
     offers = " or ".join(f'"{crs}+{code}" ({name})' for code, name in systems)
-    return (
-        f"name a compound system: {offers}; or position_sigma_m = [1.5, 1.5, {OTHER_SURFACE_M}] in [images], "
-        "and no height of the pictures counts"
-    )
+    return f"name a compound system: {offers}; or {FREED}"
 
 
 def _check_inputs(project: Project) -> None:

@@ -16,6 +16,26 @@ from photocal.project import ASKED, NAME
 _IDS = {"camera": "id", "head": "camera"}
 
 
+def written_before(folder: Path) -> tuple[Path, ...]:
+    """Tables that the project file of a folder names: they are no sources, but what came of them."""
+    path = folder / NAME
+    if not path.exists():
+        return ()
+    content = _parsed(path, path.read_text(encoding="utf-8"))
+    named = [
+        content.get(section, {}).get(key)
+        for section, key in (("control", "points"), ("control", "marks"), ("images", "pictures"))
+    ]
+    return tuple(folder / str(name) for name in named if name)
+
+
+def _parsed(path: Path, text: str) -> tomlkit.TOMLDocument:
+    try:
+        return tomlkit.parse(text)
+    except TOMLKitError as refusal:
+        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
+
+
 def renewed(folder: Path, files: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     """Give the files as they become, and the lines of the project file that change.
 
@@ -25,10 +45,7 @@ def renewed(folder: Path, files: Mapping[str, str]) -> tuple[dict[str, str], tup
     """
     path = folder / NAME
     before = path.read_text(encoding="utf-8")
-    try:
-        document, found = tomlkit.parse(before), tomlkit.parse(files[NAME])
-    except TOMLKitError as refusal:
-        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
+    document, found = _parsed(path, before), tomlkit.parse(files[NAME])
     _merge(document, found)
     after = tomlkit.dumps(document)
     lines = difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=0)

@@ -127,7 +127,7 @@ def test_points_in_a_line_or_too_few_are_a_sentence() -> None:
 
 
 def test_control_against_positions_is_said_and_places_the_block() -> None:
-    found = oriented(SURVEY, STATIONS + [100.0, -30, 0])
+    found = oriented(SURVEY, STATIONS + np.array([100.0, -30, 0]))
     (one,) = [one for one in found.findings if one.code == "control-against-positions"]
     assert (one.figures["east_m"], one.figures["north_m"]) == pytest.approx((-100.0, 30.0), abs=0.5)
     assert stations(found) < 0.2

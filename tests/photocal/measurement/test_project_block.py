@@ -16,6 +16,7 @@ from PIL import Image
 
 from photocal.adjustment.adjust import adjust
 from photocal.block.folder import read_block
+from photocal.block.model import ROLES
 from photocal.block.network import assemble
 from photocal.measurement.markers import dictionary
 
@@ -153,7 +154,7 @@ def test_a_project_becomes_a_block(
     assert np.abs(found - [*lain["P5"], 0.0]).max() < 0.02
 
 
-def test_a_project_needs_something_that_says_where_it_is(
+def test_a_project_that_nothing_places_is_free_and_says_so(
     site: tuple[Path, Site, dict[str, tuple[float, float]]], tmp_path: Path, photocal: Callable[..., Answer]
 ) -> None:
     folder, _, _ = site
@@ -167,9 +168,14 @@ def test_a_project_needs_something_that_says_where_it_is(
     said = photocal(
         "measure", folder / "bare.toml", "-o", tmp_path / "b", "--workers", 1, "--cache", tmp_path / "cache"
     )
-    assert said.code != 0
-    assert "marks of at least three control points" in said.err
-    assert not (tmp_path / "b").exists()
+    assert said.code == 0
+    block = read_block(tmp_path / "b")
+    assert block.datum == "free"
+    assert set(block.points.role.tolist()) == {ROLES.index("tie")}
+    record = json.loads((tmp_path / "b/measurement.json").read_text())
+    told = {finding["code"]: finding["text"] for finding in record["findings"]}
+    assert "calibrated, not placed" in told["block-not-placed"]
+    assert "0 of 4 are marked in two pictures" in told["control-not-used"]
 
 
 @pytest.mark.slow

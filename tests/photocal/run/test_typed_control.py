@@ -12,7 +12,10 @@ from typing import Protocol
 import pytest
 from pyproj import Transformer
 
+from photocal.geometry.systems import heights_at
 from photocal.measurement.marks import read_marks
+from photocal.project import read_project
+from photocal.run.project_checks import check_project
 from tests.photocal.run.typed_site import CRS, Row, site_folder
 
 WIDTH, HEIGHT = 480, 360
@@ -224,3 +227,70 @@ def test_a_free_block_is_certified_as_calibrated_not_placed(
         assert "not placed" in text
         for word in ("EPSG", "PUWG", "CS92", "orthometric", r"\b63(45|46)\d\d\.\d", r"\b485[23]\d\d\.\d"):
             assert not re.search(word, text), (name, word)
+
+
+def test_the_answers_to_a_question_are_taken(pictures: Path, tmp_path: Path, photocal: Photocal) -> None:
+    """Positions as receivers without corrections give them need no geoid beside orthometric control."""
+    site_folder(pictures, tmp_path / "f", positions=True)
+    (asked,) = new(photocal, tmp_path / "f")["asked"]
+    assert asked.startswith("height: ")
+    project = tmp_path / "f/project.toml"
+    for answer in ("ellipsoidal", "orthometric"):
+        project.write_text(re.sub('height = "[^"]*"', f'height = "{answer}"', project.read_text()))
+        check_project(read_project(project))
+
+
+def test_heights_of_precise_positions_ask_for_their_geoid(
+    pictures: Path, tmp_path: Path, photocal: Photocal
+) -> None:
+    """With the vertical systems of the place, and of each whether its grid is here."""
+    folder = tmp_path / "f"
+    site_folder(pictures, folder, positions=True)
+    rows = ["EPSG:2180", *(f"p{k}.jpg {634600 + k} 485300 130 0 0 0 0.02 0.03" for k in range(1, 9))]
+    (folder / "geo.txt").write_text("\n".join(rows) + "\n")
+    (asked,) = new(photocal, folder, "--height", "orthometric")["asked"]
+    assert asked.startswith("crs: with the system of its heights")
+    for code, name in heights_at(52.2, 20.97):
+        assert f'"EPSG:2180+{code}" ({name}; ' in asked
+    assert "photocal fetch-grids EPSG:2180+" in asked
+    assert 'without one: position_sigma_m = "free"' in asked
+    # What is answered against the advice is refused in a second, with the same candidates.
+    project = folder / "project.toml"
+    project.write_text(project.read_text().replace('crs = "?"', 'crs = "EPSG:2180"'))
+    said = photocal("run", folder)
+    assert said.code == 5
+    assert '"EPSG:2180+5773" (EGM96 height)' in said.err
+    project.write_text(project.read_text().replace('"EPSG:2180"', '"EPSG:2180+5773"'))
+    said = photocal("run", folder)
+    assert said.code == 5
+    assert "photocal fetch-grids EPSG:2180+5773" in said.err
+    assert not (folder / "work/.stages").exists()
+
+
+def test_again_keeps_what_a_person_wrote(pictures: Path, tmp_path: Path, photocal: Photocal) -> None:
+    """Answers, comments and rows stay; a point that came to the list since is added and shown."""
+    folder = tmp_path / "f"
+
+    def without_the_last(rows: list[Row]) -> list[Row]:
+        return [row for row in rows if row.name != "G6"]
+
+    typed = site_folder(pictures, folder, without_the_last, positions=True)
+    new(photocal, folder)
+    project, control = folder / "project.toml", folder / "control.csv"
+    text = project.read_text().replace('height = "?"', 'height = "orthometric"  # by the survey office')
+    project.write_text(text.replace('lens = "unknown"', 'lens = "given"'))
+    control.write_text(control.read_text().replace("0.0300,control", "0.0300,check", 1))
+    kept = project.read_text()
+    said = photocal("new", folder)
+    assert said.code != 0
+    assert "--again" in said.err
+    site_folder(pictures, tmp_path / "later", positions=True)
+    (folder / "gcp_list.txt").write_bytes((tmp_path / "later/gcp_list.txt").read_bytes())
+    found = new(photocal, folder, "--again")
+    assert project.read_text() == kept
+    assert [line for line in found["changed"] if line.startswith("+ control.csv: G6,")]
+    assert control.read_text().count("check") == 1
+    points = {mark.point for mark in read_marks(folder / "marks.csv")}
+    assert points == {row.name for row in typed} | {"G6"}
+    # Once more there is nothing to add.
+    assert new(photocal, folder, "--again")["changed"] == []
