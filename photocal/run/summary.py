@@ -231,8 +231,9 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
         """Read the figures of a stage that is done."""
         return read_json(work / stage / file) if stage in done else None
 
-    ppk = PpkFigures.read(work / "ppk" / PPK).record if "ppk" in done else None
-    exposures = ExposureFigures.read(work / "exposures" / EXPOSED) if "exposures" in done else None
+    flown, seen = work / "ppk" / PPK, work / "exposures" / EXPOSED
+    ppk = PpkFigures.read(flown).record if "ppk" in done and flown.is_file() else None
+    exposures = ExposureFigures.read(seen) if "exposures" in done and seen.is_file() else None
     check = figures("georeferencing", "check.json")
     judged = check and (check["methods"].get("integrated") or {}).get("assessment")
     adjusted = next((stage for stage in ("analysis", "calibration") if stage in done), None)

@@ -16,6 +16,7 @@ from photocal.navigation.events import Events
 from photocal.navigation.exposure_checks import Evidence, check_exposures
 from photocal.navigation.exposures import Exposures, at_camera, at_events
 from photocal.navigation.position_comparison import judge_positions
+from photocal.navigation.ppk_figures import BaseFigures, PpkFigures
 from photocal.navigation.receiver_recording import ReceiverRecording
 from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime, HostTime
@@ -181,7 +182,7 @@ def evidence(path: Trajectory, late_s: float = 0.0, **changed: object) -> Eviden
     path_of_vehicle = path_of(late, (truth.lat_deg + place[:, 0], truth.lon_deg + place[:, 1], height))
     vehicle = VehicleTrack(path_of_vehicle, HostTime(late.ns), None)
     rover = ReceiverRecording("rover", geoid_m=[GEOID + 0.7])
-    ppk = {"base": {"up_off_code_solution_m": 1.0}}
+    ppk = PpkFigures(100.0, BaseFigures(1.0))
     made = Evidence(CameraOnBody(), events, [], exposures, path, rover, vehicle, None, [], ppk)
     return replace(made, **changed)  # type: ignore[arg-type]
 
@@ -193,7 +194,7 @@ def verdict(made: Evidence, code: str) -> Finding:
 def test_orthometric_heights_declared_ellipsoidal() -> None:
     assert verdict(evidence(trajectory()), "height-kind").severity == "passed"
     # The base's height given above sea level: the whole trajectory is lower by the geoid's height.
-    low = evidence(trajectory(-GEOID), ppk={"base": {"up_off_code_solution_m": 1.0 - GEOID}})
+    low = evidence(trajectory(-GEOID), ppk=PpkFigures(100.0, BaseFigures(1.0 - GEOID)))
     check = verdict(low, "height-kind")
     assert check.severity == "grave"
     assert "orthometric, not ellipsoidal" in english(check)
