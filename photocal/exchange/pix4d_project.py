@@ -3,13 +3,14 @@
 All names end alike; a project's name stands before. Per image `calibrated_camera_parameters.txt` has K in
 px (the corner of the upper-left pixel is 0), K1 K2 K3, T1 T2 (`brown-ideal`, OpenCV's k and p), the position
 less `offset.xyz` and R, x = K [R, -R t] X. `tp_bingo.txt` has the measurements as they were: mm from the
-middle of the image, y up. Coordinates are those of the output system, in which the program reckons as if it
-were Cartesian; so does the block. Source: layouts of real projects, of one full-frame camera and of rigs.
+middle of the image, y up. Coordinates are those of the output system (`wkt.prj`), in which the program
+reckons as if it were Cartesian; the block takes them for what they are. Source: layouts of real projects, of
+one full-frame camera and of rigs.
 """
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Images
 from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
+from photocal.exchange.output_system import output_system
 from photocal.exchange.parts import PointEntry, block, distinct, object_points, pixels
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
@@ -113,6 +115,8 @@ def read(path: Path) -> ForeignProject:
     ]
     place = {name: k for k, name in enumerate(points)}
     image, point = (np.array(k, dtype=np.int64) for k in ([r[0] for r in rows], [place[r[1]] for r in rows]))
+    frame, height, told = output_system(_file(folder, "wkt.prj"), poses[:, 3:])
+    remarks += told
     given, weak = without_weak_points(
         block(
             path.name.removesuffix(CAMERAS).strip("_") or folder.parent.name,
@@ -124,6 +128,7 @@ def read(path: Path) -> ForeignProject:
             heads=heads,
         )
     )
+    given = replace(given, frame=frame, height=height)
     if weak:
         remarks.append(f"{weak} points have one ray only: left out")
     position, sigma, pose_sigma = _positions(folder, image_names)
