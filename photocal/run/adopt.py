@@ -21,7 +21,7 @@ from photocal.block.model import Block
 from photocal.block.mounting import make_mounting
 from photocal.block.network import assemble
 from photocal.block.setup import MountingKeys
-from photocal.exchange.foreign_project import ForeignProject, free_nonzero_parameters
+from photocal.exchange.foreign_project import ForeignProject, free_nonzero_parameters, never_estimated
 from photocal.exchange.formats import read_foreign_project
 from photocal.measurement.block_files import SCHEMA as MEASURED
 from photocal.measurement.block_files import MeasuredBlock
@@ -65,8 +65,7 @@ def adopt(
     step = steps(progress, path)
     with step("reading the project"):
         foreign, report = with_report(with_control(read_foreign_project(path), path, gcp), path)
-        block = free_nonzero_parameters(foreign.block, weighted=foreign.weighted)
-        foreign = without_what_hangs_loose(replace(foreign, block=block))
+        foreign = without_what_hangs_loose(_freed(foreign))
     source, run = output / "block", output / "calibration"
     output.mkdir(parents=True, exist_ok=True)
     with step("gross errors of the rays"):
@@ -102,6 +101,14 @@ def adopt(
     with step("certificate"):
         issue(run, output / "certificate", day=day, block=source)
     return figures
+
+
+def _freed(foreign: ForeignProject) -> ForeignProject:
+    """Estimate the cameras, also one that the program never did, which is named."""
+    assumed = [] if foreign.weighted else never_estimated(foreign.block)
+    remarks = [f"camera {name} was never estimated by {foreign.program}: estimated here" for name in assumed]
+    block = free_nonzero_parameters(foreign.block, weighted=foreign.weighted)
+    return replace(foreign, block=block, remarks=(*foreign.remarks, *remarks))
 
 
 def _with_positions(foreign: ForeignProject) -> Block:
@@ -171,6 +178,9 @@ def _weighted(foreign: ForeignProject) -> ForeignProject:
                 for rays, square, count in zip((tie, ~tie), squares, free, strict=True):
                     sigma[rays] = np.sqrt(square / count)
         block = replace(block, observations=replace(block.observations, sigma=sigma))
+        # With one sigma for all nothing moves.
+        if np.ptp(sigma) == 0.0:
+            break
     return replace(foreign, block=block)
 
 
