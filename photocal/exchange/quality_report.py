@@ -26,6 +26,7 @@ SUFFIXES = (".pdf", ".html", ".htm", ".xml", ".txt", ".json", ".log")
 MAX_BYTES, MAX_PAGES, MAX_LINE, DEPTH, MAX_FILES = 64 << 20, 80, 2000, 3, 4000
 _NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
+_FOLDERS = ("report", "reports", "odm_report")
 _BREAKS = {"br", "div", "h1", "h2", "h3", "h4", "h5", "h6", "li", "p", "table", "tr"}
 
 
@@ -54,14 +55,12 @@ class QualityReport:
 
 
 def reports_near(folder: Path) -> list[Path]:
-    """Files named as reports are, in a folder, beside it, and above it as a program places them."""
-    found = list[Path]()
-    # Pix4D: 1_initial/params and 1_initial/report; ODM: odm_report or report beside the reconstruction.
-    for root, depth in ((folder, DEPTH), *((place, 0) for place in folder.parents[:2])):
-        found += [path for path in _files(root, depth) if path not in found]
-        beside = (place for place in _inside(root) if "report" in place.name.casefold())
-        for place in beside if depth == 0 else ():
-            found += [path for path in _files(place, 2) if path not in found] if place.is_dir() else []
+    """Files named as reports are, in a folder, and in one for reports beside it."""
+    # Pix4D: 1_initial/params and 1_initial/report; ODM: opensfm and odm_report. Whatever else lies above a
+    # project is of others.
+    beside = (place for place in _inside(folder.parent) if place.name.casefold() in _FOLDERS)
+    roots = (folder, *(place for place in beside if place.is_dir() and place != folder))
+    found = dict.fromkeys(path for root in roots for path in _files(root, DEPTH))
     order = {suffix: k for k, suffix in enumerate((".json", ".xml", ".html", ".htm", ".txt", ".log", ".pdf"))}
     return sorted(found, key=lambda path: (order[path.suffix.lower()], len(path.parts), path.name))
 
