@@ -12,6 +12,7 @@ from photocal.adjustment.groups import Member
 from photocal.adjustment.mounting import Attitudes, Positions
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import prepare
+from photocal.adjustment.parallax import determined
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import CONVERGED, Near, minimise
 from photocal.adjustment.state import State, start_state
@@ -63,11 +64,7 @@ def with_sigmas(network: Network, factor: float) -> Network:
 def left_without(network: Network, left_out: Flags) -> tuple[Flags, Flags]:
     """Points that are determined without some images, (points,), and rays that stay, (rays,)."""
     kept = ~left_out[network.rays.image]
-    count = np.bincount(network.rays.point[kept], minlength=len(network.point_names))
-    known = network.points.held.any(axis=1) | (np.diagonal(network.points.weight, axis1=1, axis2=2) > 0).any(
-        axis=1
-    )
-    points: Flags = (count >= 2) | (known & (count >= 1))
+    points = determined(network, kept)
     return points, kept & points[network.rays.point]
 
 

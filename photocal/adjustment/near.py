@@ -17,6 +17,7 @@ from photocal.adjustment.factored import Factored, factored
 from photocal.adjustment.kernels.data import Design
 from photocal.adjustment.kernels.removal import remove_images
 from photocal.adjustment.normal import Normal, diagonal_addresses, eliminated, other_equations, values_of
+from photocal.adjustment.parallax import determined
 from photocal.adjustment.rank import weakest_pivot
 from photocal.adjustment.solver import SINGULAR_PIVOT, Near, chords, moved_along, moved_by
 from photocal.adjustment.state import State
@@ -53,7 +54,7 @@ class Removals:
 
     def __init__(self, at: Factored) -> None:
         self._problem, self._state = at.problem, at.state
-        problem, normal, design = at.problem, at.normal, at.problem.design
+        problem, normal = at.problem, at.normal
         self._kept, self._gradient, self._factor = normal.kept, normal.gradient.copy(), normal.matrix
         self._values = values_of(problem, at.state)
         # What the rays give: the whole system without all else.
@@ -68,8 +69,6 @@ class Removals:
         clear(problem.layout.envelope, self._matrix, common)
         self._gradient[common] = 0.0
         self._room = np.empty_like(self._matrix)
-        weighted = np.diagonal(design.prior_weight, axis1=1, axis2=2) > 0
-        self._known = (weighted | (design.point_free == 0.0)).any(axis=1)
 
     def without(self, out: Flags, near: float) -> Near | None:
         """Minimum without images; None where an adjustment anew must tell.
@@ -128,9 +127,9 @@ class Removals:
         problem, kept = self._problem, self._kept
         point, design = problem.network.rays.point, problem.design
         stays = ~out[design.ray_image]
-        count = np.bincount(point[stays], minlength=len(self._known))
+        count = np.bincount(point[stays], minlength=len(problem.network.point_names))
         affected = np.bincount(point, minlength=len(count)) > count
-        lost = affected & (count < np.where(self._known, 1, 2))
+        lost = affected & ~determined(problem.network, stays)
         stays &= ~lost[point]
         points = np.flatnonzero(affected)
         left, singular = eliminated(problem, 0, len(points)), np.zeros(len(points), dtype=np.bool_)

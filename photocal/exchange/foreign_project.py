@@ -13,6 +13,8 @@ from photocal.geometry.camera import Camera, among
 ASSUMED_M = (0.02, 0.02, 0.03)
 # Affinities below are what a quotient of equal focal lengths leaves.
 _NOTHING = 1e-9
+# A principal point this near to the middle, px, was assumed there; what an adjustment then estimates.
+_MIDDLE_PX, _USUAL = 0.501, ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 
 
 @dataclass(frozen=True)
@@ -61,13 +63,28 @@ def in_pixels(block: Block) -> Block:
     return replace(block, observations=seen)
 
 
+def never_estimated(block: Block) -> tuple[str, ...]:
+    """Cameras that the program left as assumed: no distortion, the principal point in the middle."""
+    return tuple(camera.id for camera in block.cameras if _as_assumed(camera))
+
+
+def _as_assumed(camera: Camera) -> bool:
+    middle = np.abs(camera.values[among("x0", "y0")]) < _MIDDLE_PX * np.array(camera.pitch)
+    return bool(middle.all() and (np.abs(camera.values[~among("c", "x0", "y0")]) < _NOTHING).all())
+
+
 def free_nonzero_parameters(block: Block, *, weighted: bool) -> Block:
-    """Estimate what the program's camera has that is not zero; with set-ups what they say is estimated."""
+    """Estimate what the program's camera has that is not zero; with set-ups what they say is estimated.
+
+    Of a camera that was never estimated what is usual.
+    """
     rest = np.where(among("B1", "B2"), _NOTHING, 0.0)
     cameras = tuple(
         camera
         if weighted and camera.estimated.any()
-        else replace(camera, estimated=np.abs(camera.values) > rest)
+        else replace(
+            camera, estimated=among(*_USUAL) if _as_assumed(camera) else np.abs(camera.values) > rest
+        )
         for camera in block.cameras
     )
     return replace(block, cameras=cameras)

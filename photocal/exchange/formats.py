@@ -37,6 +37,30 @@ What a format wants and an adjustment does not know is filled in: OPF gets 1970-
 and 8-bit colour images; standard deviations that are not known are written as 0. Control points carry the
 standard deviations of the adjusted coordinates.
 
+## Projects that `photocal adopt` adjusts anew
+
+- **Pix4D**: `params` with cameras, `_error`, `offset.xyz`, `tp_bingo`, control and `wkt.prj`; rigs by their
+  poses. Weights of exactly 1 are manual tie points; check points are those of the report
+  (`report/NAME_report`, XML, HTML, text or PDF).
+- **Metashape**: projects, camera XML with markers and references. References that are off are check points,
+  and so are those that its processing report (PDF, text) calls so.
+- **ODM, OpenSfM**: `reconstruction.json` with tracks and rigs. Names of `gcp_list.txt` that begin with check
+  or chk, and points of the role `metrics_only`, are check points. Reports: `stats.json`, `report.pdf`.
+- **COLMAP**: text and binary models, rigs and frames, `gcp_list.txt`. Report: what model_analyzer prints.
+- **MicMac**: `Ori-*`, points and measures; `Check-Pts3D.xml` has check points. Report: what Campari prints.
+
+Of a report `adopt` takes the names of check points, sigmas of the camera, and the figures that it sets beside
+ours. It is looked for in the folder of the project and in `report` or `odm_report` beside it.
+
+Coordinates of a map go through its system: `wkt.prj` of Pix4D, the reference of Metashape, the first line of
+`gcp_list.txt`. Files say nothing of the kind of the heights: ellipsoidal ones are assumed and it is said;
+within a block that changes nothing that can be measured. Without a system coordinates are taken as Cartesian,
+which is said where they are large enough to be those of a map.
+
+Left out and named: points whose rays have a parallax below 5 px (heads of one exposure are centimetres
+apart), images with fewer than four rays and cameras without any, rays that do not fit. A camera with no
+distortion and its principal point in the middle was never estimated: it is named, and estimated.
+
 Damaged files are read or refused in words, within a gigabyte: [evidence](evidence/fuzz_readers.md).
 """
 

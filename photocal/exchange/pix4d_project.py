@@ -3,13 +3,14 @@
 All names end alike; a project's name stands before. Per image `calibrated_camera_parameters.txt` has K in
 px (the corner of the upper-left pixel is 0), K1 K2 K3, T1 T2 (`brown-ideal`, OpenCV's k and p), the position
 less `offset.xyz` and R, x = K [R, -R t] X. `tp_bingo.txt` has the measurements as they were: mm from the
-middle of the image, y up. Coordinates are those of the output system, in which the program reckons as if it
-were Cartesian; so does the block. Source: layouts of real projects, of one full-frame camera and of rigs.
+middle of the image, y up. Coordinates are those of the output system (`wkt.prj`), in which the program
+reckons as if it were Cartesian; the block takes them for what they are. Source: layouts of real projects, of
+one full-frame camera and of rigs.
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -18,12 +19,14 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.block.model import Images
+from photocal.exchange.bingo import in_order, read_bingo
 from photocal.exchange.foreign_project import ASSUMED_M, ForeignProject, without_weak_points
+from photocal.exchange.output_system import output_system
 from photocal.exchange.parts import PointEntry, block, distinct, object_points, pixels
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, require_one_focal_length, to_pinhole
 from photocal.exchange.reconstruction import Choices, Reconstruction, file_name
 from photocal.exchange.rigs import of_poses
-from photocal.exchange.source import Line, image_size, number, numbers, read_lines
+from photocal.exchange.source import Line, image_size, numbers, read_lines
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
 
@@ -103,27 +106,30 @@ def read(path: Path) -> ForeignProject:
     heads, exposure = of_poses(cameras, np.array(member), poses)
     ground = _ground(folder)
     control, remarks = ground.control, ground.remarks
-    rows, unknown = _measurements(bingo, image_names, member, cameras, ground.manual.union(control))
-    if unknown:
-        remarks.append(f"{unknown} images of {bingo.name} are not calibrated: left out")
-    points = sorted({row[1] for row in rows})
+    seen = read_bingo(bingo, image_names, member, cameras, ground.manual.union(control))
+    if seen.unknown:
+        remarks.append(f"{seen.unknown} images of {bingo.name} are not calibrated: left out")
+    points = sorted(seen.names)
     entries = [
         PointEntry(name, "control", *control[name]) if name in control else PointEntry(name)
         for name in points
     ]
-    place = {name: k for k, name in enumerate(points)}
-    image, point = (np.array(k, dtype=np.int64) for k in ([r[0] for r in rows], [place[r[1]] for r in rows]))
+    place = np.empty(len(points), dtype=np.int64)
+    place[sorted(range(len(points)), key=seen.names.__getitem__)] = np.arange(len(points))
+    frame, height, told = output_system(_file(folder, "wkt.prj"), poses[:, 3:])
+    remarks += told
     given, weak = without_weak_points(
         block(
             path.name.removesuffix(CAMERAS).strip("_") or folder.parent.name,
             cameras,
             Images(tuple(distinct(image_names)), np.array(member, dtype=np.int64), poses, exposure=exposure),
             object_points(entries),
-            pixels(image, point, np.array([row[2:] for row in rows], dtype=float).reshape(-1, 2)),
+            pixels(seen.image, place[seen.point], seen.xy),
             [path, bingo],
             heads=heads,
         )
     )
+    given = replace(given, frame=frame, height=height)
     if weak:
         remarks.append(f"{weak} points have one ray only: left out")
     position, sigma, pose_sigma = _positions(folder, image_names)
@@ -281,88 +287,9 @@ def _ground(folder: Path) -> _Ground:
     return _Ground(control, frozenset(manual), places, remarks)
 
 
-def _measurements(
-    path: Path, names: Sequence[str], member: Sequence[int], cameras: Sequence[Camera], marked: frozenset[str]
-) -> tuple[list[tuple[int, str, float, float]], int]:
-    """Rays (image, point, column, row) of BINGO's table, and how many of its images are not known."""
-    image_of = _in_order(names)
-    rays: dict[tuple[int, str], tuple[float, float]] = {}
-    image, pitch, unknown = -1, (0.0, 0.0), 0
-    # What the .cam files assume.
-    texts = (p.read_text(encoding="utf-8", errors="replace") for p in sorted(path.parent.glob("*.cam")))
-    stated = re.findall(r"sensor width of\s*(\d+(?:\.\d+)?)\s*x\s*(\d+(?:\.\d+)?)\s*mm", "".join(texts))
-    sensors = [(float(width), float(height)) for width, height in stated]
-    middle = (0.0, 0.0)
-    for line in read_lines(path, comment=""):
-        cells = line.text.split()
-        if cells[0] == "-99":
-            image = -1
-        elif len(cells) >= 3 and _is_number(cells[-1]) and _is_number(cells[-2]):
-            if image < 0:
-                continue
-            name = " ".join(cells[:-2])
-            # Points with marks have a prefix that no other table has.
-            bare = name.removeprefix("GCP_")
-            name = bare if bare in marked and name not in marked else name
-            x, y = number(cells[-2], line.place, "x"), number(cells[-1], line.place, "y")
-            rays.setdefault((image, name), (middle[0] + x / pitch[0], middle[1] - y / pitch[1]))
-        else:
-            # Names of images and of cameras may have blanks.
-            titles = (" ".join(cells[:k]) for k in range(max(len(cells) - 1, 1), 0, -1))
-            image = next((k for k in map(image_of, titles) if k >= 0), -1)
-            unknown += image < 0
-            if image >= 0:
-                camera = cameras[member[image]]
-                pitch = _pitch(cells[-1], camera.size_px, sensors, line)
-                middle = (camera.size_px[0] - 1) / 2, (camera.size_px[1] - 1) / 2
-    if not rays:
-        raise InputMalformedError("has no measurement of a calibrated image", where=path)
-    return [(i, name, x, y) for (i, name), (x, y) in rays.items()], unknown
-
-
-def _in_order(names: Sequence[str]) -> Callable[[str], int]:
-    """How a table names its images, with or without ending; of equal names each next one; -1 for none."""
-    left: dict[str, list[int]] = {}
-    for k, name in enumerate(names):
-        for key in {name.casefold(), _stem(name)}:
-            left.setdefault(key, []).append(k)
-
-    def image(title: str) -> int:
-        """Give the image of a title; of several each is taken once."""
-        places = left.get(title.casefold()) or left.get(_stem(title)) or [-1]
-        return places.pop(0) if len(places) > 1 else places[0]
-
-    return image
-
-
-def _stem(name: str) -> str:
-    return Path(name).stem.casefold()
-
-
-def _pitch(
-    name: str, size_px: tuple[int, int], sensors: Sequence[tuple[float, float]], line: Line
-) -> tuple[float, float]:
-    """Size of a pixel, mm: the camera's name ends with width and height of the sensor, or a .cam has them."""
-    sides = re.search(r"_(\d+(?:\.\d+)?)[_x](\d+(?:\.\d+)?)\D*$", name)
-    stated = [] if sides is None else [(float(sides[1]), float(sides[2]))]
-    for width, height in (*stated, *sensors):
-        pitch = (width / size_px[0], height / size_px[1])
-        # A sensor is named in mm; what is larger are pixels.
-        if 0 < pitch[0] < 0.1 and abs(pitch[0] / pitch[1] - 1) < 0.01:
-            return pitch
-    raise line.malformed(
-        f"no sensor width in mm is known that fits the images of camera {name!r}",
-        "put the .cam files into the folder",
-    )
-
-
-def _is_number(cell: str) -> bool:
-    return bool(np.isfinite(_value(cell)))
-
-
 def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floats]:
     """Positions by GNSS, their accuracies as stated, and the sigmas that the program promises."""
-    table, image_of = np.full((len(names), len(_ERROR_COLUMNS) - 1), np.nan), _in_order(names)
+    table, image_of = np.full((len(names), len(_ERROR_COLUMNS) - 1), np.nan), in_order(names)
     for name, *cells in _rows(_file(folder, _ERRORS), _ERROR_COLUMNS):
         k = image_of(name)
         if k >= 0:

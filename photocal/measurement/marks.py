@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from photocal.base.errors import ConfigurationError, InputMalformedError
-from photocal.block.model import Block, ObjectPoints
+from photocal.block.model import Block, ObjectPoints, Role
 from photocal.block.table import read_table, refuse
 from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
@@ -32,6 +32,8 @@ _HEADS = (
 )
 # Of our own tables, whose upper-left pixel has its centre at (0, 0).
 _OWN = ("image", "point", "x", "y")
+# Roles of points of OpenSfM that measure and do not hold.
+_CHECKS = ("metrics_only", "check")
 # In all others the corner of that pixel is (0, 0).
 _HALF = 0.5
 # No coordinate is larger, m, mm among them.
@@ -238,7 +240,8 @@ def _opensfm(path: Path, sigma_m: Sigma, sizes: Sizes) -> ControlMarks:
                 bare.append(name)
                 continue
             xyz = [float(place[key]) for key in ("longitude", "latitude", "altitude")]
-            entries.append(PointEntry(name, "control", xyz, (sigma_m[0], *sigma_m)))
+            role: Role = "check" if point.get("role") in _CHECKS else "control"
+            entries.append(PointEntry(name, role, xyz, (sigma_m[0], *sigma_m)))
             for seen in point["observations"]:
                 image = str(seen["shot_id"])
                 x, y = (float(value) for value in seen["projection"])

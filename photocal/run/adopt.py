@@ -14,14 +14,14 @@ from photocal.adjustment.mounting import Positions
 from photocal.adjustment.network import covariance_matrices
 from photocal.adjustment.variance_components import estimate_components
 from photocal.base.arrays import Floats
-from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.base.files import write_json
 from photocal.base.progress import Progress
 from photocal.block.model import Block
 from photocal.block.mounting import make_mounting
 from photocal.block.network import assemble
 from photocal.block.setup import MountingKeys
-from photocal.exchange.foreign_project import ForeignProject, free_nonzero_parameters
+from photocal.exchange.foreign_project import ForeignProject, free_nonzero_parameters, never_estimated
 from photocal.exchange.formats import read_foreign_project
 from photocal.measurement.block_files import SCHEMA as MEASURED
 from photocal.measurement.block_files import MeasuredBlock
@@ -29,6 +29,8 @@ from photocal.results.adjusted import adjust_block, adjust_network, adjusted, re
 from photocal.results.result import Result
 from photocal.run.adopt_control import FEWEST_CONTROL, with_control
 from photocal.run.adopt_rays import by_rays_alone, crossed, without_gross_rays, without_what_hangs_loose
+from photocal.run.adopt_report import report_figures, with_report
+from photocal.run.adopt_steps import Step, steps
 from photocal.run.adoption_figures import (
     camera_figures,
     control_figures,
@@ -60,26 +62,23 @@ def adopt(
     from photocal.findings.texts import catalogue, finding_text, plain
     from photocal.report.issue import issue
 
-    with progress("reading the project", None):
-        foreign = with_control(read_foreign_project(path), path, gcp)
-        block = free_nonzero_parameters(foreign.block, weighted=foreign.weighted)
-        foreign = without_what_hangs_loose(replace(foreign, block=block))
+    step = steps(progress, path)
+    with step("reading the project"):
+        foreign, report = with_report(with_control(read_foreign_project(path), path, gcp), path)
+        foreign = without_what_hangs_loose(_freed(foreign))
     source, run = output / "block", output / "calibration"
     output.mkdir(parents=True, exist_ok=True)
-    with progress("gross errors of the rays", None):
+    with step("gross errors of the rays"):
         foreign = without_what_hangs_loose(without_gross_rays(foreign, output))
-    with progress("weights of the image coordinates", None):
-        foreign = _determined(foreign)
-        if not foreign.weighted:
-            foreign = _weighted(foreign)
-        block = _with_positions(foreign)
-        MeasuredBlock(block, {"schema": MEASURED, "kind": f"project of {foreign.program}"}).write(source)
-    with progress("adjustment", None):
-        result = adjust_block(source, run)
-    with progress("analysis", None):
+    try:
+        foreign, block, result = _adjusted(foreign, output, step)
+    except (IllPosedError, NotConvergedError) as refusal:
+        foreign, block, result = _adjusted(_held(foreign, refusal), output, step)
+    with step("analysis"):
         hidden = analyse_run(run, source).findings
-    with progress("sigmas of control and positions", None):
+    with step("sigmas of control and positions"):
         sigmas = sigma_figures(foreign, result, _as_residuals_agree(block))
+    control = control_figures(foreign, result)
     figures = {
         "schema": SCHEMA,
         "program": foreign.program,
@@ -93,14 +92,23 @@ def adopt(
         "heads": head_figures(foreign, result),
         "sigmas": sigmas,
         "positions": position_figures(foreign, result, sigmas),
-        "control": control_figures(foreign, result),
+        "control": control,
+        "report": report_figures(report, foreign, result, control),
         "exterior": exterior_figures(foreign, result),
         "hidden": [finding_text(finding, catalogue("en"), plain) for finding in hidden],
     }
     write_json(output / FIGURES, figures)
-    with progress("certificate", None):
+    with step("certificate"):
         issue(run, output / "certificate", day=day, block=source)
     return figures
+
+
+def _freed(foreign: ForeignProject) -> ForeignProject:
+    """Estimate the cameras, also one that the program never did, which is named."""
+    assumed = [] if foreign.weighted else never_estimated(foreign.block)
+    remarks = [f"camera {name} was never estimated by {foreign.program}: estimated here" for name in assumed]
+    block = free_nonzero_parameters(foreign.block, weighted=foreign.weighted)
+    return replace(foreign, block=block, remarks=(*foreign.remarks, *remarks))
 
 
 def _with_positions(foreign: ForeignProject) -> Block:
@@ -121,25 +129,33 @@ def _with_positions(foreign: ForeignProject) -> Block:
     return replace(block, positions=positions, mounting=make_mounting(keys, 1))
 
 
-def _determined(foreign: ForeignProject) -> ForeignProject:
+def _held(foreign: ForeignProject, refusal: PhotocalError) -> ForeignProject:
     """Hold the cameras where the block does not determine what the program's camera has."""
-    try:
-        _solved(foreign)
-    except (IllPosedError, NotConvergedError) as refusal:
-        if not any(camera.estimated.any() for camera in foreign.block.cameras):
-            raise
-        cameras = tuple(
-            replace(
-                camera,
-                estimated=np.zeros_like(camera.estimated),
-                prior_sigma=np.full_like(camera.values, np.inf),
-            )
-            for camera in foreign.block.cameras
+    if not any(camera.estimated.any() for camera in foreign.block.cameras):
+        raise refusal
+    cameras = tuple(
+        replace(
+            camera,
+            estimated=np.zeros_like(camera.estimated),
+            prior_sigma=np.full_like(camera.values, np.inf),
         )
-        remark = f"the cameras are held as the program has them: {refusal.what}"
-        block = replace(foreign.block, cameras=cameras)
-        foreign = replace(foreign, block=block, remarks=(*foreign.remarks, remark))
-    return foreign
+        for camera in foreign.block.cameras
+    )
+    remark = f"the cameras are held as the program has them: {refusal.what}"
+    block = replace(foreign.block, cameras=cameras)
+    return replace(foreign, block=block, remarks=(*foreign.remarks, remark))
+
+
+def _adjusted(foreign: ForeignProject, output: Path, step: Step) -> tuple[ForeignProject, Block, Result]:
+    """Weigh and adjust, into `block` and `calibration` of the output."""
+    source = output / "block"
+    with step("weights of the image coordinates"):
+        if not foreign.weighted:
+            foreign = _weighted(foreign)
+        block = _with_positions(foreign)
+        MeasuredBlock(block, {"schema": MEASURED, "kind": f"project of {foreign.program}"}).write(source)
+    with step("adjustment"):
+        return foreign, block, adjust_block(source, output / "calibration")
 
 
 def _weighted(foreign: ForeignProject) -> ForeignProject:
@@ -162,6 +178,9 @@ def _weighted(foreign: ForeignProject) -> ForeignProject:
                 for rays, square, count in zip((tie, ~tie), squares, free, strict=True):
                     sigma[rays] = np.sqrt(square / count)
         block = replace(block, observations=replace(block.observations, sigma=sigma))
+        # With one sigma for all nothing moves.
+        if np.ptp(sigma) == 0.0:
+            break
     return replace(foreign, block=block)
 
 

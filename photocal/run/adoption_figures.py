@@ -212,6 +212,19 @@ def rounded(value: float, sigma: float | None) -> str:
     return f"{value:.{max(math.floor(math.log10(abs(value))) - last + 1, 1)}g}"
 
 
+def _report_lines(figures: dict[str, Any] | None) -> list[str]:
+    """Write them side by side."""
+    if figures is None:
+        return []
+    lines = [f"report {figures['file']} of {figures['program']}, beside ours:"]
+    for row in figures["rows"]:
+        theirs, ours = (
+            "-" if row[key] is None else f"{row[key]:.4g} {row['unit']}".strip() for key in ("theirs", "ours")
+        )
+        lines.append(f"  {row['what']:<44}{theirs:>14}{ours:>14}")
+    return lines
+
+
 def adoption_text(figures: dict[str, Any]) -> str:
     """Write it for people, side by side."""
     size = f"{figures['images']} images, {figures['points']} points, {figures['observations']} observations"
@@ -243,6 +256,7 @@ def adoption_text(figures: dict[str, Any]) -> str:
         )
         shown = "-" if row["found"] is None else f"{row['found']:.3g} {row['unit']}"
         lines.append(f"{row['group']} ({row['n']}): {stated}, found {shown}{kept}")
+    lines += _report_lines(figures.get("report"))
     shift = figures["positions"]
     if shift is not None and shift["estimated"]:
         text = ", ".join(f"{shift['common_shift_m'][a]:+.3f} +- {shift['sigma_m'][a]:.3f}" for a in "xyz")

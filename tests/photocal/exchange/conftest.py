@@ -23,9 +23,8 @@ def observed_camera() -> Camera:
     return camera("dcs460", "brown-observed", "mm", (3060, 2036), (0.009, 0.009), values)
 
 
-def reconstruction_of(cameras: tuple[Camera, ...]) -> Reconstruction:
+def reconstruction_of(cameras: tuple[Camera, ...], count: int = 6, points: int = 40) -> Reconstruction:
     random = np.random.default_rng(8)
-    count = 6
     poses = np.column_stack(
         [
             random.normal(0, 0.2, (count, 2)),
@@ -34,7 +33,7 @@ def reconstruction_of(cameras: tuple[Camera, ...]) -> Reconstruction:
             random.uniform(90, 110, count),
         ]
     )
-    xyz = random.uniform([-40, -40, 0], [40, 40, 15], (40, 3))
+    xyz = random.uniform([-40, -40, 0], [40, 40, 15], (points, 3))
     which = np.arange(count) % len(cameras)
     image, point, pixels = [], [], []
     for k in range(count):

@@ -43,14 +43,18 @@ def write_params(
     offset: Floats | None = None,
     positions: Floats | None = None,
     accuracy_m: float = 0.02,
+    system: str = "",
+    estimated: Floats | None = None,
 ) -> None:
     """Write the folder.
 
     given: in map coordinates. manual: tie points that a person has marked; the first has zeros as its
     "measured" place, the others what the program computed in an earlier state, 0.28 m lower.
-    positions (images, 3): by GNSS; as adjusted without them.
+    positions (images, 3): by GNSS; as adjusted without them. estimated (points, 3): adjusted coordinates of
+    marked points. system: WKT of the output system.
     """
     at = np.zeros(3) if offset is None else offset
+    adjusted = given.xyz if estimated is None else estimated
     places = given.poses[:, 3:]
     rotation, _ = to_vision(given.poses)
     lenses = [to_pinhole(camera, "Pix4D")[0] for camera in given.cameras]
@@ -68,18 +72,21 @@ def write_params(
         ),
         "calibrated_images_position.txt": _table("", given.image_names, places, ","),
         "offset.xyz": " ".join(digits(at)),
-        "measured_estimated_gcps_position.txt": _ground(given, manual),
+        "measured_estimated_gcps_position.txt": _ground(given, manual, adjusted),
         "measured_gcps_position.txt": "\n".join(
-            " ".join(digits(given.xyz[k])) for k in [*given.of_role("control"), *manual]
+            " ".join(digits(given.xyz[k]))
+            for k in [*given.of_role("control"), *given.of_role("check"), *manual]
         ),
         "estimated_gcps_position.txt": "\n".join(
-            ", ".join([given.point_names[k], *digits(given.xyz[k])])
-            for k in [*given.of_role("control"), *manual]
+            ", ".join([given.point_names[k], *digits(adjusted[k])])
+            for k in [*given.of_role("control"), *given.of_role("check"), *manual]
         ),
         "pmatrix.txt": _pmatrix(given, lenses, places - at, rotation),
         "pix4d_calibrated_internal_camera_parameters.cam": _cam(lenses, pitches),
         "calibrated_internal_camera_parameters.cam": _inpho(lenses, pitches),
     }
+    if system:
+        files["wkt.prj"] = system
     for ending, text in files.items():
         (folder / f"{name}_{ending}").write_text(text + "\n", encoding="utf-8")
     _bingo(
@@ -135,7 +142,7 @@ def _errors(given: Reconstruction, positions: Floats, accuracy_m: float) -> str:
     return "\n".join(rows)
 
 
-def _ground(given: Reconstruction, manual: Sequence[int]) -> str:
+def _ground(given: Reconstruction, manual: Sequence[int], adjusted: Floats) -> str:
     rays = np.bincount(given.point, minlength=len(given.xyz))
     rows = [GROUND_HEAD]
     for k in [*given.of_role("control"), *given.of_role("check"), *manual]:
@@ -144,7 +151,7 @@ def _ground(given: Reconstruction, manual: Sequence[int]) -> str:
             measured = np.zeros(3) if k == manual[0] else measured - [0, 0, 0.28]
         weight = MANUAL if k in manual else SURVEYED
         rows.append(
-            ", ".join([given.point_names[k], *digits([*measured, *given.xyz[k], weight]), str(rays[k])])
+            ", ".join([given.point_names[k], *digits([*measured, *adjusted[k], weight]), str(rays[k])])
         )
     return "\n".join(rows)
 
@@ -219,3 +226,45 @@ def _bingo(path: Path, given: Reconstruction, pitches: Sequence[float], marked: 
                 f"{names[p]} {a:.20f} {b:.20f}\n" for p, a, b in zip(given.point[rays], x, y, strict=True)
             )
             out.write("-99\n")
+
+
+REPORT_HEAD = (
+    "GCP Name | Accuracy XY/Z [m] | Error X [m] | Error Y [m] | Error Z [m] | "
+    "Projection Error [pixel] | Verified/Marked"
+)
+RMS = {"control": "0.012 | 0.013 | 0.014", "check": "0.021 | 0.022 | 0.023"}
+
+
+def write_report(path: Path, given: Reconstruction, *, mean_px: float, sigma_px: Floats) -> None:
+    """Write the report of such a project as a page; the rows of its tables have the columns of real ones.
+
+    sigma_px (cameras, 3): of c, x0 and y0.
+    """
+    count = len(given.image_names)
+    rows = [
+        "Quality Report", "Generated with Pix4Dmapper version 4.5.6",
+        f"Dataset | {count} out of {count + 2} images calibrated (99%), all images enabled",
+        f"Mean Reprojection Error [pixels] | {mean_px:.3f}",
+    ]  # fmt: skip
+    rows += [
+        f"Uncertainties (Sigma) | {c:.6f} [pixel] {c / 200:.6f} [mm] | {x:.6f} [pixel] 0.0 [mm] | "
+        f"{y:.6f} [pixel] 0.0 [mm] | 0.000 | 0.000 | 0.000 | 0.000 | 0.000"
+        for c, x, y in sigma_px
+    ]
+    for role, head in (
+        ("control", REPORT_HEAD),
+        ("check", REPORT_HEAD.replace("GCP Name", "Check Point Name")),
+    ):
+        names = [given.point_names[k] for k in given.of_role(role)]
+        rows += [head]
+        rows += [f"{name} (3D) | 0.020/ 0.030 | 0.011 | -0.012 | 0.013 | 0.402 | 4 / 4" for name in names]
+        rows += ["Mean [m] | 0.001 | 0.002 | 0.003", "Sigma [m] | 0.011 | 0.012 | 0.013"]
+        rows += [
+            "RMS Error [m] | 0.012 | 0.013 | 0.014"
+            if role == "control"
+            else "RMS Error [m] | 0.021 | 0.022 | 0.023"
+        ]
+    cells = (row.replace(" | ", "</td><td>") for row in rows)
+    body = "\n".join(f"<tr><td>{row}</td></tr>" for row in cells)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"<html><body><table>{body}</table></body></html>", encoding="utf-8")

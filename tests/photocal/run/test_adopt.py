@@ -13,12 +13,15 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputMalformedError
+from photocal.block.folder import read_block
 from photocal.block.model import ROLES
 from photocal.block.writer import write_block
 from photocal.exchange.formats import named, read_foreign_project
 from photocal.exchange.pinhole import to_pinhole, to_vision
 from photocal.exchange.reconstruction import Choices, Reconstruction, as_block, of_result
 from photocal.geometry.camera import PARAMETERS, Model, camera
+from photocal.geometry.frames import ReferenceFrame
+from photocal.geometry.oriented_images import given_places
 from photocal.results.adjusted import adjust_block
 from photocal.results.folder import read_result
 from photocal.run import adopt as module
@@ -335,8 +338,10 @@ def test_models_with_a_list_of_control(
         residuals_px=adjusted.residuals_px[rays],
     )
     named(form).write(tmp_path, bare, Choices())
+    # The list is in map coordinates, whose scale is not that of the ground.
+    mapped = given_places(ReferenceFrame("EPSG:32722", OFFSET), adjusted.xyz)
     rows = [
-        " ".join([*(repr(float(v)) for v in adjusted.xyz[j] + OFFSET), repr(float(x)), repr(float(y))])
+        " ".join([*(repr(float(v)) for v in mapped[j]), repr(float(x)), repr(float(y))])
         + f" {adjusted.image_names[i]} P{adjusted.point_names[j]}"
         for i, j, (x, y) in zip(adjusted.image, adjusted.point, adjusted.pixels, strict=True)
         if not ties[j]
@@ -345,6 +350,7 @@ def test_models_with_a_list_of_control(
     figures = adopted(tmp_path, monkeypatch)
     assert len(figures["control"]) == int((~ties).sum())
     assert largest(figures) < 0.1
+    assert read_block(tmp_path / "adopted" / "block").frame == "EPSG:32722"
 
 
 def test_gross_errors_are_taken_out_and_told(

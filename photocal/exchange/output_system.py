@@ -1,0 +1,59 @@
+"""The system of the coordinates that another program has written, from the WKT beside them."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
+from photocal.exchange.source import read_text
+from photocal.geometry.frames import parsed, reference_frame
+
+# Coordinates of a site grid are smaller than northings.
+OF_A_MAP_M = 2e4
+
+
+def output_system(file: Path | None, places: Floats) -> tuple[str, str, list[str]]:
+    """Frame and kind of heights of a block, and what was assumed of them.
+
+    places (n, 3): projection centres in that system.
+    """
+    if file is None:
+        large = bool((np.abs(np.nanmedian(places[:, :2], axis=0)) > OF_A_MAP_M).all())
+        told = ["no ..._wkt.prj names the system of the coordinates: taken as Cartesian"]
+        return "local", "", told if large else []
+    text = read_text(file).strip()
+    if text.startswith(("LOCAL_CS", "ENGCRS", "LOCAL_DATUM")):
+        return "local", "", []
+    try:
+        system = parsed(text)
+        if system.is_geographic:
+            raise ConfigurationError("is in degrees")
+        for name, height in _kinds(system):
+            frame = reference_frame(name, height, np.nanmedian(places, axis=0))
+            try:
+                frame.to_local(places[:1])
+            except InputMalformedError:
+                # The grid of its geoid is missing, or it does not hold here.
+                continue
+            return name, height, [] if height == "orthometric" else [_ASSUMED]
+    except PhotocalError:
+        return "local", "", [f"{file.name} names no map system in metres: coordinates are taken as Cartesian"]
+    return "local", "", [f"{file.name}: {system.name} does not hold where the block lies: taken as Cartesian"]
+
+
+_ASSUMED = "the files do not say which heights these are: ellipsoidal ones are assumed, which bends nothing"
+
+
+def _kinds(system: Any) -> list[tuple[str, str]]:
+    """Names of a system with its heights, and of its plane alone."""
+    plane = system.sub_crs_list[0] if system.is_compound else system
+    names = [(_name(plane), "ellipsoidal")]
+    return [(_name(system), "orthometric"), *names] if system.is_compound else names
+
+
+def _name(system: Any) -> str:
+    """Its code, if it is that of a register, else its whole text."""
+    authority = system.to_authority(min_confidence=70)
+    return ":".join(authority) if authority else str(system.to_wkt())
