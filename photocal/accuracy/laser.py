@@ -92,7 +92,8 @@ def _surface(places: Floats, ties: Floats, reach: Floats) -> tuple[Floats, Float
     """Height of planes through the nearest tie points, their roughness, and which places have them near."""
     from scipy.spatial import KDTree
 
-    away, near = KDTree(ties[:, :2]).query(places, _NEIGHBOURS)
+    found, near = KDTree(ties[:, :2]).query(places, _NEIGHBOURS)
+    away = np.asarray(found)
     offset = ties[near] - np.column_stack([places, np.zeros(len(places))])[:, None]
     height, rough = np.empty(len(places)), np.empty(len(places))
     for k, (beside, distances) in enumerate(zip(offset, away, strict=True)):
@@ -136,7 +137,7 @@ def laser_finding(check: LaserCheck | None, shots: int) -> Finding:
         "elsewhere": float(check.elsewhere), "lonely": float(check.lonely),
         "scale": check.scale, "scale_sigma": check.scale_sigma,
     }  # fmt: skip
-    clauses = ("laser-elsewhere",) if check.elsewhere else ()
+    clauses: tuple[str, ...] = ("laser-elsewhere",) if check.elsewhere else ()
     clauses += ("laser-scale",) if np.isfinite(check.scale) else ()
     if check.biased:
         return Finding(CODE, "doubtful", figures=figures, clauses=("laser-beside", *clauses))

@@ -60,7 +60,7 @@ def judge_listed(listed: ListedPositions) -> JudgedPositions:
     finite = np.isfinite(listed.place).all(axis=1)
     credible = finite & (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~((lat == 0) & (lon == 0))
     told = np.isfinite(listed.sigma_m).all(axis=1)
-    positive = told & (listed.sigma_m > 0).all(axis=1)
+    positive = np.asarray(told & (listed.sigma_m > 0).all(axis=1))
     kept = _firsts(listed)
     together = _belonging(listed, credible & kept)
     findings = [
@@ -71,6 +71,12 @@ def judge_listed(listed: ListedPositions) -> JudgedPositions:
         *_jumps(listed, credible & kept & ~together),
     ]
     return JudgedPositions(kept, credible & (together | ~kept), positive, tuple(findings))
+
+
+def _offsets(place: Floats, origin: Floats) -> Floats:
+    """East, north, up of latitudes, longitudes (deg) and heights, (n, 3)."""
+    latitude, longitude, height = place.T
+    return enu_offsets(latitude, longitude, height, origin)
 
 
 def _named(
@@ -106,7 +112,7 @@ def _belonging(listed: ListedPositions, usable: Flags) -> Flags:
         return usable.copy()
     rows = rows[np.argsort(listed.time_s[rows], kind="stable")]
     place, time = listed.place[rows], listed.time_s[rows]
-    offset = enu_offsets(*place.T, np.median(place, axis=0))
+    offset = _offsets(place, np.median(place, axis=0))
     sigma = np.linalg.norm(np.where(listed.sigma_m[rows] > 0, listed.sigma_m[rows], np.nan), axis=1)
     room = np.where(np.isfinite(sigma), SIGMAS * sigma, UNSTATED_M)
     count, came_from = np.ones(len(rows), dtype=np.int64), np.full(len(rows), -1)
@@ -132,7 +138,7 @@ def _jumps(listed: ListedPositions, rows: Flags) -> Iterator[Finding]:
         return
     others = np.isfinite(listed.place).all(axis=1) & ~rows
     origin = np.median(listed.place[others], axis=0)
-    away = np.linalg.norm(enu_offsets(*listed.place[rows].T, origin), axis=1)
+    away = np.linalg.norm(_offsets(listed.place[rows], origin), axis=1)
     yield from _named("events-jump", rows, listed, apart_m=float(np.max(away)), fastest_m_s=FASTEST_M_S)
 
 
@@ -152,7 +158,7 @@ def judge_against_pictures(
     origin = np.nanmedian(listed[known], axis=0)
     # Heights may be of several kinds.
     ours, theirs = (
-        enu_offsets(*place.T, origin)[:, :2]
+        _offsets(place, origin)[:, :2]
         for place in (listed[known], np.column_stack([stated[known, :2], listed[known, 2]]))
     )
     away = np.linalg.norm(ours - theirs, axis=1)
@@ -164,7 +170,7 @@ def judge_against_pictures(
     wrong[known] = away > limit
     if not wrong.any():
         return wrong, []
-    names = tuple(lines[k] for k in np.flatnonzero(wrong))
+    names = tuple(lines[k] for k in np.flatnonzero(wrong).tolist())
     many = wrong.sum() > known.sum() / 2
     figures = {"n": float(wrong.sum()), "all": float(known.sum()), "lines": names}
     figures |= {"apart_m": float(np.median(away[away > limit]))}

@@ -8,7 +8,7 @@ from photocal.findings.finding import Finding
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.geometry.distortion import projected, undistorted
 
-CODE = "maker-tag-off"
+CODE = "maker-tag"
 # Step of a derivative, in standard deviations.
 _STEP = 0.1
 

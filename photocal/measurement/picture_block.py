@@ -257,7 +257,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         names, members = group_cameras(tracked.facts)
     else:
         names, members = tuple(camera.id for camera in given[0]), given[1]
-    findings += judge_cameras(tracked.facts, names, members)
+    findings += judge_cameras(tracked.facts, names, members.tolist())
     used = int(np.count_nonzero(final.block.observations.point < len(final.start.points.names)))
     positions = position_figures(tracked.facts, start.images.sigma[:, 3:])
     record: dict[str, Any] = {

@@ -59,7 +59,7 @@ def temperatures(facts: Sequence[ImageFacts]) -> tuple[float, float, float] | No
 
 def _numbers(facts: Sequence[ImageFacts], name: str) -> Floats:
     values = np.array([getattr(image, name) for image in facts], dtype=float)
-    return values[np.isfinite(values)]
+    return np.asarray(values[np.isfinite(values)])
 
 
 def _origin(name: str) -> str:

@@ -180,9 +180,9 @@ def _apart_m(facts: ImageFacts, latitude: float, longitude: float) -> float:
     """Distance in plane between what a table and a picture state; NaN where the picture states none."""
     if not facts.has_position:
         return np.nan
-    there = [np.array([value]) for value in (latitude, longitude, facts.altitude_m)]
     origin = np.array([facts.latitude_deg, facts.longitude_deg, facts.altitude_m])
-    return float(np.hypot(*enu_offsets(*there, origin)[0, :2]))
+    there = enu_offsets(np.array([latitude]), np.array([longitude]), origin[2:], origin)
+    return float(np.hypot(there[0, 0], there[0, 1]))
 
 
 def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:

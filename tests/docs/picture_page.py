@@ -23,7 +23,7 @@ the least, the median and the largest value.
 
 A maker's calibration is a prior and not a truth. `DewarpData` and `DewarpDataK6` come in with sigmas that
 cover a wrong ratio of fx and fy, a wrong sign of cx or cy, and decentring terms that are not there; B1 and
-B2 are estimated with the rest. Where the adjustment finds the tag wrong, a note (`maker-tag-off`) says by
+B2 are estimated with the rest. Where the adjustment finds the tag wrong, a note (`maker-tag`) says by
 how many pixels in the corner of a picture. cy counts downwards, as OpenCV has it, but for the FC6360
 (Phantom 4 Multispectral): its pictures show it to count upwards. c of a 35 mm equivalent goes by the
 diagonal of 43.27 mm, with a sigma that covers the width of 36 mm.
@@ -35,6 +35,11 @@ The laser rangefinder of a thermal or zoom camera is a check of heights, and no 
 lists its distances beside the flying height, and `photocal run` holds what the laser hit against the surface
 of the adjusted tie points there (`laser-heights`: bias with its sigma, scatter, change with the distance).
 Shots through the gaps of a canopy are counted and left out.
+
+Thermal R-JPEG (H20T and its like) are measured by their preview, as any other picture: six of a Zenmuse H20T
+over trees, 640 x 512, give 323 tie points with a sigma of 0.14 px. The radiometric counts beside the preview
+(segments APP3, 16 bits) give 338 with 0.17 px when they are stretched, and 372 with 0.20 px when their
+contrast is equalised locally: more points, poorer ones, so that they are not used.
 
 | fact | unit | what it is | keys | where it is used |
 |---|---|---|---|---|

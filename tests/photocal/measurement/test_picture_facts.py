@@ -229,4 +229,4 @@ def test_conditions_have_least_median_and_largest() -> None:
     assert told["conditions"]["camera_temperature_c"] == 36.2
     assert told["camera"]["lens_serial"] == "L-7 (EXIF)"
     assert told["campaign"]["platform"] == "M4E (XMP) 1581F (XMP)"
-    assert "caster rtk.example.org/VRS&3 (XMP)" in told["conditions"]["positions"]
+    assert "caster rtk.example.org/VRS&3 (XMP)" in str(told["conditions"]["positions"])

@@ -98,7 +98,7 @@ def test_a_list_of_zeros_is_refused(tmp_path: Path) -> None:
 def test_the_longer_part_of_two_places_is_believed() -> None:
     """Two flights in one list, 40 km apart and minutes after each other."""
     n, first = 30, 20
-    time = np.arange(n) * 2.0
+    time = np.asarray(np.arange(n) * 2.0, dtype=float)
     place = np.column_stack([LATITUDE + 1e-4 * np.arange(n), np.full(n, LONGITUDE), np.full(n, 500.0)])
     place[first:, 1] += 0.5
     rows = ListedPositions(

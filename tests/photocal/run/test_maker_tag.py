@@ -37,7 +37,7 @@ def test_the_camera_is_right_whatever_the_tag_says(
     (camera,) = result.cameras.values()
     assert off(camera) == []
     (found,) = calibration_findings(result)
-    assert (found.code, found.severity) == ("maker-tag-off", "note")
+    assert (found.code, found.severity) == ("maker-tag", "note")
     # Pixels that are 0.9 % too wide or too narrow are 7.2 px off at 800 px beside the middle.
     assert found.figures["px"] > 6.0
     assert "B1" in found.figures["names"]
@@ -56,7 +56,7 @@ def test_a_whole_run_of_32_pictures_is_usable(tmp_path: Path, cy_sign: int, p: f
     figures = json.loads(said.stdout)
     assert figures["verdict"]["code"] == "usable"
     assert [one["code"] for one in figures["warnings"] if one["severity"] in ("grave", "doubtful")] == []
-    assert [one["code"] for one in figures["warnings"]].count("maker-tag-off") == 1
+    assert [one["code"] for one in figures["warnings"]].count("maker-tag") == 1
     (camera,) = read_result(path.parent / "work" / "calibration").cameras.values()
     assert off(camera) == []
     # Who stated the prior is kept with the result.
