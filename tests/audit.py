@@ -181,8 +181,8 @@ def page(
     lines = [
         "# What the program is delivered with",
         "",
-        "Made by `make audit`. The lock names every package that is installed, by version and by the hashes",
-        "of its files; `make setup` installs nothing else. The bill of materials is written beside the wheel.",
+        "Made by `make audit`. The lock names every package that is installed, by version and hashes of its",
+        "files; `make setup` installs nothing else. The bill of materials is written beside the wheel.",
         "",
         "| what | asked | seen |",
         "|---|---|---|",

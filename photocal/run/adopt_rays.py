@@ -210,7 +210,7 @@ def _parallax_px(views: OrientedImages, tracks: Tracks) -> Floats:
     towards = np.einsum("nji,nj->ni", rotation, np.column_stack([ideal, -c]))
     towards /= np.linalg.norm(towards, axis=1)[:, None]
     mean = np.column_stack([np.bincount(tracks.track, towards[:, k], tracks.count) for k in range(3)])
-    mean /= np.linalg.norm(mean, axis=1)[:, None]
+    mean = mean / np.linalg.norm(mean, axis=1)[:, None]
     apart, longest = np.zeros((2, tracks.count))
     np.maximum.at(apart, tracks.track, np.linalg.norm(towards - mean[tracks.track], axis=1))
     pitch = np.array([camera.pitch[0] for camera in views.cameras])

@@ -100,7 +100,7 @@ def observed_positions(
     strip, elapsed = strips(seconds, velocity)
     event, image = _taken(antenna, rows, images)
     event = np.searchsorted(rows, event)
-    known = np.isfinite(covariance[event]).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(covariance[event]).all(axis=(1, 2)))
     _refuse(~known, "position", [images[k] for k in image], "let a base station record, or give no [flight]")
     # Strips are numbered by their first image that takes part.
     first = {number: k for k, number in enumerate(dict.fromkeys(strip[event].tolist()))}
@@ -118,12 +118,12 @@ def observed_attitudes(antenna: Exposures, images: tuple[str, ...]) -> Attitudes
     rows = with_images(antenna)
     event, image = _taken(antenna, rows[antenna.attitude.known[rows]], images)
     angles, sigma = antenna.angles[event], antenna.angle_sigma[event]
-    stated = (np.isfinite(sigma) & (sigma > 0)).all(axis=1)
+    stated = np.asarray((np.isfinite(sigma) & (sigma > 0)).all(axis=1))
     _refuse(~stated, "attitude", [images[k] for k in image], "give attitude_sigma_deg in [rig]")
     rotation, per_angle = object_to_body(angles)
     covariance = per_angle @ (sigma[:, :, None] ** 2 * np.swapaxes(per_angle, 1, 2))
     rate = antenna.attitude.rate[event]
-    unknown = ~rate.any(axis=1)[:, None]
+    unknown = ~np.asarray(rate.any(axis=1))[:, None]
     rate_sigma = np.where(unknown, np.nan, np.full(rate.shape, _RATE_SIGMA))
     return Attitudes(image, rotation, covariance, np.where(unknown, np.nan, rate), rate_sigma)
 

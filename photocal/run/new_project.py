@@ -112,10 +112,13 @@ def new_project(
     for name, content in files.items():
         with output_file(folder / name) as aside:
             aside.write_text(content, encoding="utf-8", newline="\n")
-    of_control, parts = text.control, (text.known, text.missing, text.asked, text.control.doubtful)
+    of_control = text.control
     return NewProject(
         folder / NAME,
-        *map(tuple, parts),
+        tuple(text.known),
+        tuple(text.missing),
+        tuple(text.asked),
+        tuple(of_control.doubtful),
         of_control.rows,
         of_control.rows_used,
         tuple(of_control.refused),
