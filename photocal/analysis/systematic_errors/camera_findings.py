@@ -9,7 +9,7 @@ from photocal.analysis.systematic_errors.search import Search, camera_estimates
 from photocal.base import policy
 from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS
-from photocal.hypotheses.findings import cause_findings, ground_effect, in_sigmas
+from photocal.hypotheses.findings import asked_of, ground_effect, in_sigmas
 
 ALPHA = 0.10
 
@@ -74,7 +74,8 @@ def of_sigma(search: Search) -> list[Finding]:
     clauses = ["by_rms", "too_poor"] if ratio < 1.0 else ["by_redundancy", "too_good"]
     if ratio < 1.0 and search.corrected:
         clauses.append("unseen")
-    small = ratio < policy.BADLY_WRONG_SIGMA and not search.corrected
+    # Too large a standard deviation costs precision and harms nothing.
+    small = ratio < policy.BADLY_WRONG_SIGMA
     spread = (sigma.upper - sigma.lower) / 4.0 * scale
     size = Size(figure * scale, unit, spread, 0.0, 0.0, figure / min(camera.pitch))
     severity: Severity = "note" if small else "doubtful"
@@ -120,10 +121,9 @@ def of_bias(search: Search) -> list[Finding]:
 
 
 def of_significance(search: Search) -> list[Finding]:
-    """Name the parameters whose significance changes with the corrections; small ones change little by it."""
+    """Name the parameters whose significance changes with the corrections: it goes with its cause."""
     if not search.corrected:
         return []
-    small = all(told.small for told in cause_findings(search.causes))
     listed = []
     redundancy = search.last.solution.degrees_of_freedom
     for k, camera in enumerate(search.first.network.cameras):
@@ -145,8 +145,7 @@ def of_significance(search: Search) -> list[Finding]:
             }
             clauses = ("no_longer" if was.significant else "only_then",)
             size = Size(now.statistic, f"powers of {camera.unit}")
-            severity: Severity = "note" if small else "doubtful"
-            listed.append(Finding("significance", severity, camera.id, figures, clauses, size))
+            listed.append(Finding("significance", "note", camera.id, figures, clauses, size))
     return listed
 
 
@@ -170,14 +169,18 @@ def of_jackknife(search: Search) -> list[Finding]:
         }
         effect = float(before[0]) if worst == 0 else None
         clauses = ["once_corrected" if search.corrected else "as_adjusted"]
-        ground = None
+        # Whoever carries a parameter is told the larger standard deviation; heights of this block are not.
+        ground: float | None = None
+        severity: Severity = "note"
         if effect is not None:
             ground = ground_effect(search.first, k, effect)
             moved = moved_with_c(search.first, k, effect)
             figures |= {"ground_m": ground, "moved": moved}
             clauses.append("only_carried" if moved < policy.SMALL_MOVE else "heights_hang")
+            if moved >= policy.SMALL_MOVE and ground >= asked_of(search.first).ground_m:
+                severity = "doubtful"
         size = Size(float(before[worst]), camera.unit, None, effect, ground)
-        listed.append(Finding("jackknife", "doubtful", camera.id, figures, tuple(clauses), size))
+        listed.append(Finding("jackknife", severity, camera.id, figures, tuple(clauses), size))
     return listed
 
 
