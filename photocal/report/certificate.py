@@ -167,7 +167,10 @@ def _verdicts(
     final = given.outcome
     tone: Tone = {"passed": "good", "doubtful": "note"}.get(final.severity, "bad")  # type: ignore[assignment]
     paragraph, *lines = verdict_text(given, say)
-    verdicts = [Statement(tone, say(f"verdict.{final.code}"), paragraph, tuple(lines))]
+    # A block absorbs what its calibration takes elsewhere.
+    carried = final.code == "not-usable" and given.block in ("yes", "reserved")
+    title = say("verdict.not-carried") if carried else say(f"verdict.{final.code}")
+    verdicts = [Statement(tone, title, paragraph, tuple(lines))]
     if run.result.checks.n == 0:
         verdicts.append(Statement("note", say("verdict.unchecked_title"), say("verdict.unchecked")))
     acceptable = (of for of in known if keeps(of.limits) != "not_determined")
