@@ -15,6 +15,9 @@ from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 
+# Beyond this many images each group of neighbours is left out to first order: of flights with 72 images that
+# makes standard errors 0.6 to 1 times those of exact removals.
+FIRST_ORDER = 100
 # From here on two standard deviations tell something different.
 APART = 4.0 / 3.0
 
@@ -38,9 +41,13 @@ class Jackknife:
 def jackknife(fit: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> Jackknife:
     """Take each image out of the minimum, or each group of neighbours in a large network.
 
+    In a large one from the factor that there is: with rays gone, their part of A'Pv is what all others are
+    pulled by, their residuals being those that the others predict (v / r).
     Efron, The jackknife, the bootstrap and other resampling plans, 1982.
     """
     names = fit.network.image_names
+    if len(names) > FIRST_ORDER:
+        return _jackknife_of_groups(fit, done)
     left_out, cameras, not_possible = list[tuple[str, ...]](), list[Floats](), list[str]()
     removals = Removals(fit.factored)
     for out in groups_of(fit):
@@ -53,6 +60,25 @@ def jackknife(fit: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> 
         done()
     values = np.array(cameras).reshape(-1, *fit.state.cameras.shape)
     return Jackknife(tuple(left_out), values, standard_error(values), tuple(not_possible))
+
+
+def _jackknife_of_groups(fit: AdjustedNetwork, done: Callable[[], None]) -> Jackknife:
+    """Leave groups of neighbours out to first order."""
+    network, groups = fit.network, groups_of(fit)
+    group = np.zeros(len(network.image_names), dtype=np.int64)
+    for k, out in enumerate(groups):
+        group[out] = k
+    checked = np.maximum(fit.solution.redundancy, policy.LEAST_CHECKED)
+    pull = network.rays.sigma**-2.0 * fit.solution.residuals / checked
+    values = np.repeat(fit.state.cameras[None], len(groups), axis=0)
+    for camera, (parameters, columns) in enumerate(fit.factored.problem.layout.camera_columns):
+        for parameter, column in zip(parameters, columns, strict=True):
+            change = followed_by(fit.factored, *camera_covariance_column(fit.factored, int(column)))
+            part = np.einsum("rk,rk->r", change, pull)
+            values[:, camera, parameter] += np.bincount(group[network.rays.image], part, len(groups))
+            done()
+    names = tuple(tuple(network.image_names[i] for i in np.flatnonzero(out)) for out in groups)
+    return Jackknife(names, values, standard_error(values), ())
 
 
 def apart(formal: float, robust: float | None) -> bool:

@@ -84,7 +84,7 @@ WORTH_A_WORD = 1.5
 STATED = 2.0
 # A principal distance that differs by a smaller share is no other camera, zoom or focus: warmth and
 # correlated tie points do that, too. A smaller shift is no mistake of a person, m.
-OTHER_C = 1e-3
+OTHER_C = 5e-4
 OTHER_PLACE_M = 0.03
 # A coordinate that is off by fewer of its stated sigmas is a poor one, not a wrong one; a slip (digits
 # swapped, a metre) explains it when it comes this near, in standard deviations.

@@ -16,7 +16,7 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.solution import Solution
 from photocal.base import policy
-from photocal.base.arrays import Floats
+from photocal.base.arrays import Floats, Integers
 
 # An image is divided into so many cells each way, to see what neighbouring rays share.
 _CELLS = 3
@@ -146,7 +146,7 @@ def memory_of(adjusted: AdjustedNetwork) -> Memory | None:
     return Memory(correlation, float(stats.norm.sf(correlation * np.sqrt(3.0 * pairs))), pairs)
 
 
-def _moment(network: Network, images: Floats) -> Floats:
+def _moment(network: Network, images: Integers) -> Floats:
     time = network.exposures.time
     known = time is not None and np.isfinite(time[images]).all()
     return np.asarray(time[images] if known and time is not None else images, dtype=np.float64)
