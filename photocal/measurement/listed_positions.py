@@ -15,6 +15,8 @@ FASTEST_M_S = 80.0
 SIGMAS, UNSTATED_M = 5.0, 20.0
 # Lines that are closer in time are the same exposure, s.
 SAME_S = 1e-3
+# A receiver that has fixes knows the time of a pulse to microseconds; one that is worse had none, s.
+UNSURE_S = 1e-3
 # How many wrong lines in a row are passed over in the search for those that belong together.
 _REACH = 64
 # Positions of pictures whose receivers state no sigma, m: of code, and a second old at 15 m/s. Those that
@@ -140,6 +142,19 @@ def _jumps(listed: ListedPositions, rows: Flags) -> Iterator[Finding]:
     origin = np.median(listed.place[others], axis=0)
     away = np.linalg.norm(_offsets(listed.place[rows], origin), axis=1)
     yield from _named("events-jump", rows, listed, apart_m=float(np.max(away)), fastest_m_s=FASTEST_M_S)
+
+
+def judge_marks(lines: Sequence[str], time_s: Floats, accuracy_s: Floats) -> list[Finding]:
+    """Judge time marks of a receiver, in the order of time: pulses that came twice, times not sure."""
+    unknown = np.full((len(lines), 3), np.nan)
+    marks = ListedPositions(tuple(lines), time_s, unknown, unknown, np.full(len(lines), -1))
+    close = np.concatenate([[False], np.diff(time_s) < SAME_S])
+    unsure = accuracy_s > UNSURE_S
+    worst = float(np.max(accuracy_s, initial=0.0)) * 1e3
+    return [
+        *_named("events-twice", close, marks),
+        *_named("marks-unsure", unsure, marks, accuracy_ms=worst, limit_ms=UNSURE_S * 1e3),
+    ]
 
 
 def judge_against_pictures(

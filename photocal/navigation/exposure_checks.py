@@ -7,7 +7,12 @@ import numpy as np
 from photocal.base.errors import IllPosedError
 from photocal.base.geodesy import enu_offsets
 from photocal.findings.finding import Finding, untested
-from photocal.measurement.listed_positions import ListedPositions, judge_against_pictures, judge_listed
+from photocal.measurement.listed_positions import (
+    ListedPositions,
+    judge_against_pictures,
+    judge_listed,
+    judge_marks,
+)
 from photocal.navigation.events import CameraEventList, Events
 from photocal.navigation.exposures import CameraMatch, Exposures
 from photocal.navigation.image_metadata import ImageMetadata, stated_places
@@ -73,6 +78,10 @@ def _listed_events(e: Evidence) -> list[Finding]:
         lines = tuple(f"event {number}" for number in e.events.number.tolist())
         seconds = (e.events.time.ns - e.events.time.ns[0]) / 1e9
         findings += judge_listed(ListedPositions(lines, seconds, told, sigma, e.events.number)).findings
+    if e.listed is None and e.events.stream_ns is not None:
+        marks = tuple(f"mark {number}" for number in e.events.number.tolist())
+        seconds = (e.events.time.ns - e.events.time.ns[0]) / 1e9
+        findings += judge_marks(marks, seconds, e.events.accuracy_s)
     facts = {image.name: image.facts for image in e.images}
     shown = [facts.get(name) for name in e.antenna.first_images]
     if told is not None and any(shown):

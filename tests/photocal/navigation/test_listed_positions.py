@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from photocal.base.errors import InputMalformedError
 from photocal.measurement.image_facts import ImageFacts
-from photocal.measurement.listed_positions import ListedPositions, judge_listed
+from photocal.measurement.listed_positions import ListedPositions, judge_listed, judge_marks
 from photocal.measurement.picture_tests import judge_pictures
 from photocal.measurement.position_files import read_positions
 from photocal.navigation.events import CameraEventList, read_mrk
+from photocal.navigation.exposure_checks import Evidence, check_exposures
+from photocal.navigation.rig import CameraOnBody
 from photocal.navigation.time import GpsTime
 from tests.photocal.conftest import Answer
+from tests.photocal.navigation.test_exposure_checks import shots, trajectory
 
 WEEK, START_S = 2211, 296288.242869
 LATITUDE, LONGITUDE, HEIGHT_M = 47.64368732, 16.47592717, 512.998
 METRES_OF_DEGREE = 111_200.0
 # Irregular, so that only one alignment with pictures fits.
 TIMES_S = np.cumsum([0.0, 1.53, 1.47, 1.72, 1.5, 1.91, 1.44, 1.6, 1.55, 1.83, 1.49, 1.66])
+Floats = NDArray[np.float64]
 Photocal = Callable[..., Answer]
 Change = Callable[[list[str]], Sequence[str]]
 
@@ -230,3 +236,37 @@ def test_a_table_of_another_flight_is_named(tmp_path: Path) -> None:
     (found,) = judge_pictures([place(one) for one in own])
     assert (found.code, found.figures["images"]) == ("table-beside-pictures", ("a.jpg",))
     assert found.figures["apart_m"] == pytest.approx(55.6, abs=0.2)
+
+
+def test_marks_of_a_receiver_are_judged_too() -> None:
+    """A bouncing contact, and a receiver without fixes; others say nothing."""
+    time, accuracy = np.array([0.0, 2.0, 2.0004, 4.0, 6.0]), np.full(5, 2e-8)
+    names = [f"mark {k}" for k in range(5)]
+    assert judge_marks(names, time * [1, 1, 1.01, 1, 1], accuracy) == []
+    (twice,) = judge_marks(names, time, accuracy)
+    assert (twice.code, twice.figures["lines"]) == ("events-twice", ("mark 2",))
+    accuracy[3] = 0.4
+    (_, unsure) = judge_marks(names, time, accuracy)
+    assert (unsure.code, unsure.figures["lines"]) == ("marks-unsure", ("mark 3",))
+    assert unsure.figures["accuracy_ms"] == pytest.approx(400.0)
+
+
+def test_positions_that_an_autopilot_tells_are_judged_too() -> None:
+    """CAM records: one before the receiver had a position."""
+    path = trajectory()
+    antenna, events = shots(path)
+    claimed = np.full((len(events), 6), np.nan)
+    claimed[:, :3] = antenna.placed.place
+
+    def codes(told: Floats) -> list[tuple[str, tuple[str, ...]]]:
+        given = replace(events, source="CAM", claimed=told)
+        evidence = Evidence(CameraOnBody(), given, [], antenna, path, None, None, None, [], None)
+        return [
+            (f.code, f.figures["lines"]) for f in check_exposures(evidence) if f.code.startswith("events-")
+        ]
+
+    assert codes(claimed) == []
+    wrong = claimed.copy()
+    wrong[4, :3] = 0.0
+    wrong[9, 0] += 0.05
+    assert codes(wrong) == [("events-without-position", ("event 4",)), ("events-jump", ("event 9",))]
