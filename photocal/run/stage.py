@@ -9,6 +9,7 @@ import json
 import math
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -222,8 +223,9 @@ def _program(start: str) -> dict[str, str]:
     digest = hashlib.sha256()
     known = _modules()
     if start not in known:
-        spec = importlib.util.find_spec(start)
-        known = {**known, start: Path(spec.origin or "")} if spec is not None else known
+        # A script by itself has no origin.
+        spec = sys.modules[start].__spec__
+        known = {**known, start: Path(spec.origin)} if spec is not None and spec.origin else known
     needed = needed_modules(start, known)
     ours = needed & _modules().keys()
     data = {path for name in ours for path in known[name].parent.iterdir() if path.suffix != ".py"}
