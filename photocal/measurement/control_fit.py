@@ -228,7 +228,7 @@ def _tolerance(target: Floats, sigma: Floats) -> float:
 def _consistent(source: Floats, target: Floats, sigma: Floats, gsd: float, *, placed: bool) -> _Fit:
     """Find the move that most points agree with, among those of triples, of all, and of no turn at all."""
     count, limit = len(source), _tolerance(target, sigma)
-    nothing = _Fit(None, np.zeros(count, dtype=np.bool_), np.full(count, np.nan), "few")
+    nothing = _Fit(None, np.zeros(count, dtype=np.bool_), np.full(count, np.nan), "control-few")
     if count < FEWEST_CONTROL:
         return nothing
     triples = list(combinations(range(count), FEWEST_CONTROL))
@@ -238,18 +238,18 @@ def _consistent(source: Floats, target: Floats, sigma: Floats, gsd: float, *, pl
     choices = [list(range(count)), *map(list, triples)]
     moves = [move for some in choices if (move := similarity(source[some], target[some])) is not None]
     if not moves:
-        return replace(nothing, why="in-line")
+        return replace(nothing, why="control-in-line")
     moves += [replace(_SAME, shift=shift) for shift in (target - source if placed else [])]
     cost = [float(np.minimum(misses_of(move, source, target), limit).sum()) for move in moves]
     alike = [move for move, c in zip(moves, cost, strict=True) if c <= ALIKE * min(cost) + gsd]
     best = min(alike, key=lambda move: _turned(move, whole=placed))
     fits = misses_of(best, source, target) <= limit
     if fits.sum() < FEWEST_CONTROL or 2 * fits.sum() <= count:
-        return replace(nothing, miss=misses_of(best, source, target), why="contradicts-itself")
+        return replace(nothing, miss=misses_of(best, source, target), why="control-contradicts-itself")
     while True:
         better = similarity(source[fits], target[fits])
         if better is None:
-            return replace(nothing, why="in-line")
+            return replace(nothing, why="control-in-line")
         best, miss = better, misses_of(better, source, target)
         worst = int(np.argmax(np.where(fits, miss, -1.0)))
         noise = SURVEYS * sigma[worst] + PIXELS * gsd * best.scale
@@ -342,10 +342,10 @@ def _sentences(
 ) -> list[Finding]:
     """What is to be said of control as a whole."""
     if fit.move is None:
-        if not why or (placed and why == "few"):
+        if not why or (placed and why == "control-few"):
             return []
         figures: dict[str, Figure] = {"n": float(len(judged)), "all": float(listed)}
-        return [Finding("control-not-used", "doubtful", figures=figures, cause=f"control-{why}")]
+        return [Finding("control-not-used", "doubtful", figures=figures, cause=why)]
     findings = []
     used, middle = judged[fit.fits], views.station.mean(axis=0)
     shift = fit.move.applied(middle) - middle

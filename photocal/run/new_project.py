@@ -112,14 +112,17 @@ def new_project(
     for name, content in files.items():
         with output_file(folder / name) as aside:
             aside.write_text(content, encoding="utf-8", newline="\n")
-    of_control, parts = text.control, (text.known, text.missing, text.asked, text.control.doubtful)
+    of_control = text.control
     return NewProject(
         folder / NAME,
-        *map(tuple, parts),
-        of_control.rows,
-        of_control.rows_used,
-        tuple(of_control.refused),
-        changes,
+        known=tuple(text.known),
+        missing=tuple(text.missing),
+        asked=tuple(text.asked),
+        doubtful=tuple(of_control.doubtful),
+        rows=of_control.rows,
+        rows_used=of_control.rows_used,
+        refused=tuple(of_control.refused),
+        changes=changes,
     )
 
 
