@@ -115,14 +115,14 @@ def new_project(
     of_control = text.control
     return NewProject(
         folder / NAME,
-        tuple(text.known),
-        tuple(text.missing),
-        tuple(text.asked),
-        tuple(of_control.doubtful),
-        of_control.rows,
-        of_control.rows_used,
-        tuple(of_control.refused),
-        changes,
+        known=tuple(text.known),
+        missing=tuple(text.missing),
+        asked=tuple(text.asked),
+        doubtful=tuple(of_control.doubtful),
+        rows=of_control.rows,
+        rows_used=of_control.rows_used,
+        refused=tuple(of_control.refused),
+        changes=changes,
     )
 
 

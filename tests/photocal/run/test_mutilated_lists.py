@@ -20,7 +20,7 @@ from photocal.base.errors import PhotocalError
 from photocal.project import ASKED, read_project
 from photocal.run.project_checks import check_project
 
-COUNT = int(os.environ.get("PHOTOCAL_LISTS", "60"))
+COUNT = int(os.environ.get("PHOTOCAL_LISTS", "40"))
 PICTURES = tuple(f"a{k}.jpg" for k in range(4))
 SYSTEMS = (
     "EPSG:2180", "PUWG1992", "WGS84 UTM 22S", "EPSG:4326", "EPSG:999999", "local", "Poland", "",
@@ -103,6 +103,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.timeout(300 + 3 * COUNT)
 def test_no_row_is_lost_silently(folder: Path, photocal: Callable[..., Answer]) -> None:
     """Each list is read, and every row used or named; what is asked or refused is one line."""
     for seed in range(COUNT):
