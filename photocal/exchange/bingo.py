@@ -1,8 +1,8 @@
 """Image measurements in BINGO's form: a line for each image, then its points, ended by -99.
 
 `IMAGE name_of_camera`, then `point x y` in mm: x right, y up, from the middle of the image, distorted, as
-they were measured. The camera's name ends with width and height of its sensor (`H_35.9_24`). The table is read
-line by line: that of a large project has millions of rays.
+measured. The camera's name ends with width and height of its sensor (`H_35.9_24`). The table is read line by
+line: that of a large project has millions of rays.
 """
 
 import re
