@@ -1,8 +1,8 @@
 """Image measurements in BINGO's form: a line for each image, then its points, ended by -99.
 
 `IMAGE name_of_camera`, then `point x y` in mm: x right, y up, from the middle of the image, distorted, as
-they were measured. The camera's name ends with width and height of its sensor (`H_35.9_24`). The table is read
-line by line: that of a large project has millions of rays.
+measured. The camera's name ends with width and height of its sensor (`H_35.9_24`). The table is read line by
+line: that of a large project has millions of rays.
 """
 
 import re
@@ -20,6 +20,8 @@ from photocal.exchange.source import Line, number, read_text, require_readable
 from photocal.geometry.camera import Camera
 
 _SENSOR = re.compile(r"sensor width of\s*(\d+(?:\.\d+)?)\s*x\s*(\d+(?:\.\d+)?)\s*mm")
+# Measurements are within half a side from the middle, distorted ones by little more.
+FAR = 3.0
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class BingoRays:
     image, point (n,): of each ray; points in the order in which they appear, `names`.
     xy (n, 2): columns and rows, px.
     unknown: images of the table that the project does not have.
+    outside: rays that lie farther outside their image than it is large: left out.
     """
 
     image: Integers
@@ -36,6 +39,7 @@ class BingoRays:
     names: tuple[str, ...]
     xy: Floats
     unknown: int
+    outside: int
 
 
 def read_bingo(
@@ -46,7 +50,7 @@ def read_bingo(
     member: camera of each image. marked: points that stand there with a prefix that no other table has.
     """
     image_of, sensors = in_order(names), _sensors(path.parent)
-    image, pitch, unknown, middle = -1, (0.0, 0.0), 0, (0.0, 0.0)
+    image, pitch, middle, unknown, outside = -1, (0.0, 0.0), (0.0, 0.0), 0, 0
     rays, where, number_of = array("q"), array("d"), dict[str, int]()
     seen = dict[int, set[int]]()
     for at, text in _lines(path):
@@ -60,11 +64,14 @@ def read_bingo(
             bare = name.removeprefix("GCP_")
             name = bare if bare in marked and name not in marked else name
             point = number_of.setdefault(name, len(number_of))
-            if point not in seen[image]:
+            x, y = (number(cell, Line(path, at, text).place, "x, y") for cell in cells[-2:])
+            column, row = x / pitch[0], y / pitch[1]
+            if abs(column) > FAR * (middle[0] + 1) or abs(row) > FAR * (middle[1] + 1):
+                outside += 1
+            elif point not in seen[image]:
                 seen[image].add(point)
                 rays.extend((image, point))
-                x, y = (number(cell, Line(path, at, text).place, "x, y") for cell in cells[-2:])
-                where.extend((middle[0] + x / pitch[0], middle[1] - y / pitch[1]))
+                where.extend((middle[0] + column, middle[1] - row))
         else:
             # Names of images and of cameras may have blanks.
             titles = (" ".join(cells[:k]) for k in range(max(len(cells) - 1, 1), 0, -1))
@@ -78,7 +85,8 @@ def read_bingo(
     if not rays:
         raise InputMalformedError("has no measurement of a calibrated image", where=path)
     table = np.array(rays, dtype=np.int64).reshape(-1, 2)
-    return BingoRays(table[:, 0], table[:, 1], tuple(number_of), np.array(where).reshape(-1, 2), unknown)
+    xy = np.array(where).reshape(-1, 2)
+    return BingoRays(table[:, 0], table[:, 1], tuple(number_of), xy, unknown, outside)
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -9,7 +9,7 @@ one full-frame camera and of rigs.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
@@ -47,6 +47,8 @@ _GROUND_COLUMNS = (
 )
 # Positions farther from the adjusted ones are in another system.
 FAR_M = 1000.0
+# No system has larger coordinates.
+ON_EARTH_M = 5e7
 _ROWS = 10
 # Name, lens, position and rotation of an image.
 _Shot = tuple[str, tuple[float, ...], Floats, Floats]
@@ -103,12 +105,16 @@ def read(path: Path) -> ForeignProject:
     member = [lenses.index(lens) for lens in own_lenses]
     poses = from_vision(np.array(rotation), -np.einsum("nij,nj->ni", rotation, local))
     poses[:, 3:] += offset
+    _require_on_earth(zip(image_names, poses[:, 3:].tolist(), strict=True), "image", path)
     heads, exposure = of_poses(cameras, np.array(member), poses)
     ground = _ground(folder)
     control, remarks = ground.control, ground.remarks
+    _require_on_earth(((name, xyz) for name, (xyz, _) in control.items()), "control point", folder)
     seen = read_bingo(bingo, image_names, member, cameras, ground.manual.union(control))
     if seen.unknown:
         remarks.append(f"{seen.unknown} images of {bingo.name} are not calibrated: left out")
+    if seen.outside:
+        remarks.append(f"{seen.outside} rays of {bingo.name} lie outside their images: left out")
     points = sorted(seen.names)
     entries = [
         PointEntry(name, "control", *control[name]) if name in control else PointEntry(name)
@@ -133,6 +139,10 @@ def read(path: Path) -> ForeignProject:
     if weak:
         remarks.append(f"{weak} points have one ray only: left out")
     position, sigma, pose_sigma = _positions(folder, image_names)
+    wild = (np.abs(position) > ON_EARTH_M).any(axis=1)
+    if wild.any():
+        remarks.append(f"{int(wild.sum())} positions are no place on earth: left out")
+        position[wild], sigma[wild] = np.nan, np.nan
     if heads:
         remarks.append(
             f"{len(heads)} cameras lie the same to each other at all exposures: heads on one frame"
@@ -151,6 +161,16 @@ def read(path: Path) -> ForeignProject:
     return ForeignProject(
         "Pix4D", given, position, sigma, pose_sigma, ground.adjusted, remarks=tuple(remarks), normalised=True
     )
+
+
+def _require_on_earth(places: Iterable[tuple[str, Sequence[float]]], what: str, where: Path) -> None:
+    for name, place in places:
+        if max(map(abs, place)) > ON_EARTH_M:
+            raise InputMalformedError(
+                f"{what} {name} has the coordinate {max(place, key=abs):g}, which is no place on earth",
+                "correct it",
+                where=where,
+            )
 
 
 def _file(folder: Path, ending: str) -> Path | None:

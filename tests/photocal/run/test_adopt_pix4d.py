@@ -47,7 +47,7 @@ class Own:
 
 
 def made_of(folder: Path, cameras: int) -> Own:
-    """Adjust a block in a map system: 0.4 px of noise, a fifth of the points surveyed, half of them to check."""
+    """Adjust a block in a map system: 0.4 px of noise, every fifth point surveyed, in turn to check."""
     values = {"c": 20.0, "x0": 0.05, "y0": -0.03, "K1": -1e-5, "K2": 1e-8, "P1": 1e-6, "P2": -2e-6}
     lenses = tuple(
         camera(f"{k}", "brown-ideal", "mm", (4608, 3456), (0.005, 0.005), values | {"c": 20.0 + 0.1 * k})
