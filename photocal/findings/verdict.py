@@ -74,7 +74,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Line:
+class VerdictLine:
     """One line of a verdict: the worst of findings that are alike.
 
     subjects: of all of them, the worst first; empty for a single one.
@@ -101,7 +101,7 @@ class Verdict:
     outcome: Finding
     block: Answer = "unknown"
     camera: Answer = "unknown"
-    lines: tuple[Line, ...] = ()
+    lines: tuple[VerdictLine, ...] = ()
     beyond: int = 0
     notes: int = 0
 
@@ -142,7 +142,7 @@ def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:
     return "reserved" if bearing else "yes"
 
 
-def _lines(deciding: Sequence[Finding], known: Known) -> tuple[Line, ...]:
+def _lines(deciding: Sequence[Finding], known: Known) -> tuple[VerdictLine, ...]:
     """Findings of one code and one cause are one line, in the place of the worst."""
     groups: dict[tuple[str, str], list[Finding]] = {}
     for finding in deciding:
@@ -150,13 +150,13 @@ def _lines(deciding: Sequence[Finding], known: Known) -> tuple[Line, ...]:
     return tuple(_line(alike, known.images) for alike in groups.values())
 
 
-def _line(alike: Sequence[Finding], images: int) -> Line:
+def _line(alike: Sequence[Finding], images: int) -> VerdictLine:
     first, *others = sorted(alike, key=lambda f: (_ORDER.index(f.severity), -_effect(f.size)))
     if not others:
-        return Line(first)
+        return VerdictLine(first)
     sizes = [f.size.figure for f in alike if f.size is not None]
     ends = (min(sizes), max(sizes)) if sizes else (0.0, 0.0)
-    return Line(first, tuple(f.subject for f in (first, *others)), ends, images)
+    return VerdictLine(first, tuple(f.subject for f in (first, *others)), ends, images)
 
 
 def _effect(size: Size | None) -> float:
@@ -175,14 +175,14 @@ def headline(verdict: Verdict, say: Catalogue) -> str:
     return " ".join(answers)
 
 
-def line_text(line: Line, say: Catalogue) -> str:
+def line_text(line: VerdictLine, say: Catalogue) -> str:
     """Say one line: what, its effect in the user's unit, what to do."""
     text = _grouped(line, say) if line.subjects else sentence(line.worst, say, plain, brief=True)
     effect = _effect_text(line.worst.size, say)
     return " ".join(filter(None, (text, effect, remedy_text(line.worst, say))))
 
 
-def _grouped(line: Line, say: Catalogue) -> str:
+def _grouped(line: VerdictLine, say: Catalogue) -> str:
     key = f"grouped.{line.worst.code}"
     if key not in say.messages:
         text = sentence(line.worst, say, plain, brief=True)
