@@ -200,8 +200,13 @@ def _shift(error: SystematicError) -> Finding | None:
     if not noteworthy or error.alternatives:
         return None
     shift = tuple(f"{axis.upper()} {e.correction:+.3f} +- {e.sigma:.3f}" for axis, e in axes.items())
-    figures, size = {"numbers": shift}, _largest(error.hypothesis.estimates)
-    return Finding("base-position", "grave", figures=figures, clauses=("against-control",), size=size)
+    return Finding(
+        "base-position",
+        "grave",
+        figures={"numbers": shift},
+        clauses=("against-control",),
+        size=_largest(error.hypothesis.estimates),
+    )
 
 
 def swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:

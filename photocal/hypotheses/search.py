@@ -186,7 +186,7 @@ def systematic_errors(
         if turn + 1 == _CONFIRMED:
             break
         fields = tuple(cause.key for cause in confirmed if cause.field is not None)
-        search = _Search(candidates(last, _less(table, confirmed), None, fields), stated)
+        search = _Search(candidates(last, _less(table, confirmed), None, fields), search.stated)
         accepted = search.chosen(search.beside(()))
     errors = [_told(error, total, given, last, alone=len(errors) == 1) for error in errors]
     memory = memory_of(last)
@@ -480,7 +480,7 @@ def gross_rays(adjusted: AdjustedNetwork) -> Flags:
     )
     surveyed = np.isin(network.rays.point, control_points(network))
     many = count > np.maximum(_SINGLE * np.bincount(network.rays.point, minlength=len(count)), 1)
-    return far & ~(surveyed & many[network.rays.point])
+    return np.asarray(far & ~(surveyed & many[network.rays.point]))
 
 
 def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:

@@ -68,7 +68,7 @@ def search(first: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> S
     both, flat, checked = np.repeat(image, 2), squares.ravel(), redundancy.ravel()
     camera, axis = last.network.exposures.camera[both], np.tile(np.array([0, 1]), len(image))
     tails = scatter.kurtosis(flat, checked)
-    components = tuple(
+    images, axes, cameras = (
         scatter.variance_components(names, group, flat, checked, tails)
         for names, group in ((last.network.image_names, both), (("x", "y"), axis), (ids, camera))
     )
@@ -79,7 +79,9 @@ def search(first: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> S
         positions,
         sigma,
         _groups(last, sigma, causes),
-        *components,
+        images,
+        axes,
+        cameras,
         shifts.image_shifts(last, factor, done),
         tuple(_map(last, k, factor, good) for k in range(len(last.network.cameras))),
         before,
