@@ -158,8 +158,8 @@ def test_c_is_judged_as_it_was_stated_where_smaller_sigmas_of_positions_agree() 
 
     def on_c(stated_c: float, sigma_c: float) -> float:
         stated = Stated(np.array([stated_c]), np.array([sigma_c]), np.full(3, 0.011))
-        before, after = (8.827258, 0.000637), (8.822734, 0.000975)
-        return moved_surely(*(np.array([value]) for value in (*before, *after)), stated)
+        before, had, after, has = (np.array([v]) for v in (8.827258, 0.000637, 8.822734, 0.000975))
+        return moved_surely(before, had, after, has, stated)
 
     alone = on_c(8.827258, 0.000637)
     assert alone == pytest.approx(7.1, abs=0.05)
