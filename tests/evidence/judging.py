@@ -60,7 +60,7 @@ def judged(kind: str, name: str, design: Design, errors: Errors, seed: int, at: 
         flown = fly(Path(scratch) / "block", design, errors, seed, at)
         block = photocal.read_block(flown.folder)
         result, adjust_s, _ = _tried(lambda: photocal.adjust(block))
-        outcome, analyse_s, in_analysis = _tried(lambda: photocal.analyse(block))
+        outcome, analyse_s, in_analysis = _tried(lambda: photocal.analyse(block, result))
         checked, check_s, in_check = _tried(lambda: photocal.check(block))
     content: dict[str, Any] = {} if checked is None else to_json(checked)
     methods = content.get("methods", {})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -75,7 +76,7 @@ class Row:
 
 def cell(told: Iterable[Told]) -> str:
     """Write findings into one cell."""
-    clean = ([text.replace(" ", "_").replace("|", "/") for text in astuple(one)] for one in told)
+    clean = ([text.replace(" ", "~").replace("|", "/") for text in astuple(one)] for one in told)
     return "|".join(
         " ".join((severity, code, subject or "-", cause or "-")) for code, severity, subject, cause in clean
     )
@@ -85,8 +86,10 @@ def findings(text: str) -> list[Told]:
     """Read findings from their cell."""
     listed = []
     for one in text.split("|") if text else []:
-        severity, code, subject, cause = one.split(" ")
-        listed.append(Told(code, severity, subject.strip("-").replace("_", " "), cause.strip("-")))
+        severity, code, *about = one.split(" ")
+        listed.append(
+            Told(code, severity, *("" if text == "-" else text.replace("~", " ") for text in about))
+        )
     return listed
 
 
@@ -134,4 +137,5 @@ def accused(fault: Fault, row: Row, command: str, harsh: tuple[str, ...] = HARSH
 
 
 def _words(subject: str) -> list[str]:
-    return subject.replace(",", " ").replace("/", " ").split()
+    """Images and control points that a subject speaks of."""
+    return re.findall(r"IMG_\d+|co\d+", subject)

@@ -18,11 +18,12 @@ from photocal.georeferencing.findings import block_findings
 from photocal.georeferencing.local import with_attitude_angles
 from photocal.georeferencing.methods import Degradation, of_method
 from photocal.georeferencing.output import to_text
-from tests.evidence.judging import chance, fly
+from tests.evidence.judging import chance, fly, judged
 from tests.independent.detectable import noncentrality
 from tests.independent.faults import BASE, CLEAN, NO_CONTROL, TEN, Fault, table
 from tests.independent.flights import Design, Errors, expected, world
 from tests.independent.folder import Placement, write_folder
+from tests.independent.rows import accused, named_first
 
 FAULTS = {fault.name: fault for fault in table()}
 
@@ -132,3 +133,22 @@ def test_points_are_suspected_by_holm(tmp_path: Path) -> None:
     ):
         distance = stats.chi2(3).isf(np.array(shares))
         assert len(replace(check, distance=distance).suspected) == expected_number
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "time 50 ms",
+        "c held 0.10% wrong, six control points",
+        "one of 6 control points, 10 cm in plane",
+        "two control points, 30 cm Z",
+        "rolling 15 ms",
+    ],
+)
+def test_both_commands_name_the_fault_and_nothing_else(name: str) -> None:
+    fault = FAULTS[name]
+    row = judged("fault", name, fault.design, fault.errors, 0)
+    assert [named_first(fault, row, command) for command in ("check", "analyse")] == [True, True]
+    assert [accused(fault, row, command) for command in ("check", "analyse")] == [[], []]
+    first = [row.causes(command)[0] for command in ("check", "analyse")]
+    assert (first[0].code, first[0].subject) == (first[1].code, first[1].subject)
