@@ -47,6 +47,8 @@ _GROUND_COLUMNS = (
 )
 # Positions farther from the adjusted ones are in another system.
 FAR_M = 1000.0
+# No receiver states less than a hundredth of a millimetre.
+LEAST_M = 1e-5
 # No system has larger coordinates.
 ON_EARTH_M = 5e7
 _ROWS = 10
@@ -315,5 +317,6 @@ def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floa
         if k >= 0:
             table[k] = [_value(cell) for cell in cells]
     given, stated, places, angles = table[:, :3], table[:, 3:6], table[:, 6:9], table[:, 9:]
-    given[~(stated > 0).all(axis=1)], stated[~(stated > 0).all(axis=1)] = np.nan, np.nan
+    unstated = ~(stated > LEAST_M).all(axis=1)
+    given[unstated], stated[unstated] = np.nan, np.nan
     return given, stated, np.hstack([np.radians(angles), places])

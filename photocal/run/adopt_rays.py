@@ -19,6 +19,7 @@ from photocal.block.network import assemble, behind_cameras, block_frame
 from photocal.block.rig import Head
 from photocal.exchange.foreign_project import ForeignProject, without_weak_points
 from photocal.geometry.camera import Camera, among
+from photocal.geometry.frames import ShiftedFrame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.geometry.similarity import robust_similarity
 from photocal.measurement.start_block import without_images
@@ -37,6 +38,8 @@ LEAST_CHECKED = 0.05
 FEWEST_RAYS, MOST_NAMED = 4, 6
 # The distance of a point with a smaller parallax is known to a fifth at best, with a measurement of 1 px.
 LEAST_PARALLAX_PX = 5.0
+# No plane image reaches farther from its middle, in principal distances.
+WIDEST = 1e3
 
 
 def without_gross_rays(foreign: ForeignProject, output: Path) -> ForeignProject:
@@ -142,6 +145,7 @@ def some_of(names: Sequence[str]) -> str:
 def without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
     """Leave out points with one ray or no parallax, and images whose pose their rays do not check."""
     lost, names, weak, heads = 0, list[str](), foreign.block, {c.id for c in foreign.block.cameras}
+    weak, blind = _with_directions(weak)
     weak, flat = _without_parallax(weak)
     while True:
         block, fewer = without_weak_points(weak)
@@ -151,8 +155,10 @@ def without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
             break
         names += [block.images.names[k] for k in np.flatnonzero(few)]
         weak, kept = without_images(block, few), ~few
+        # Of the images that stay: what is not as long as the block counts as not known.
         foreign = replace(
             foreign,
+            block=weak,
             position=foreign.position[kept],
             position_sigma=foreign.position_sigma[kept],
             pose_sigma=foreign.pose_sigma[kept],
@@ -160,6 +166,8 @@ def without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
     gone = sorted(heads - {camera.id for camera in block.cameras})
     block = replace(block, heads=_still_on_frames(block.heads, gone))
     remarks = [f"{lost} points have one ray only: left out"] if lost else []
+    if blind:
+        remarks.append(f"{blind} rays have no direction by the distortion of their cameras: left out")
     if flat:
         remarks.append(f"{flat} points have a parallax below {LEAST_PARALLAX_PX:g} px: left out")
     if names:
@@ -175,6 +183,15 @@ def _still_on_frames(heads: Sequence[Head], gone: Sequence[str]) -> tuple[Head, 
     left = [head for head in heads if head.camera not in gone and head.of not in gone]
     others = {head.of for head in left if head.camera != head.of}
     return tuple(head for head in left if head.of in others)
+
+
+def _with_directions(block: Block) -> tuple[Block, int]:
+    """Leave out rays that no direction belongs to: a polynomial may not be one to one so far out."""
+    views, seen = views_of(block, ShiftedFrame(np.zeros(3))), block.observations
+    with np.errstate(over="ignore", invalid="ignore"):
+        ideal, c = views.ideal(seen.image, seen.values)
+        good = (np.abs(ideal) < WIDEST * c[:, None]).all(axis=1)
+    return replace(block, observations=seen.rows(good)), int((~good).sum())
 
 
 def _without_parallax(block: Block) -> tuple[Block, int]:

@@ -78,3 +78,19 @@ def test_a_head_without_rays_is_named_and_leaves_its_frame() -> None:
     assert not given.block.heads
     assert "no image of camera blind has 4 rays: the camera is left out" in given.remarks
     assert any("3 images have fewer than 4 rays: left out" in remark for remark in given.remarks)
+
+
+def test_positions_of_images_that_stay_are_kept() -> None:
+    """An image goes, and so does one that its points held: the positions of the others stay theirs."""
+    block = own()
+    seen = block.observations
+    place = np.arange(3.0 * len(block.images.names)).reshape(-1, 3)
+    few = np.flatnonzero(seen.image == 2)[3:]
+    keep = np.ones(len(seen.image), dtype=np.bool_)
+    keep[few] = False
+    given = ForeignProject("Own", replace(block, observations=seen.rows(keep)), place, place + 1)
+    left = without_what_hangs_loose(given)
+    assert block.images.names[2] not in left.block.images.names
+    order = [block.images.names.index(name) for name in left.block.images.names]
+    np.testing.assert_array_equal(left.position, place[order])
+    np.testing.assert_array_equal(left.position_sigma, place[order] + 1)
