@@ -40,7 +40,7 @@ class LaserCheck:
     """What laser distances say of an adjusted surface.
 
     bias_m, sigma_m: height of the surface less that of the laser, and its standard deviation with what all
-        distances of a laser have in common.
+        distances have in common: the error of the laser, and that of c.
     spread_m: of single differences, robust; elsewhere: shots that hit something else (gaps of a canopy).
     scale, scale_sigma: change of the difference with distance; NaN where distances are alike.
     lonely: shots without tie points near enough.
@@ -61,8 +61,11 @@ class LaserCheck:
         return abs(self.bias_m) > policy.TIMES_999 * self.sigma_m
 
 
-def check_laser(shots: LaserShots, points: Floats) -> LaserCheck | None:
-    """Hold laser targets against the surface of tie points (m, 3) there; None with too few of them."""
+def check_laser(shots: LaserShots, points: Floats, c_share: float = 0.0) -> LaserCheck | None:
+    """Hold laser targets against the surface of tie points (m, 3) there; None with too few of them.
+
+    c_share: standard deviation of the principal distance over it: distances to the ground go with it.
+    """
     known = np.isfinite(shots.distance_m) & np.isfinite(shots.station + shots.direction).all(axis=1)
     target = shots.station[known] + shots.distance_m[known, None] * shots.direction[known]
     distance, ties = shots.distance_m[known], points[np.isfinite(points).all(axis=1)]
@@ -76,12 +79,13 @@ def check_laser(shots: LaserShots, points: Floats) -> LaserCheck | None:
     (bias,), (formal,), spread, far = _robust(design, difference, sigma)
     # What passes through a canopy is farther away, which would look like a scale.
     difference, sigma, distance = difference[~far], sigma[~far], distance[~far]
-    common = LASER_M + LASER_SHARE * float(np.median(distance))
+    middle = float(np.median(distance))
+    common = float(np.hypot(LASER_M + LASER_SHARE * middle, c_share * middle))
     scale = scale_sigma = np.nan
     if np.ptp(distance) > _SPAN * np.median(distance):
         design = np.column_stack([np.ones(len(distance)), distance - np.median(distance)])
         (_, scale), (_, scale_sigma), _, _ = _robust(design, difference, sigma)
-        scale_sigma = float(np.hypot(scale_sigma, LASER_SHARE))
+        scale_sigma = float(np.hypot(scale_sigma, np.hypot(LASER_SHARE, c_share)))
     return LaserCheck(
         int(dense.sum()), float(bias), float(np.hypot(formal, common)), spread, int(far.sum()),
         float(scale), float(scale_sigma), int((~dense).sum()),

@@ -90,7 +90,8 @@ def measure_flown(
     lasers = np.array([f.laser_m if (f := facts.get(name)) else np.nan for name in shots.names])
     if np.isfinite(lasers).any():
         shot = LaserShots(shots.station, -shots.rotation[:, 2], lasers)
-        found = laser_finding(check_laser(shot, frame.to_local(points)), int(np.isfinite(lasers).sum()))
+        checked = check_laser(shot, frame.to_local(points), _share_of_c(run))
+        found = laser_finding(checked, int(np.isfinite(lasers).sum()))
         figures |= as_record([found])
     if plan is not None:
         try:
@@ -104,3 +105,9 @@ def measure_flown(
         changed = changed_utc(block if block.is_file() else block / "block.toml")
         write_flown(output, measured, shots.station, moving, figures, frame.to_given, system, changed)
     return figures
+
+
+def _share_of_c(run: Path | None) -> float:
+    """Standard deviation of the principal distance of a run over it; 0 where it is held."""
+    cameras = () if run is None else read_result(run).cameras.values()
+    return max((camera.sigma_of("c") / camera.value("c") for camera in cameras), default=0.0)

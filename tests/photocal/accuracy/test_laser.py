@@ -62,7 +62,7 @@ def test_half_a_metre_is_found(bias_m: float) -> None:
     share = [(check.bias_m - bias_m) / check.sigma_m for check in checks]
     assert 0.4 < np.std(share) < 1.6
     text = finding_text(laser_finding(checks[0], 64), catalogue("en"), plain)
-    assert "more than laser and surface explain" in text
+    assert "more than laser, surface and c explain" in text
 
 
 def test_a_scale_shows_where_distances_differ() -> None:
@@ -72,6 +72,20 @@ def test_a_scale_shows_where_distances_differ() -> None:
     assert check.scale > 3 * check.scale_sigma
     clean = flown(3)
     assert abs(clean.scale) < 3 * clean.scale_sigma
+
+
+def test_a_c_that_is_not_known_excuses_its_heights() -> None:
+    """2 % of 70 m are 1.4 m."""
+    rng = np.random.default_rng(2)
+    ties = np.column_stack([rng.uniform(-50, 50, (4000, 2)), np.zeros(4000)])
+    station = np.column_stack([rng.uniform(-40, 40, (30, 2)), np.full(30, 70.0)])
+    shots = LaserShots(station, np.tile([0.0, 0.0, -1.0], (30, 1)), np.full(30, 71.0))
+    known, unknown = check_laser(shots, ties), check_laser(shots, ties, 0.02)
+    assert known is not None
+    assert unknown is not None
+    assert known.bias_m == pytest.approx(1.0, abs=1e-6)
+    assert (known.biased, unknown.biased) == (True, False)
+    assert unknown.sigma_m == pytest.approx(1.4, abs=0.05)
 
 
 def test_too_few_shots_say_nothing() -> None:
