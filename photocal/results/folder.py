@@ -46,6 +46,8 @@ _SAME = {
 _SOME = {"shutter", "gust", "prior_correlation", "stated_by"}
 # Residual tables longer than this are written as Parquet.
 LONG_TABLE = 500_000
+# Of larger files it is not asked whether they were read before: their digests take as long as they do.
+_SHARED_BYTES = 1 << 31
 
 
 @dataclass(frozen=True)
@@ -160,8 +162,12 @@ def read_result(folder: Path) -> Result:
     table = folder / "residuals.parquet"
     table = table if table.is_file() else folder / "residuals.csv"
     names = (RESULT, "images.csv", "points.csv", table.name, COVARIANCE)
-    files = tuple(fingerprint(folder / name) for name in names if (folder / name).is_file())
-    return _read(_RunFiles(folder, table, files))
+    there = [folder / name for name in names if (folder / name).is_file()]
+    if sum(path.stat().st_size for path in there) > _SHARED_BYTES:
+        # What cannot be a result is refused before all of it is read.
+        unread = _read.__wrapped__(_RunFiles(folder, table, ()))
+        return replace(unread, files=tuple(map(fingerprint, there)))
+    return _read(_RunFiles(folder, table, tuple(map(fingerprint, there))))
 
 
 @dataclass(frozen=True)
