@@ -15,8 +15,10 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
+from email.message import Message
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
+from typing import cast
 
 ROOT = Path(__file__).resolve().parents[1]
 LOCK, PAGE, DIST = ROOT / "requirements.lock", ROOT / "docs" / "evidence" / "supply_chain.md", ROOT / "dist"
@@ -54,7 +56,7 @@ def locked(text: str) -> dict[str, tuple[str, int]]:
 
 def licence(package: Distribution) -> str:
     """Give the licence that a package states: its expression, else its classifiers, else its text."""
-    stated = package.metadata
+    stated = cast("Message", package.metadata)
     classifiers = (
         c.rpartition(" :: ")[2] for c in stated.get_all("Classifier", []) if c.startswith("License")
     )
@@ -72,7 +74,7 @@ def fits(stated: str) -> bool:
 
 def without_wheel(platform: tuple[str, ...], packages: dict[str, tuple[str, int]]) -> list[str]:
     """Name the locked packages that have no wheel for a platform."""
-    left, missing = dict(packages), []
+    left, missing = dict(packages), list[str]()
     with tempfile.TemporaryDirectory() as folder:
         while left:
             listed = Path(folder) / "listed.txt"

@@ -49,7 +49,9 @@ _OF_BLOCK = frozenset((
     "beyond-target", "boresight", "lever-arm-axes",
     "vehicle-antenna", "vehicle-mount", "image-rotations",
     "gsd_contradicts_height", "base_contradicts_overlap", "single-check-point",
-    "small-sample",
+    "small-sample", "pictures-not-fixed", "corrections-old", "list-of-another-flight", "events-beside-time",
+    "events-without-position", "events-without-sigma", "events-twice", "events-out-of-order", "events-jump",
+    "events-beside-pictures", "table-beside-pictures", "laser-heights",
 ))  # fmt: skip
 # What shows that something is wrong, and goes with it: behind whatever may be its cause.
 _SHOWS = frozenset((

@@ -98,9 +98,9 @@ def observation_forms(folder: Path) -> Iterator[object]:
     texture = np.random.default_rng(2).integers(0, 255, (60, 80), dtype=np.uint8)
     grey = cv2.resize(texture, (640, 480), interpolation=cv2.INTER_CUBIC)
     settings = FeatureSettings(most=500)
-    features = [detect(np.ascontiguousarray(image), settings) for image in (grey[:, 40:], grey[:, :-40])]
-    yield features[0]
-    tracks = join_tracks(features, np.array([[0, 1]]), [match(*features, MatchSettings())])
+    first, second = (detect(np.ascontiguousarray(image), settings) for image in (grey[:, 40:], grey[:, :-40]))
+    yield first
+    tracks = join_tracks([first, second], np.array([[0, 1]]), [match(first, second, MatchSettings())])
     yield tracks
     block = photocal.read_block("photocal/demo/dcs460")
     nowhere = np.full((tracks.count, 3), np.nan)

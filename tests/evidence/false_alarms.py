@@ -53,7 +53,7 @@ def drawn(seed: int) -> tuple[Flight, int, int]:
     carried = int(rng.integers(4))
     _, gnss, control = CARRIED[carried]
     sigma = float(np.exp(rng.uniform(np.log(0.2), np.log(1.5))))
-    return Flight(images, rays, MODELS[seed % 2], sigma, gnss, control), size, carried  # type: ignore[arg-type]
+    return Flight(images, rays, MODELS[seed % 2], sigma, gnss, control), size, carried
 
 
 def invented(seed: int) -> dict[str, Any]:

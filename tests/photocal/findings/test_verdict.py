@@ -151,7 +151,14 @@ def test_each_verdict_is_said_in_both_languages_and_read_back(language: str) -> 
 
 
 def test_older_verdicts_have_an_outcome_alone() -> None:
-    old: dict[str, object] = {"code": "usable", "severity": "passed", "subject": "", "figures": {"n": 0.0}, "clauses": []}
-    old |= {"size": None, "cause": "", "remedy": "", "stage": "", "text": "Verdict: usable"}
+    old: dict[str, object] = {"code": "usable", "severity": "passed", "subject": "", "clauses": []}
+    old |= {
+        "figures": {"n": 0.0},
+        "size": None,
+        "cause": "",
+        "remedy": "",
+        "stage": "",
+        "text": "Verdict: usable",
+    }
     assert read_verdict(old, "here").block == "unknown"
     assert headline(read_verdict(old, "here"), EN) == "No action is needed."

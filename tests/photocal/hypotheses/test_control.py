@@ -83,5 +83,5 @@ def test_a_slip_of_the_pen_is_told_where_chance_makes_none() -> None:
     assert told <= 9
     # A thousand metres too many, or the sign, are no chance.
     given, sigma = np.array([4132.518, 7841.236, 87.412]), np.full(3, 0.01)
-    for wanted in ([5132.521, 7841.236, 87.412], [4132.518, -7841.231, 87.412], [7841.23, 4132.52, 87.41]):
-        assert slips(given, np.array(wanted), sigma, "local")
+    for meant in ([5132.521, 7841.236, 87.412], [4132.518, -7841.231, 87.412], [7841.23, 4132.52, 87.41]):
+        assert slips(given, np.array(meant), sigma, "local")

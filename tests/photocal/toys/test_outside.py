@@ -103,7 +103,7 @@ def stereographic(points: np.ndarray, c: float, k1: float) -> np.ndarray:
     half = np.tan(np.arctan2(np.hypot(points[:, 0], points[:, 1]), -points[:, 2]) / 2)
     direction = points[:, :2] / np.hypot(points[:, 0], points[:, 1])[:, None]
     plane = c * (2 * half * (1 + k1 * half**2))[:, None] * direction
-    return plane * [1, -1] + (SIZE - 1) / 2
+    return np.asarray(plane * [1, -1] + (SIZE - 1) / 2)
 
 
 @pytest.mark.slow
