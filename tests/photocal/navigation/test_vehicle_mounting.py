@@ -74,7 +74,7 @@ def test_parameters_come_from_the_log(tmp_path: Path) -> None:
         channel = Channel("/vehicle/parameter", "json", PARAMETER.schema())
         writer.messages(channel, rows, times, times, times)
         writer.close()
-    mounting = read_vehicle(FlightLog([log])).mounting
+    mounting = read_vehicle(FlightLog((log,))).mounting
     assert mounting.camera_to_antenna_m == ANTENNA
     (check,) = check_mounting(rig(0.10, -0.05, 0.5), mounting)
     assert check.severity == "doubtful"
