@@ -62,11 +62,11 @@ def a_trajectory(draw: Draw, rng: np.random.Generator, count: int) -> Trajectory
     )
     matrices, time = gappy(rng, (count, 3, 3)), draw(st.lists(nanoseconds, min_size=count, max_size=count))
     sigma = draw(st.floats(0, 10))
-    latitude, longitude, height = gappy(rng, (3, count))
+    lat, lon, height = gappy(rng, (3, count))
     return Trajectory(
         GpsTime(np.array(time, np.int64)),
-        latitude,
-        longitude,
+        lat,
+        lon,
         height,
         status,
         matrices,
@@ -77,13 +77,13 @@ def a_trajectory(draw: Draw, rng: np.random.Generator, count: int) -> Trajectory
 
 def some_exposures(draw: Draw, rng: np.random.Generator, count: int) -> Exposures:
     time = GpsTime(np.array(draw(st.lists(nanoseconds, min_size=count, max_size=count)), np.int64))
-    latitude, longitude, height, fourth = gappy(rng, (4, count))
+    gap, lat, lon, height = gappy(rng, (4, count))
     placed = InterpolatedPositions(
         rng.random(count) < 0.8,
-        latitude,
-        longitude,
+        gap,
+        lat,
+        lon,
         height,
-        fourth,
         gappy(rng, (count, 3)),
         gappy(rng, (count, 3, 3)),
         np.array(["fixed"] * count, "U6"),
@@ -115,10 +115,10 @@ def test_what_is_read_again_is_equal(data: st.DataObject, seed: int, count: int)
 
 def small() -> Trajectory:
     unit = np.broadcast_to(np.eye(3), (2, 3, 3))
-    place = np.array([[-22.1, -22.1], [-51.4, -51.4], [500.0, 501.0]])
+    lat, lon, height = np.array([[-22.1, -22.1], [-51.4, -51.4], [500.0, 501.0]])
     status = np.array(["fixed", "float"])
     time = GpsTime.from_week([2022, 2022], [1000.0, 1000.2])
-    return Trajectory(time, place[0], place[1], place[2], status, unit, np.zeros((2, 3)), 0.1)
+    return Trajectory(time, lat, lon, height, status, unit, np.zeros((2, 3)), 0.1)
 
 
 def test_what_a_person_sees_of_them() -> None:
