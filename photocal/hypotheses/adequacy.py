@@ -25,7 +25,7 @@ GROUPS = ("position", "attitude", "control")
 
 
 @dataclass(frozen=True)
-class Fit:
+class Adequacy:
     """How well a model explains its observations.
 
     groups: those of positions, attitudes and control that do not pass, by name.
@@ -45,11 +45,11 @@ class Fit:
         return not self.groups and (self.pattern <= policy.PATTERN or self.factor <= policy.EQUIVALENT**2)
 
 
-def fit_of(adjusted: AdjustedNetwork) -> Fit:
+def fit_of(adjusted: AdjustedNetwork) -> Adequacy:
     """Judge an adjusted network."""
     solution = adjusted.solution
     failed = tuple(test.name for test in groups_of_ground(solution) if not _passes(test))
-    return Fit(failed, *_pattern(adjusted), solution.variance_factor)
+    return Adequacy(failed, *_pattern(adjusted), solution.variance_factor)
 
 
 def groups_of_ground(solution: Solution) -> list[GroupTest]:

@@ -12,10 +12,10 @@ from photocal.adjustment.score import followed_by, score
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
-from photocal.hypotheses.fields import LEFT, Field
+from photocal.hypotheses.fields import LEFT, RayField
 
 
-def agreed(fit: AdjustedNetwork, field: Field, amount: float) -> float:
+def agreed(fit: AdjustedNetwork, field: RayField, amount: float) -> float:
     """Probability of an amount that is none, by how the images differ about it; 1 where too few can be asked.
 
     The F test takes rays for independent. What matching, focus or a moving shutter do to one image they do to
@@ -53,7 +53,7 @@ def _probability(amount: float, sigma: float, freedom: int) -> float:
     return float(2 * stats.t.sf(abs(amount) / sigma, freedom)) if sigma > 0.0 and freedom > 0 else 1.0
 
 
-def _left_out(fit: AdjustedNetwork, field: Field) -> Floats:
+def _left_out(fit: AdjustedNetwork, field: RayField) -> Floats:
     """What is left of an amount when images are left out, (m,)."""
     removals, amounts = Removals(fit.factored), []
     for out in groups_of(fit):

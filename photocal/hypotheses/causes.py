@@ -17,7 +17,7 @@ from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.hypotheses.control import Contradiction, control_points
-from photocal.hypotheses.fields import LEFT, Field, ray_fields
+from photocal.hypotheses.fields import LEFT, RayField, ray_fields
 from photocal.hypotheses.system import Added, System, chi_squared_of, loosened, system
 from photocal.hypotheses.table import FAULTS, Fault
 
@@ -50,7 +50,7 @@ class Cause:
     choices: int = 1
     members: tuple[int, ...] = ()
     unknowns: int = 1
-    field: Field | None = None
+    field: RayField | None = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -69,7 +69,7 @@ class Candidates:
     adjusted: AdjustedNetwork
     whole: System
     causes: tuple[Cause, ...]
-    fields: tuple[Field, ...]
+    fields: tuple[RayField, ...]
     beside: tuple[int, ...]
     members: tuple[Member, ...]
     lengths: Floats
@@ -214,7 +214,7 @@ def candidates(
     return replace(made, causes=kept)
 
 
-def subject_of(network: Network, field: Field) -> str:
+def subject_of(network: Network, field: RayField) -> str:
     """What a field is about: its camera, and the term or image where there is one."""
     return f"{network.cameras[field.camera].id} {field.parameter}".strip()
 
@@ -266,7 +266,7 @@ def _of_strips(network: Network, entry: Fault | None) -> list[Cause]:
     return listed
 
 
-def _of_fields(network: Network, table: tuple[Fault, ...], fields: tuple[Field, ...]) -> list[Cause]:
+def _of_fields(network: Network, table: tuple[Fault, ...], fields: tuple[RayField, ...]) -> list[Cause]:
     places = sum(field.code == "camera-change" for field in fields)
     listed = []
     for k, field in enumerate(fields):

@@ -23,7 +23,7 @@ FINELY = 6
 
 
 @dataclass(frozen=True)
-class Field:
+class RayField:
     """A systematic error of the image coordinates with one unknown amount.
 
     code, parameter: of the table; the term that is missing, or the first image after a change; else empty.
@@ -67,26 +67,28 @@ def change_of(values: Floats, plane: Floats, parameter: str) -> Floats:
     return np.broadcast_to(np.eye(2)[PARAMETERS.index(parameter) - 1], plane.shape).copy()
 
 
-def ray_fields(network: Network, state: State, computed: Floats, near: str = "") -> tuple[Field, ...]:
+def ray_fields(network: Network, state: State, computed: Floats, near: str = "") -> tuple[RayField, ...]:
     """List what the model of each camera does not already estimate, at the computed image coordinates.
 
     near: an image about which the place of a change of the camera is looked for more finely.
     """
     camera_of_ray = network.exposures.camera[network.rays.image]
-    listed = list[Field]()
+    listed = list[RayField]()
     for k, camera in enumerate(network.cameras):
         of_camera = (camera_of_ray == k)[:, None]
         if not of_camera.any():
             continue
         current = camera.with_values(state.cameras[k])
-        listed += [Field(code, term, k, at * of_camera) for code, term, at in _of_camera(current, computed)]
+        listed += [
+            RayField(code, term, k, at * of_camera) for code, term, at in _of_camera(current, computed)
+        ]
         if not camera.rolling:
             listed += _rolling_shutter(network, state, computed, k)
         listed += _change_of_c(network, state, computed, k, near)
     return tuple(listed)
 
 
-def _change_of_c(network: Network, state: State, computed: Floats, camera: int, near: str) -> list[Field]:
+def _change_of_c(network: Network, state: State, computed: Floats, camera: int, near: str) -> list[RayField]:
     """Give c as a drift from the first image to the last, then as changes at places; none of few images."""
     exposures, image = network.exposures, network.rays.image
     order = order_of(exposures.time, np.flatnonzero(exposures.camera == camera))
@@ -95,11 +97,11 @@ def _change_of_c(network: Network, state: State, computed: Floats, camera: int, 
     at = course(order, len(network.image_names))
     listed = []
     if len(order) >= PARTS * FEWEST_IMAGES:
-        listed.append(Field("c-drift", "", camera, -at[image][:, None] * change))
+        listed.append(RayField("c-drift", "", camera, -at[image][:, None] * change))
     for first in places_of_change(network, order, near):
         side = np.where(at < at[order[first]], -0.5, 0.5)
         name = network.image_names[order[first]]
-        listed.append(Field("camera-change", name, camera, -side[image][:, None] * change))
+        listed.append(RayField("camera-change", name, camera, -side[image][:, None] * change))
     return listed
 
 
@@ -155,7 +157,7 @@ def _of_camera(camera: Camera, plane: Floats) -> list[tuple[str, str, Floats]]:
     return terms
 
 
-def _rolling_shutter(network: Network, state: State, computed: Floats, camera: int) -> list[Field]:
+def _rolling_shutter(network: Network, state: State, computed: Floats, camera: int) -> list[RayField]:
     """Give minus the image motion while the rows are read: per second, or per exposure interval."""
     images = np.flatnonzero(network.exposures.camera == camera)
     if len(images) < FEWEST_IMAGES + 1:
@@ -171,7 +173,7 @@ def _rolling_shutter(network: Network, state: State, computed: Floats, camera: i
     # Rows are read from the top; the middle row is the reference.
     late = -computed[:, 1] / (interior.size_px[1] * interior.pitch[1])
     own = (network.exposures.camera[image] == camera)[:, None]
-    return [Field("rolling-shutter", "", camera, -dp * late[:, None] * own, unit)]
+    return [RayField("rolling-shutter", "", camera, -dp * late[:, None] * own, unit)]
 
 
 def _velocity(network: Network, state: State, images: Integers) -> tuple[Floats | None, str]:

@@ -23,7 +23,7 @@ from photocal.adjustment.solution import Solution
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
-from photocal.hypotheses.adequacy import Fit, Memory, fit_of, groups_of_ground, memory_of
+from photocal.hypotheses.adequacy import Adequacy, Memory, fit_of, groups_of_ground, memory_of
 from photocal.hypotheses.agreement import agreed
 from photocal.hypotheses.causes import (
     Candidates,
@@ -106,7 +106,7 @@ class SystematicErrors:
     first: AdjustedNetwork
     last: AdjustedNetwork
     gross: Flags
-    fit: Fit
+    fit: Adequacy
     explained: float
     memory: Memory | None
     shared: Condensed
@@ -174,7 +174,10 @@ def systematic_errors(
     for turn in range(_CONFIRMED):
         errors += search.errors(accepted)
         rest = search.these.left() if turn else {}
-        if not accepted and not rest:
+        # What gains little beside the gravest may be what linear equations leave of it: no adjustment asks.
+        gravest = max((error.hypothesis.gain for error in errors), default=0.0)
+        small = all(error.hypothesis.gain < policy.MINOR_GAIN * gravest for error in errors[len(confirmed) :])
+        if not rest and (not accepted or (turn and small)):
             break
         tried = _confirmed(last, search.these, accepted, rest)
         if tried is None:
