@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from photocal.findings.finding import Finding, Severity
+from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.listed_positions import PICTURE_LATE_M, PICTURE_SIGMA_M, SIGMAS
 from photocal.measurement.maker_camera import stated_camera
 from photocal.measurement.picture_conditions import temperatures
-from photocal.planning.frame import SMEAR_LIMIT_PX, smear_px
 
 # Corrections of RTK that are older leave centimetres of the atmosphere in the positions (RTCM: 10 s).
 OLDEST_CORRECTION_S = 10.0

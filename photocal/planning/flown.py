@@ -11,7 +11,8 @@ from photocal.base.errors import IllPosedError
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.planning.frame import SMEAR_LIMIT_PX, TILT_TOLERANCE_RAD, TILT_WITH_EFFECT_RAD, smear_px
+from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
+from photocal.planning.frame import TILT_TOLERANCE_RAD, TILT_WITH_EFFECT_RAD
 
 # Cells across a footprint: its area is then known to some thousandths.
 CELLS_ACROSS = 60

@@ -2,20 +2,16 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Literal
 
-from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 
 Side = Literal["columns", "rows"]
-Figure = TypeVar("Figure", float, Floats)
 
 # Konecny: from here on tilt changes the overlap; 5 degrees is the conventional tolerance of vertical
 # photographs (Alves Junior et al. 2015, section 4).
 TILT_WITH_EFFECT_RAD = math.radians(3.0)
 TILT_TOLERANCE_RAD = math.radians(5.0)
-# Half a pixel of smear halves the contrast of the finest detail.
-SMEAR_LIMIT_PX = 0.5
 
 
 @dataclass(frozen=True)
@@ -85,11 +81,6 @@ def exposure_interval(base_m: float, ground_speed_m_s: float) -> float:
     if not ground_speed_m_s > 0.0:
         raise ConfigurationError(f"a ground speed of {ground_speed_m_s:g} m/s gives no exposure interval")
     return base_m / ground_speed_m_s
-
-
-def smear_px(exposure_s: Figure, ground_speed_m_s: Figure, gsd_m: Figure) -> Figure:
-    """Give the smear of the image by the motion during the exposure."""
-    return exposure_s * ground_speed_m_s / gsd_m
 
 
 @dataclass(frozen=True)

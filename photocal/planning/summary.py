@@ -9,8 +9,8 @@ from photocal.base.arrays import picked
 from photocal.base.errors import ConfigurationError
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json, finding_text
+from photocal.geometry.smear import SMEAR_LIMIT_PX, smear_px
 from photocal.planning.flight import LevelGeometry, PlannedFlight
-from photocal.planning.frame import SMEAR_LIMIT_PX, smear_px
 
 SCHEMA = "photocal.plan/1"
 STAGES = ("product", "triangulation", "control points")
