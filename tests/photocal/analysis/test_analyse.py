@@ -56,11 +56,12 @@ def test_json(made: Path) -> None:
 
 
 def test_words(made: Path) -> None:
-    done = CliRunner().invoke(app, ["analyse", str(made / "run")])
+    done = CliRunner().invoke(app, ["analyse", str(made / "run"), "--details"])
     assert done.exit_code == 0, done.output
-    head, first = done.stdout.split("\n\n")[:2]
-    assert head.startswith("Hidden systematic errors\n")
-    assert "\nlarge   Camera dcs460: y scale factor 0.9980" in first
+    # The verdict comes first, then the details that were asked for.
+    assert done.stdout.startswith("Verdict\n")
+    _, hidden = done.stdout.split("\nHidden systematic errors\n")
+    assert re.search(r"^large +Camera dcs460: y scale factor 0\.9980", hidden, re.MULTILINE)
     for words in ("K1 K2 K3", "Adjusted anew without", "convergent cameras: satisfied"):
         assert words in done.stdout
     assert re.search(r"^x0–P1 +0\.87", done.stdout, re.MULTILINE)
@@ -98,7 +99,7 @@ def test_an_analysis_of_another_run_is_refused(made: Path, tmp_path: Path) -> No
     assert done.exit_code == 0, done.output
     stored = read_run(run).analysis
     assert stored is not None
-    assert [one.code for one in stored.findings][:3] == ["y-scale", "observation-sigma", "c-bias"]
+    assert [one.code for one in stored.findings][:3] == ["y-scale", "c-bias", "observation-sigma"]
     (run / "result.json").write_text((run / "result.json").read_text().replace('"timing_s"', '"timing_s" '))
     with pytest.raises(InputMalformedError, match="belongs to another run"):
         read_run(run)
@@ -129,7 +130,7 @@ def test_an_analysis_comes_back_as_it_was(made: Path, tmp_path: Path) -> None:
 
 
 def test_portuguese(made: Path) -> None:
-    done = CliRunner().invoke(app, ["analyse", str(made / "run"), "--language", "pt-BR"])
+    done = CliRunner().invoke(app, ["analyse", str(made / "run"), "--details", "--language", "pt-BR"])
     assert done.exit_code == 0, done.output
     assert "fator de escala em y 0,9980" in done.stdout
     assert "câmeras convergentes: satisfeito" in done.stdout
