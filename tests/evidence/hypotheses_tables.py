@@ -118,6 +118,8 @@ def page(faults: Mapping[str, Fault], before: Sequence[Row], after: Sequence[Row
         "",
         "## Cost",
         "",
+        "Processor time; before: analyse, check over adjust.",
+        "",
         "| flight | adjust, s | analyse / adjust | check / adjust | adjustments (analyse, check) | before |",
         "|---|---|---|---|---|---|",
         *cost(whole, two[0]),
