@@ -64,11 +64,11 @@ def analyse(
     """
     from photocal.analysis.analyse_run import checks_of
     from photocal.analysis.outcome import analyse_network
-    from photocal.block.network import assemble
     from photocal.georeferencing.causes import slips_of
-    from photocal.results.adjusted import network_of
+    from photocal.results.adjusted import adjust_network, network_of
 
-    assembly = assemble(block) if result is None else network_of(block, result)
+    # Shutters, lags and what was rejected are those that an adjustment ends with.
+    assembly = network_of(block, adjust_network(block) if result is None else result)
     slips = slips_of(block, assembly)
     return analyse_network(assembly.network, checks_of(block, assembly), alpha, threshold, slips=slips)
 
