@@ -9,8 +9,8 @@ from typing import TypeVar
 from photocal.base.errors import ConfigurationError
 
 Kind = TypeVar("Kind")
-LENSES, PROTOCOLS, STANDARDS, STAGES = (
-    f"photocal.{name}" for name in ("lenses", "protocols", "standards", "stages")
+HYPOTHESES, LENSES, PROTOCOLS, STANDARDS, STAGES = (
+    f"photocal.{name}" for name in ("hypotheses", "lenses", "protocols", "standards", "stages")
 )
 
 
@@ -21,7 +21,7 @@ def brought(group: str, kind: type[Kind]) -> dict[str, Kind]:
     raises ConfigurationError: for an entry that cannot be loaded, or gives something else.
     """
     found, what = dict[str, Kind](), group.rpartition(".")[2].removesuffix("s")
-    what = "lens" if group == LENSES else what
+    what = {LENSES: "lens", HYPOTHESES: "hypothesis"}.get(group, what)
     for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
         wrong = ConfigurationError.at(entry.value)
         remedy = "mend the package that brings it, or remove it"

@@ -15,12 +15,20 @@ from photocal.base.arrays import as_plain
 from photocal.base.codec import from_plain
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.extensions import HYPOTHESES, brought
 from photocal.findings.digits import MeasuredText, Number, as_given, fixed, measured, significant, symbol
 from photocal.findings.finding import Finding
 
 LANGUAGES = ("en", "pt-BR")
 # Their sections may add to each other, their keys are all different.
 CATALOGUES = ("findings", "report", "analysis", "verdict")
+
+
+@dataclass(frozen=True)
+class Words:
+    """Texts that an installed package brings: by language, then by key, such as "finding.CODE"."""
+
+    words: Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,8 @@ def catalogue(language: str) -> Catalogue:
     for name in CATALOGUES:
         text = resources.files(__package__).joinpath(f"{name}_{language}.toml").read_text(encoding="utf-8")
         messages |= dict(_flat(tomllib.loads(text), ""))
+    for added in brought(HYPOTHESES, Words).values():
+        messages = {**added.words.get(language, added.words.get("en", {})), **messages}
     return Catalogue(language, messages["number.decimal_mark"], messages)
 
 

@@ -7,6 +7,9 @@ its texts: `term.CODE`, `finding.CODE`, perhaps `remedy.CODE`, in both catalogue
 from dataclasses import dataclass
 from typing import Literal
 
+from photocal.base.extensions import HYPOTHESES, brought
+from photocal.findings.texts import Words
+
 Where = Literal["positions", "camera", "attitudes", "control", "time"]
 Each = Literal["block", "strip", "one-strip", "part", "field", "image", "point", "pair"]
 
@@ -65,8 +68,19 @@ _OF_CAMERA = ("boresight", "camera-change", "principal-distance", "principal-poi
 # Images of two scales are pressed into one by what each may move while it is read.
 _OF_CHANGE = (*SYMPTOMS, "shutter-rolls", "images-shake")
 
+
+@dataclass(frozen=True)
+class AddedFault(Words):
+    """A fault that an installed package brings (group `photocal.hypotheses`), with its texts.
+
+    words: by language "term.CODE", "finding.CODE" and "remedy.CODE"; English where another is lacking.
+    """
+
+    fault: Fault
+
+
 # In the order in which they are tested.
-FAULTS: tuple[Fault, ...] = (
+_OWN: tuple[Fault, ...] = (
     Fault(
         "camera-change",
         ("camera",),
@@ -103,6 +117,9 @@ FAULTS: tuple[Fault, ...] = (
     Fault("event-time-base", ("time",)),
     Fault("height-kind", ("positions",)),
 )
+
+
+FAULTS = (*_OWN, *(added.fault for added in brought(HYPOTHESES, AddedFault).values()))
 
 
 def searched(code: str, table: tuple[Fault, ...] = FAULTS) -> bool:

@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import photocal
-from photocal.base.extensions import LENSES, STAGES, STANDARDS
+from photocal.base.extensions import HYPOTHESES, LENSES, STAGES, STANDARDS
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
 ROOT, HERE = Path(__file__).parents[3], Path(__file__).parent
@@ -78,6 +78,22 @@ def test_a_stage_and_a_standard_take_part_in_a_run(tmp_path: Path, toys: dict[st
     module.write_text(module.read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8")
     again = run(toys, "run", tmp_path / "project.toml", "--json", "--until", "toy")
     assert json.loads(again.stdout)["stages"][-1]["kept"] is False
+
+
+def test_a_hypothesis_is_sought_and_said_by_both_commands(tmp_path: Path) -> None:
+    environment = installed(tmp_path / "site", toy_hypothesis=f"{HYPOTHESES} FAULT")
+    fly(tmp_path / "block", np.random.default_rng(4), Errors(datum_m=(0.0, 0.4, 0.0)), Plan(tie=40))
+    told = run(environment, "check", tmp_path / "block", "--json")
+    first = json.loads(told.stdout)["findings"][0]
+    assert first["code"] == "north-shift", told.stderr
+    assert first["text"].startswith("All positions lie too far north")
+    assert "Read the northing" in json.loads(told.stdout)["verdict"]["paragraph"]
+    assert run(environment, "adjust", tmp_path / "block", "-o", tmp_path / "run").returncode == 0
+    analysed = json.loads(run(environment, "analyse", tmp_path / "run", "--json").stdout)
+    assert analysed["findings"][0]["code"] == "north-shift"
+    # Without the package the same error has the name that the program knows.
+    without = run({**os.environ, "PYTHONPATH": str(ROOT)}, "check", tmp_path / "block", "--json")
+    assert json.loads(without.stdout)["findings"][0]["code"] == "base-position"
 
 
 def test_what_cannot_be_loaded_is_named(tmp_path: Path) -> None:
