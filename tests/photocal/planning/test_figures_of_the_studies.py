@@ -7,6 +7,7 @@ import math
 import pytest
 
 from photocal.base.errors import ConfigurationError
+from photocal.geometry.smear import smear_px
 from photocal.planning.frame import (
     PlanningCamera,
     air_base,
@@ -20,7 +21,6 @@ from photocal.planning.frame import (
     normal_case_height_sigma,
     parallax_sigma,
     scale_denominator,
-    smear_px,
     stereo_precision,
 )
 from photocal.planning.summary import error_budget
