@@ -346,6 +346,10 @@ class _Text:
     def _control(self) -> Iterator[str]:
         given, points = self.given, self.control_points
         if given is None or not points.names:
+            self.missing += [
+                f"not used: {self._beside(table.file)} has marks, and no table has the places of its points"
+                for table in self.seen.marks
+            ]
             if not self.placed and not self.seen.logs:
                 self.missing.append(
                     "neither positions nor control: the block will be relative, without scale. Mark both "
