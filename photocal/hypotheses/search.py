@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork, fit, with_measurements, without_member
 from photocal.adjustment.condensed import Condensed
@@ -18,13 +17,11 @@ from photocal.adjustment.covariance import Shared
 from photocal.adjustment.groups import CONTROL, GroupTest, Member, group_tests
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
-from photocal.adjustment.snooping import significance_of, worst_of_points
 from photocal.adjustment.solution import Solution
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.hypotheses.adequacy import Adequacy, Memory, fit_of, groups_of_ground, memory_of
-from photocal.hypotheses.agreement import agreed
 from photocal.hypotheses.causes import (
     Candidates,
     Cause,
@@ -41,41 +38,19 @@ from photocal.hypotheses.control import (
     control_points,
     predicted,
 )
-from photocal.hypotheses.judged import Estimate, Hypothesis, Stated, estimate, estimates_of, judge, stated_of
+from photocal.hypotheses.gross import ASIDE, without_gross_rays
+from photocal.hypotheses.judged import Estimate, Hypothesis, Stated, estimate, estimates_of, stated_of
+from photocal.hypotheses.selection import Selection, SystematicError, left_to_seek
 from photocal.hypotheses.table import FAULTS, Fault
 
-# Causes that are accepted beside each other in one system, and adjustments that confirm them.
-_CAUSES, _CONFIRMED = 4, 2
-# Rounds of gross rays, and the share of the rays of an image or point that is no longer single.
-_SNOOPED, _SINGLE = 3, 0.3
-# Gross rays are set aside by this factor of their sigmas.
-_ASIDE = 1e3
+# Adjustments that confirm what was chosen.
+_CONFIRMED = 2
 # Rounds in which a factor of stated sigmas settles, and the share by which it may still change.
 _SETTLING, _SETTLED, _STEADY = 4, 0.05, 0.9
 # Groups of which people state what they hope.
 _STATED = ("position", "attitude", *CONTROL)
 # Control beyond this variance factor bends the block: its points are predicted by an adjustment without it.
 _BENT = 25.0
-
-
-@dataclass(frozen=True)
-class SystematicError:
-    """An error that was found, and what else might have caused it.
-
-    hypothesis: tested beside those before it.
-    alternatives: groups that explain it as well.
-    share: of what v'Pv is too large by, in the block as it was given.
-    """
-
-    hypothesis: Hypothesis
-    alternatives: tuple[Hypothesis, ...]
-    cause: Cause | None = None
-    share: float = math.nan
-
-    @property
-    def same(self) -> tuple[str, ...]:
-        """Names of the alternatives."""
-        return tuple(dict.fromkeys(alternative.name for alternative in self.alternatives))
 
 
 @dataclass(frozen=True)
@@ -144,7 +119,7 @@ def systematic_errors(
         # Wrong control bends the block so far that nothing else can be judged.
         without = _without_wrong_control(first.network, first.solution)
         straight, at_once = without or (first, None)
-    given, gross = _without_gross_rays(straight)
+    given, gross = without_gross_rays(straight)
     done()
     start, sigmas, against = given, list[GroupTest](), None if at_once else _contradicted(given)
     scaled = isinstance(against, WrongSigmas)
@@ -159,7 +134,7 @@ def systematic_errors(
         now = stated_of(before, given.network)
         larger = now.positions if stated is None else np.maximum(stated.positions, now.positions)
         stated = replace(stated or now, positions=larger)
-        search = _Search(these, stated)
+        search = Selection(these, stated)
         alone = search.beside(())
         wrong = _wrong_sigma(given, alone, steps, scaled=scaled)
         if wrong is None or sum(map(len, steps.values())) == _SETTLING:
@@ -189,7 +164,7 @@ def systematic_errors(
         if turn + 1 == _CONFIRMED:
             break
         fields = tuple(cause.key for cause in confirmed if cause.field is not None)
-        search = _Search(candidates(last, _less(table, confirmed), None, fields), search.stated)
+        search = Selection(candidates(last, left_to_seek(table, confirmed), None, fields), search.stated)
         accepted = search.chosen(search.beside(()))
     errors = [_told(error, total, given, last, alone=len(errors) == 1) for error in errors]
     memory = memory_of(last)
@@ -225,14 +200,14 @@ def systematic_errors(
 
 
 def _placed(
-    search: "_Search", accepted: tuple[Cause, ...], table: tuple[Fault, ...], against: Contradiction | None
-) -> tuple[tuple[Cause, ...], "_Search"]:
+    search: Selection, accepted: tuple[Cause, ...], table: tuple[Fault, ...], against: Contradiction | None
+) -> tuple[tuple[Cause, ...], Selection]:
     """Look more finely for the place of a change of the camera, where there is one."""
     changes = [cause.field.parameter for cause in accepted if cause.fault.each == "part" and cause.field]
     if not changes:
         return accepted, search
     these = candidates(search.these.adjusted, table, against, near=changes[0])
-    finer = _Search(these, search.stated)
+    finer = Selection(these, search.stated)
     again = finer.chosen(finer.beside(()))
     return (again, finer) if again else (accepted, search)
 
@@ -272,218 +247,6 @@ def _without_wrong_control(
         entry.code, gain, factor, cause.unknowns, f, 0.0, True, given, math.inf, 0.0, names, 0.0, gain
     )
     return fitted, SystematicError(told, (), cause)
-
-
-class _Search:
-    """Tests of one network's causes, each beside others, in one system."""
-
-    def __init__(self, these: Candidates, stated: Stated) -> None:
-        self.these, self.stated = these, stated
-        self._families = max(
-            len(
-                {
-                    (c.fault.code, c.field and c.field.name)
-                    if c.fault.each == "field"
-                    else (c.fault.code, "")
-                    for c in these.causes
-                }
-            ),
-            1,
-        )
-        self._agreed = dict[tuple[str, str], bool]()
-        self._known = dict[tuple[object, ...], Hypothesis | None]()
-        self._before = dict[tuple[object, ...], tuple[float, int]]()
-        self.refused = dict[str, str]()
-
-    def beside(self, accepted: tuple[Cause, ...]) -> dict[Cause, Hypothesis]:
-        """Test all other causes beside those that were accepted."""
-        # Two principal distances leave nothing of a common one.
-        taken = {code for cause in accepted for code in (*cause.fault.contains, *_once(cause))}
-        keys = {cause.key for cause in accepted}
-        members = {(cause.fault.where, m) for cause in accepted for m in _own(cause)}
-        tried = dict[Cause, Hypothesis]()
-        for cause in self.these.causes:
-            if cause.key in keys or cause.fault.code in taken:
-                continue
-            if any((cause.fault.where, m) in members for m in _own(cause)):
-                continue
-            tested = self._tested(cause, accepted)
-            if tested is not None and not _backwards(tested):
-                tried[cause] = tested
-        return tried
-
-    def chosen(self, alone: dict[Cause, Hypothesis]) -> tuple[Cause, ...]:
-        """Accept the most probable cause, then the next beside it, and give up what becomes needless."""
-        accepted, tries = tuple[Cause, ...](), alone
-        for _ in range(_CAUSES):
-            best = self._most_probable(tries)
-            if best is None:
-                break
-            kept = self.needed((*accepted, best))
-            if {cause.key for cause in kept} == {cause.key for cause in accepted}:
-                break
-            accepted = kept
-            tries = self.beside(accepted)
-        return accepted
-
-    def _most_probable(self, tries: dict[Cause, Hypothesis]) -> Cause | None:
-        """Choose the most probable significant cause (Schwarz 1978), about which the images agree."""
-        significant = [
-            cause for cause, tested in tries.items() if tested.significant and _noteworthy(cause, tested)
-        ]
-        for cause in sorted(significant, key=lambda one: -tries[one].value):
-            if self._images_agree(cause, tries[cause]):
-                return cause
-        return None
-
-    def _images_agree(self, cause: Cause, tested: Hypothesis) -> bool:
-        """Whether the images of a camera agree about a field of its rays; of all else they are not asked."""
-        if cause.field is None:
-            return True
-        if cause.key not in self._agreed:
-            first, *rest = tested.estimates
-            amount = rest[0].value - first.value if rest else first.correction
-            level = policy.FAMILY_SIGNIFICANCE / self._families / cause.choices
-            self._agreed[cause.key] = agreed(self.these.adjusted, cause.field, amount) < level
-        return self._agreed[cause.key]
-
-    def needed(self, accepted: tuple[Cause, ...]) -> tuple[Cause, ...]:
-        """Give up causes, the least significant one first, until each is needed beside the others."""
-        while len(accepted) > 1:
-            tries = {cause: self._tested(cause, _others(accepted, cause)) for cause in accepted}
-            known = {cause: tested for cause, tested in tries.items() if tested is not None}
-            weakest = min(known, key=lambda cause: known[cause].f / known[cause].critical, default=None)
-            if weakest is None or known[weakest].significant:
-                break
-            accepted = _others(accepted, weakest)
-        return accepted
-
-    def errors(self, accepted: tuple[Cause, ...]) -> list[SystematicError]:
-        """Give the accepted causes, each beside those before it, and what could stand in their places."""
-        errors, left, before = list[SystematicError](), accepted, tuple[Cause, ...]()
-        while left:
-            tries = self.beside(before)
-            remaining = [cause for cause in left if cause in tries]
-            if not remaining:
-                break
-            gravest = max(remaining, key=lambda cause: tries[cause].gain)
-            best = tries[gravest]
-            errors.append(SystematicError(best, as_good(gravest, best, tries), gravest))
-            before, left = (*before, gravest), _others(left, gravest)
-        return errors
-
-    def _tested(self, cause: Cause, others: tuple[Cause, ...]) -> Hypothesis | None:
-        """Test a cause beside others; None when it cannot be freed."""
-        beside = tuple(sorted(other.key for other in others))
-        key = (cause.key, *beside)
-        if key in self._known:
-            return self._known[key]
-        tested: Hypothesis | None
-        try:
-            before = self._before[beside] if beside in self._before else self.these.fall(others)
-            self._before[beside] = before
-            tested = judge(self.these, cause, others, before, self._families, self.stated)
-        except IllPosedError as refusal:
-            tested = None
-            if not others:
-                self.refused[cause.fault.code] = refusal.what
-        self._known[key] = tested
-        return tested
-
-
-def as_good(cause: Cause, best: Hypothesis, tries: dict[Cause, Hypothesis]) -> tuple[Hypothesis, ...]:
-    """Give the other hypotheses that explain nearly all of what the best explains."""
-    scale = max(1.0, min((trial.factor for trial in tries.values()), default=1.0))
-    limit = min(best.gain - policy.AS_GOOD * scale, policy.SAME_GAIN * best.gain)
-    alike = []
-    for other, trial in tries.items():
-        # A shift of its own for each strip can imitate every other error; parts and wholes are one matter.
-        if other is cause or other.fault.each == "strip" or _one_matter(cause, other):
-            continue
-        if trial.significant and trial.gain >= limit:
-            alike.append(trial)
-    return tuple(sorted(alike, key=lambda trial: -trial.value))
-
-
-def _one_matter(cause: Cause, other: Cause) -> bool:
-    """Whether two causes are no rivals: the same code elsewhere, or one contains the other."""
-    a, b = cause.fault, other.fault
-    family = {a.code, a.kind_of} & {b.code, b.kind_of} - {""}
-    of_datum = a.code != b.code and {a.kind_of, b.kind_of} == {"datum-shift"}
-    return (bool(family) and not of_datum) or b.code in a.contains or a.code in b.contains
-
-
-def _once(cause: Cause) -> tuple[str, ...]:
-    """A fault of the whole block, or of one place in it, is accepted once."""
-    return (cause.fault.code,) if cause.fault.each in ("block", "strip", "part", "pair") else ()
-
-
-def _own(cause: Cause) -> tuple[int, ...]:
-    """Control points or positions that are concerned: what two causes do not share."""
-    return cause.members if cause.fault.each in ("image", "point", "pair") else ()
-
-
-def _others(causes: tuple[Cause, ...], one: Cause) -> tuple[Cause, ...]:
-    return tuple(cause for cause in causes if cause.key != one.key)
-
-
-def _less(table: tuple[Fault, ...], accepted: Sequence[Cause]) -> tuple[Fault, ...]:
-    """What is left to be looked for: what is free is free."""
-    gone = {code for cause in accepted for code in (*_once(cause), *cause.fault.contains)}
-    return tuple(entry for entry in table if entry.code not in gone)
-
-
-def _backwards(tested: Hypothesis) -> bool:
-    """Rows are read one after the other, never backwards: that would be something else."""
-    return tested.name == "rolling-shutter" and bool(tested.estimates) and tested.estimates[0].value <= 0.0
-
-
-def _noteworthy(cause: Cause, tested: Hypothesis) -> bool:
-    """Whether an error is larger than what was stated of positions, or of one camera, allows."""
-    if cause.fault.each == "part" and tested.estimates:
-        before, after = tested.estimates[0].value, tested.estimates[1].value
-        return abs(after - before) / before > policy.OTHER_C
-    return max(tested.moved, tested.on_c) > policy.STATED
-
-
-def _without_gross_rays(first: AdjustedNetwork) -> tuple[AdjustedNetwork, Flags]:
-    """Set single rays aside that miss by far more than all others, the worst of each point in each round."""
-    network, given = first.network, first
-    gross = np.zeros(len(network.rays.image), dtype=np.bool_)
-    for _ in range(_SNOOPED):
-        found = gross_rays(given) & ~gross
-        if not found.any():
-            break
-        worst = np.zeros(len(gross), dtype=np.bool_)
-        worst[worst_of_points(given.network, given.solution, "tau")] = True
-        gross |= found & worst if (found & worst).any() else found
-        sigma = np.where(gross[:, None], network.rays.sigma * _ASIDE, network.rays.sigma)
-        try:
-            with because("without gross rays"):
-                given = fit(replace(network, rays=replace(network.rays, sigma=sigma)), given.state)
-        except (IllPosedError, NotConvergedError):
-            return first, np.zeros(len(gross), dtype=np.bool_)
-    return given, gross
-
-
-def gross_rays(adjusted: AdjustedNetwork) -> Flags:
-    """Single rays that miss by more than chance allows, on the scale of the others."""
-    network = adjusted.network
-    w = np.abs(np.nan_to_num(adjusted.solution.standardised(network.rays.sigma)))
-    scale = max(1.0, float(np.median(w)) * policy.MAD_TO_SIGMA)
-    limit = -special.ndtri(significance_of(w.size) / w.size / 2.0) * scale if w.size else np.inf
-    far = np.asarray(w.max(axis=1, initial=0.0) > limit)
-    for of in (network.rays.image, network.rays.point):
-        count = np.bincount(of, far)
-        # A whole image or a whole point is another matter than rays.
-        far = far & ~((count > _SINGLE * np.bincount(of)) & (count > 2))[of]
-    # So is a control point whose rays miss together.
-    count = np.bincount(
-        network.rays.point, w.max(axis=1, initial=0.0) > limit / 2.0, len(network.point_names)
-    )
-    surveyed = np.isin(network.rays.point, control_points(network))
-    many = count > np.maximum(_SINGLE * np.bincount(network.rays.point, minlength=len(count)), 1)
-    return np.asarray(far & ~(surveyed & many[network.rays.point]))
 
 
 def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
@@ -654,7 +417,7 @@ def _taken_out(network: Network, kind: str, index: int) -> Network:
     """Without a position, or the coordinates of a control point, barely where one ray is left."""
     if kind == "control" and np.sum(network.rays.point == index) < 2:
         weight = network.points.weight.copy()
-        weight[index] = weight[index] / _ASIDE**2
+        weight[index] = weight[index] / ASIDE**2
         return replace(network, points=replace(network.points, weight=weight))
     nothing = np.zeros(0)
     return without_member(network, Member(kind, index, nothing, nothing, 0.0, 0))
