@@ -20,8 +20,8 @@ from photocal.findings.texts import Catalogue, finding_json, plain, remedy_text,
 # May a block be mapped with, may a camera be carried to other flights. Not placed: the datum is inner
 # constraints. Held: nothing of the camera was estimated.
 Answer = Literal["yes", "reserved", "no", "not-placed", "held", "unknown"]
-# Whoever reads more than that reads nothing.
-MOST_LINES = 7
+# Whoever reads more than that reads nothing; so many that are alike are one line, fewer each say their own.
+MOST_LINES, ALIKE = 7, 3
 _ORDER = ("refused", "grave", "doubtful", "consequence")
 # What concerns only a camera that is carried elsewhere: this block absorbed it.
 _OF_CAMERA = frozenset((
@@ -149,7 +149,11 @@ def _lines(deciding: Sequence[Finding], known: Known) -> tuple[VerdictLine, ...]
     groups: dict[tuple[str, str], list[Finding]] = {}
     for finding in deciding:
         groups.setdefault((finding.code, finding.cause), []).append(finding)
-    return tuple(_line(alike, known.images) for alike in groups.values())
+    lines = list[VerdictLine]()
+    for alike in groups.values():
+        together = len(alike) >= ALIKE
+        lines += [_line(part, known.images) for part in ([alike] if together else [[one] for one in alike])]
+    return tuple(lines)
 
 
 def _line(alike: Sequence[Finding], images: int) -> VerdictLine:

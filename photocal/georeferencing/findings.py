@@ -99,14 +99,23 @@ def _together(method: Method, check: Differences) -> list[Finding]:
     if joint.exceeds:
         ratio = math.sqrt(joint.chi_squared / joint.degrees_of_freedom)
         figures = {"method": method, "ratio": ratio, "p": joint.p_value}
-        # Of direct georeferencing another method takes the place.
-        severity: Severity = "grave" if method != "direct" and ratio > 1.0 + FACTOR else "doubtful"
+        # Of direct georeferencing another method takes the place; single points may be wrong themselves.
+        harmful = method != "direct" and ratio > 1.0 + FACTOR and not _by_single_points(check)
+        severity: Severity = "grave" if harmful else "doubtful"
         listed.append(Finding("prediction-too-good", severity, method, figures))
     if joint.biased:
         pairs = zip("XYZ", joint.mean, joint.mean_sigma, strict=True)
         numbers = tuple(f"{axis} {mean:+.3f} +- {sigma:.3f}" for axis, mean, sigma in pairs)
         listed.append(Finding("check-mean", "doubtful", method, {"method": method, "numbers": numbers}))
     return listed
+
+
+def _by_single_points(check: Differences) -> bool:
+    """Whether few points that stand out, a tenth at most, make up what the others do not contradict."""
+    suspected = set(check.suspected)
+    rest = [d for name, d in zip(check.names, check.distance, strict=True) if name not in suspected]
+    few = 0 < len(suspected) <= max(1, len(check.names) // 10)
+    return few and bool(rest) and math.sqrt(float(np.nanmean(rest)) / 3.0) <= policy.WORTH_A_WORD
 
 
 def separation_findings(separation: Separation) -> tuple[Finding, ...]:
