@@ -100,11 +100,13 @@ class Memory:
 
     correlation: of one exposure and the next in its strip, all axes together.
     p_value: of so large a one where errors are independent.
+    size: root of the mean square of the residuals, in stated standard deviations.
     """
 
     correlation: float
     p_value: float
     pairs: int
+    size: float = 1.0
 
     @property
     def significant(self) -> bool:
@@ -143,7 +145,8 @@ def memory_of(adjusted: AdjustedNetwork) -> Memory | None:
     square = np.mean(residual**2, axis=0)
     scaled = residual / np.sqrt(np.where(square > 0.0, square, 1.0))
     correlation = float(np.mean((scaled[1:] * scaled[:-1])[together]))
-    return Memory(correlation, float(stats.norm.sf(correlation * np.sqrt(3.0 * pairs))), pairs)
+    p_value, size = float(stats.norm.sf(correlation * np.sqrt(3.0 * pairs))), float(np.sqrt(square.mean()))
+    return Memory(correlation, p_value, pairs, size)
 
 
 def _moment(network: Network, images: Integers) -> Floats:

@@ -442,7 +442,9 @@ def _of_memory(found: SystematicErrors) -> list[Finding]:
         "factor": float(np.sqrt(memory.inflation)),
         "p": memory.p_value,
     }
-    severity: Severity = "doubtful" if np.sqrt(memory.inflation) > policy.WORTH_A_WORD else "note"
+    # Whoever states sigmas with caution has room for what the positions share.
+    less_sure = np.sqrt(memory.inflation) * min(memory.size, 1.0)
+    severity: Severity = "doubtful" if less_sure > policy.WORTH_A_WORD else "note"
     return [
         Finding("positions-share-errors", severity, "positions", figures, size=Size(memory.correlation, "1"))
     ]
