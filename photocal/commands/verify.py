@@ -85,9 +85,9 @@ def sign(
     from photocal.report.timestamp import STAMP, stamp
 
     certified, folder = read_record(certificate)
-    # The stamp of an earlier signature is none of this one.
-    (folder / STAMP).unlink(missing_ok=True)
     made = signed(folder, certified["number"], dt.datetime.now(dt.UTC), passphrase)
+    # The stamp of an earlier signature is none of this one; where signing fails, both stay.
+    (folder / STAMP).unlink(missing_ok=True)
     key, file = made.key, str(folder / SIGNATURE)
     if made.told:
         typer.echo(printable(f"warning: {made.told}"), err=True)

@@ -228,6 +228,11 @@ def test_a_certificate_is_signed_stamped_and_verified(
     (folder / "signature.json").write_bytes((folder / "signature.json").read_bytes() + b"\n")
     damaged = said("verify", folder, "--json")
     assert damaged.code == 4
-    # Signed again, the old stamp is gone.
+    # Where signing is refused the stamp stays with its signature; signed again, it is gone.
+    key = tmp_path / "settings" / "photocal" / "key.pem"
+    key.chmod(0o644)
+    assert said("sign", folder).code != 0
+    assert (folder / STAMP).exists()
+    key.chmod(0o600)
     assert said("sign", folder).code == 0
     assert not (folder / STAMP).exists()
