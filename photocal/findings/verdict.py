@@ -56,7 +56,7 @@ _OF_BLOCK = frozenset((
 # What shows that something is wrong, and goes with it: behind whatever may be its cause.
 _SHOWS = frozenset((
     "c-bias", "significance", "global-factor", "global-test", "prediction-too-good", "method-refused",
-    "check-outside-prediction", "control-outside-prediction",
+    "check-outside-prediction", "control-outside-prediction", "check-mean",
 ))  # fmt: skip
 _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)$")
 
@@ -132,8 +132,12 @@ def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
     )
 
 
-def _place(finding: Finding) -> tuple[bool, int]:
-    return finding.code in _SHOWS, _ORDER.index(finding.severity)
+def _place(finding: Finding) -> tuple[int, int]:
+    """Causes first, then what shows that something is gravely wrong, then what is wrong with single marks."""
+    grave = finding.severity in ("refused", "grave")
+    shows, single = finding.code in _SHOWS, finding.code in _OF_BLOCK
+    rank = (1 if grave else 2) if shows else (2 if single and not grave else 0)
+    return rank, _ORDER.index(finding.severity)
 
 
 def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:

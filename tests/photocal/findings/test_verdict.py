@@ -110,6 +110,17 @@ def test_a_cause_stands_before_what_it_does() -> None:
     assert "Measure the lever arm again" in headline(judge(given), EN)
 
 
+def test_a_grave_misfit_stands_before_single_marks() -> None:
+    ratio = {"method": "indirect", "ratio": 3.2}
+    given = [
+        Finding("one-image-only", "doubtful", "control"),
+        Finding("prediction-too-good", "grave", "x", ratio),
+    ]
+    given.append(Finding("unexplained", "doubtful"))
+    codes = [line.worst.code for line in judge(given).lines]
+    assert codes == ["unexplained", "prediction-too-good", "one-image-only"]
+
+
 def test_what_only_a_carried_camera_feels_does_not_touch_the_block() -> None:
     figures = {"camera": "cam", "bias": 0.02, "unit": "mm", "share": 1e-3}
     made = judge([Finding("c-bias", "doubtful", "cam", figures, ("only_carried",))])
