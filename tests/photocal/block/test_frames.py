@@ -110,7 +110,11 @@ def test_same_adjustment_in_a_projected_system(grid_block: Path, tmp_path: Path)
     [
         ('frame = "EPSG:31982"', ConfigurationError, "kind of the heights"),
         ('frame = "EPSG:31982+5773"\nheight = "ellipsoidal"', ConfigurationError, "vertical"),
-        ('frame = "EPSG:31982+5773"\nheight = "orthometric"', InputMalformedError, "photocal fetch-grids EPSG:31982.5773"),
+        (
+            'frame = "EPSG:31982+5773"\nheight = "orthometric"',
+            InputMalformedError,
+            "photocal fetch-grids EPSG:31982.5773",
+        ),
         ('frame = "EPSG:2263"\nheight = "ellipsoidal"', ConfigurationError, "foot"),
         ('frame = "Atlantis"', ConfigurationError, "no coordinate reference system"),
     ],
