@@ -38,7 +38,8 @@ _OF_CAMERA = frozenset((
 _OF_BLOCK = frozenset((
     "check-outside-prediction", "check-as-control", "check-at-control",
     "no-check-points", "no-image", "one-image-only",
-    "image-left-out", "unknown-mark", "unknown-target",
+    "image-left-out", "unknown-mark", "unknown-target", "mark-outside", "marks-reframed",
+    "control-off", "control-far", "marks-apart", "mark-left-out", "control-in-corner", "distance-left-out",
     "mark-off", "targets-not-sought", "target-ambiguous",
     "target-too-small", "no-target-found", "no-coordinates",
     "events-without-image", "images-without-event", "images-ambiguous",

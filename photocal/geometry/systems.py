@@ -93,19 +93,17 @@ def is_meant(text: str, system: MapSystem) -> bool:
 
 def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST) -> tuple[MapSystem, ...]:
     """Map systems in which coordinates, shape (n, 2), lie near a place that is known in degrees."""
-    from pyproj import Transformer
-    from pyproj.exceptions import ProjError
-
     middle, found = np.median(places, axis=0), list[tuple[float, MapSystem]]()
     for system in _register():
         west, south, east, north = system.bounds
         if not (south <= latitude <= north and west <= longitude <= east and "EPSG:" in system.code):
             continue
-        try:
-            way = Transformer.from_crs("EPSG:4326", system.code, always_xy=True)
-            away = float(np.linalg.norm(np.array(way.transform(longitude, latitude)) - middle))
-        except ProjError:
+        way = _to_degrees(system.code)
+        if way is None:
             continue
+        away = float(
+            np.linalg.norm(np.array(way.transform(longitude, latitude, direction="INVERSE")) - middle)
+        )
         if away <= NEAR_M:
             # Of systems that are all near the smaller area is the likelier.
             found.append(((east - west) * (north - south), system))
@@ -114,13 +112,9 @@ def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST
 
 def covers(system: MapSystem, places: Floats) -> bool:
     """Whether most coordinates lie in the area of use, as they are or east and north exchanged."""
-    from pyproj import Transformer
-    from pyproj.exceptions import ProjError
-
     west, south, east, north = system.bounds
-    try:
-        way = Transformer.from_crs(system.code, "EPSG:4326", always_xy=True)
-    except ProjError:
+    way = _to_degrees(system.code)
+    if way is None:
         return False
     for x, y in (places.T, places.T[::-1]):
         longitude, latitude = (np.asarray(v, dtype=np.float64) for v in way.transform(x, y))
@@ -129,6 +123,18 @@ def covers(system: MapSystem, places: Floats) -> bool:
         if 2 * inside.sum() > len(places):
             return True
     return False
+
+
+@cache
+def _to_degrees(code: str) -> Any:
+    """The way from a map system to longitude and latitude; None where there is none."""
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    try:
+        return Transformer.from_crs(code, "EPSG:4326", always_xy=True)
+    except ProjError:
+        return None
 
 
 def heights_at(latitude: float, longitude: float, most: int = MOST) -> tuple[tuple[str, str], ...]:
@@ -170,14 +176,25 @@ def _words(text: str) -> frozenset[str]:
 
 def _ranked(wanted: frozenset[str]) -> Iterator[tuple[tuple[int, int, int, int, str], MapSystem]]:
     """Systems with at least half of the words: those that lack fewer first, then by words nobody has said."""
-    for system in _register():
-        country = _words(system.area)
-        names = [_words(name) for name in (system.name, *_aliases().get(system.code, ()))]
+    for system, country, names in _indexed():
         lacks, more = min((len(wanted - words - country), len(words - wanted)) for words in names)
         by_country = min(len(wanted - words) for words in names)
         if 2 * lacks < len(wanted) or (lacks == 0 and by_country):
             foreign = not system.code.startswith("EPSG:")
             yield (lacks, int(foreign), by_country, more, system.code), system
+
+
+@cache
+def _indexed() -> tuple[tuple[MapSystem, frozenset[str], tuple[frozenset[str], ...]], ...]:
+    """Every system with the words of its area of use, and those of each of its names."""
+    return tuple(
+        (
+            system,
+            _words(system.area),
+            tuple(_words(name) for name in (system.name, *_aliases().get(system.code, ()))),
+        )
+        for system in _register()
+    )
 
 
 @cache

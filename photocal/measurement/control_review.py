@@ -10,6 +10,7 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
+from photocal.findings.finding import Finding
 
 # A point so far from the others, and so many times as far as they are from each other, is none of the site.
 FAR_M, FARTHER = 2_000.0, 20.0
@@ -21,6 +22,7 @@ LEAST_M = 20.0
 # Neighbouring zones that are tried.
 ZONES = (-1, 1, -2, 2)
 MOST_NAMED = 5
+_SLIPS = {"exchanged": "E and N are exchanged", "in-feet": "it is in feet", "in-zone": "it is in {zone}"}
 
 
 @dataclass(frozen=True)
@@ -28,18 +30,26 @@ class Stray:
     """A surveyed point that is none of the site.
 
     row: of the point.
-    slip: what explains it, in words; empty where nothing does.
+    slip: what explains it, by its code; empty where nothing does.
+    zone: where that is another zone.
     """
 
     row: int
     name: str
     away_m: float
-    slip: str
+    slip: str = ""
+    zone: str = ""
 
     def said(self) -> str:
         """Say it in a sentence."""
         far = f"{self.name} lies {self.away_m / 1000:.0f} km from the others"
-        return f"{far}: {self.slip}" if self.slip else far
+        return f"{far}: {_SLIPS[self.slip].format(zone=self.zone)}" if self.slip else far
+
+    def finding(self) -> Finding:
+        """Give it as a finding."""
+        figures = {"km": self.away_m / 1000, "zone": self.zone}
+        clauses = (f"far-{self.slip}",) if self.slip else ()
+        return Finding("control-far", "doubtful", self.name, figures, clauses)
 
 
 def stray_points(points: ObjectPoints, crs: str) -> tuple[Stray, ...]:
@@ -57,19 +67,19 @@ def stray_points(points: ObjectPoints, crs: str) -> tuple[Stray, ...]:
     if 2 * len(far) >= known.sum():
         return ()
     return tuple(
-        Stray(int(k), points.names[k], float(away[k]), _slip(places[k], middle, limit, crs)) for k in far
+        Stray(int(k), points.names[k], float(away[k]), *_slip(places[k], middle, limit, crs)) for k in far
     )
 
 
-def _slip(place: Floats, middle: Floats, limit: float, crs: str) -> str:
+def _slip(place: Floats, middle: Floats, limit: float, crs: str) -> tuple[str, str]:
+    """Code of the slip that explains a place, and the zone where it is one."""
     if np.linalg.norm(place[::-1] - middle) <= limit:
-        return "E and N are exchanged"
+        return "exchanged", ""
     if np.linalg.norm(place * FOOT_M - middle) <= limit:
-        return "it is in feet"
-    for zone, moved in _of_other_zones(place, crs):
-        if np.linalg.norm(moved - middle) <= limit:
-            return f"it is in {zone}"
-    return ""
+        return "in-feet", ""
+    zones = (name for name, moved in _of_other_zones(place, crs) if np.linalg.norm(moved - middle) <= limit)
+    zone = next(zones, "")
+    return ("in-zone", zone) if zone else ("", "")
 
 
 def _of_other_zones(place: Floats, crs: str) -> Iterator[tuple[str, Floats]]:

@@ -10,7 +10,6 @@ import numpy as np
 from photocal.base.arrays import Bytes, Floats
 from photocal.base.errors import PhotocalError
 from photocal.base.policy import LEAST_CHECKED
-from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding, Severity
 from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA
 from photocal.measurement.image_facts import ImageFacts
@@ -163,7 +162,7 @@ def suspected_marks(adjusted: AdjustedTies) -> list[dict[str, Any]]:
 
 
 def findings_of_marks(
-    unknown: Sequence[Mark],
+    lost: Sequence[Finding],
     strangers: Sequence[str],
     suspects: Sequence[dict[str, Any]],
     left_out: Sequence[dict[str, str]],
@@ -172,9 +171,9 @@ def findings_of_marks(
     findings = []
     for cause in dict.fromkeys(entry.get("code", "unusable") for entry in left_out):
         images = tuple(entry["image"] for entry in left_out if entry.get("code", "unusable") == cause)
-        lost: Severity = "note" if cause == SAME else "doubtful"
-        findings.append(Finding("image-left-out", lost, figures={"images": images}, cause=cause))
-    findings += [Finding("unknown-mark", "doubtful", f"{mark.point} ({mark.image})") for mark in unknown]
+        weight: Severity = "note" if cause == SAME else "doubtful"
+        findings.append(Finding("image-left-out", weight, figures={"images": images}, cause=cause))
+    findings += lost
     findings += [Finding("unknown-target", "doubtful", name) for name in strangers]
     return findings + _marks_off(suspects)
 

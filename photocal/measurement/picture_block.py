@@ -53,6 +53,7 @@ from photocal.measurement.plain_targets import FoundTargets, targets_of_project
 from photocal.measurement.position_files import Given, local_places, map_places, read_positions
 from photocal.measurement.recorded_turns import motion_while_read
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
+from photocal.measurement.settled_marks import settle_marks
 from photocal.measurement.start_block import POSITION_SIGMA_M, start_block
 from photocal.measurement.tie_block import marked_control
 from photocal.measurement.tie_orientation import pictures_turned
@@ -228,7 +229,9 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     control, strays = _without_strays(control)
     start = _start(known, control, tracked.facts, given)
     targets = _targets(known, tracked.sources, control.points, plan, progress)
-    block, unknown = with_marks(start, (*control.marks, *targets.marks))
+    folder = {path.name: path for path in known.paths}
+    settled = settle_marks(control.marks, control.points.names, tracked.facts, folder)
+    block, _ = with_marks(start, (*settled.marks, *targets.marks))
     positions_known = np.isfinite(start.images.values[:, 3:]).all(axis=1).any()
     if project is not None and not positions_known and not block.points.of_role("control").any():
         block = replace(block, datum="free")
@@ -252,7 +255,8 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     suspects = suspected_marks(final)
     bare = [Finding("no-coordinates", "doubtful", point) for point in control.without_coordinates]
     left_out = (*tracked.left_out, *oriented.left_out)
-    marks = findings_of_marks(unknown, targets.strangers, suspects, left_out)
+    lost = [*settled.findings, *(finding for _, finding in settled.left_out)]
+    marks = findings_of_marks(lost, targets.strangers, suspects, left_out)
     if given is None:
         names, members = group_cameras(tracked.facts)
     else:
@@ -266,7 +270,7 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         "marks": {"by_hand": len(control.marks), "targets": len(targets.marks), "used": used},
         "targets": targets.record,
         "positions": positions if known.starts is None else None,
-        "unknown_marks": [f"{mark.point} in {mark.image}" for mark in unknown],
+        "unknown_marks": [f"{m.point} in {m.image}" for m, _ in settled.left_out],
         "unknown_targets": list(targets.strangers),
         "suspected_marks": suspects,
         **as_record([*targets.findings, *strays, *bare, *findings, *marks]),
@@ -280,20 +284,11 @@ def _without_strays(control: ControlMarks) -> tuple[ControlMarks, list[Finding]]
     if not strays:
         return control, []
     rows = [stray.row for stray in strays]
-    points, named = control.points, [stray.slip for stray in strays]
+    points = control.points
     values, sigma, role = points.values.copy(), points.sigma.copy(), points.role.copy()
     values[rows], sigma[rows], role[rows] = np.nan, np.inf, ROLES.index("tie")
-    findings = [
-        Finding(
-            "control-far",
-            "doubtful",
-            stray.name,
-            {"km": stray.away_m / 1000, "slip": slip},
-            ("far-because",) if slip else (),
-        )
-        for stray, slip in zip(strays, named, strict=True)
-    ]
-    return replace(control, points=replace(points, values=values, sigma=sigma, role=role)), findings
+    named = [stray.finding() for stray in strays]
+    return replace(control, points=replace(points, values=values, sigma=sigma, role=role)), named
 
 
 def _as_fitted(block: Block, marked: Block) -> Block:

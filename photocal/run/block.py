@@ -1,6 +1,7 @@
 """Stage `block`: what was measured in the images and what GNSS and inertial unit observed, in one folder."""
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,19 +9,23 @@ from typing import Any
 import numpy as np
 
 from photocal.adjustment.mounting import Attitudes, Positions
-from photocal.adjustment.network import RELATIONS
+from photocal.adjustment.network import RELATIONS, Relations
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 from photocal.base.progress import Progress
 from photocal.block.model import Block
 from photocal.block.motion import strips
 from photocal.block.setup import MountingKeys
+from photocal.findings.finding import Finding
+from photocal.findings.listed import Findings
 from photocal.geometry.rotation import object_to_body
 from photocal.navigation.exposure_files import projected, with_images
 from photocal.navigation.exposures import Exposures
 from photocal.project import Project
 from photocal.run.stage import Stage
 
+# What is to be said of a block as it was joined.
+FINDINGS = "findings.json"
 # Of a rate between two attitudes of an autopilot, some hundredths of a second apart.
 _RATE_SIGMA = np.radians(2.0)
 
@@ -29,16 +34,23 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
     """Describe the stage, which follows those whose folders are given; exposures None without a flight."""
     distances, bent = project.control.distances, project.contents.project.refraction
 
+    def surveyed() -> tuple[str, ...]:
+        """Names of all points that the project has."""
+        from photocal.measurement.picture_block import control_points
+
+        return control_points(project).names
+
     def make(folder: Path, _: Progress) -> None:
         """Make the files of the stage."""
-        from photocal.block.folder import read_block, read_relations
+        from photocal.block.folder import read_block
         from photocal.block.writer import write_block
         from photocal.measurement.block_files import RECORD
         from photocal.run.project_checks import check_rays
 
         block = read_block(measurements)
+        findings: list[Finding] = []
         if distances is not None:
-            given = read_relations(distances, "distance", block.points.names)
+            given, findings = known_distances(distances, block.points.names, surveyed())
             others = block.relations.rows(block.relations.kind != list(RELATIONS).index("distance"))
             block = replace(block, relations=given.plus(others))
         if bent is not None:
@@ -47,6 +59,8 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
             block = _flown(block, exposures, project.rig.mounting(), project.crs)
             check_rays(block, project.control.points)
         write_block(folder, block)
+        if findings:
+            Findings(tuple(findings)).write(folder / FINDINGS)
         if (measurements / RECORD).exists():
             shutil.copyfile(measurements / RECORD, folder / RECORD)
 
@@ -56,6 +70,26 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
         return Stage("block", "the block", make, inputs, chosen, (measurements,))
     settings = {"rig": project.rig.mounting().model_dump(mode="json"), "crs": project.crs, **chosen}
     return Stage("block", "the block", make, inputs, settings, (exposures, measurements))
+
+
+def known_distances(
+    path: Path, points: Sequence[str], listed: Sequence[str]
+) -> tuple[Relations, list[Finding]]:
+    """Read distances, and name those with an end that is listed and no point of the block."""
+    from photocal.block.folder import read_relations
+
+    lost = tuple(name for name in listed if name not in set(points))
+    names = (*points, *lost)
+    given = read_relations(path, "distance", names)
+    here = (given.ends[:, :2] < len(points)).all(axis=1)
+    findings = []
+    for start, end in given.ends[~here, :2].tolist():
+        missing = tuple(names[k] for k in (start, end) if k >= len(points))
+        figures = {"start": names[start], "end": names[end], "missing": missing}
+        findings.append(
+            Finding("distance-left-out", "doubtful", f"{names[start]}, {names[end]}", figures=figures)
+        )
+    return given.rows(here), findings
 
 
 def _flown(block: Block, exposures: Path, keys: MountingKeys, crs: str) -> Block:

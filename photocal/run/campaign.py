@@ -17,6 +17,7 @@ from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
+from photocal.run.control import control_stage
 from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
 from photocal.run.georeferencing import georeferencing_stage
@@ -32,7 +33,7 @@ _MEMORY = ".digests.json"
 # In the work folder while a run works: how far it is.
 PROGRESS = "progress.json"
 # Of our stages, whether a project has them or not.
-_NAMES = ("ppk", "exposures", "measurements", "flown", "certificate")
+_NAMES = ("control", "ppk", "exposures", "measurements", "flown", "certificate")
 Task = tuple[Path, dt.date, str | None, str | None, bool]
 
 
@@ -48,7 +49,9 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
         # Observations that were given have no other start values than those of a flight.
         flown = project.contents.flight is not None or given is not None
         placed = exposures if flown else None
+        checked = control_stage(project)
         first = (
+            *(() if checked is None else (checked,)),
             *((ppk_stage(project), exposures_stage(project, ppk)) if flown else ()),
             measurements_stage(project, placed),
             block_stage(project, placed, measurements),

@@ -7,8 +7,8 @@ from photocal.project import Project
 from photocal.run.stage import made_in
 
 STAGES = (
-    "ppk", "exposures", "measurements", "block", "calibration", "flown", "georeferencing", "analysis",
-    "certificate",
+    "control", "ppk", "exposures", "measurements", "block", "calibration", "flown", "georeferencing",
+    "analysis", "certificate",
 )  # fmt: skip
 _REMEDY = 'name a folder of its own, such as output = "work"'
 

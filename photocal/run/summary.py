@@ -24,6 +24,8 @@ from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import changed_inputs
 from photocal.results.result import Result
+from photocal.run.block import FINDINGS as BLOCK
+from photocal.run.control import FIGURES as CONTROL
 from photocal.run.exposures import FIGURES as EXPOSED
 from photocal.run.exposures import ExposureFigures
 from photocal.run.stage import StageResult, is_stage
@@ -206,9 +208,11 @@ def hidden_faults(findings: Iterable[Finding]) -> Iterator[Finding]:
 
 
 _SOURCES: tuple[tuple[str, str, Callable[[Path], Iterator[Finding]]], ...] = (
+    ("control", CONTROL, _stored),
     ("ppk", PPK, _stored),
     ("exposures", EXPOSED, _stored),
     ("measurements", "measurement.json", _stored),
+    ("block", BLOCK, _stored),
     ("calibration", RESULT, _of_calibration),
     ("flown", "flown.json", _stored),
     ("georeferencing", "check.json", _stored),
@@ -234,7 +238,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
     flown, seen = work / "ppk" / PPK, work / "exposures" / EXPOSED
     ppk = PpkFigures.read(flown).record if "ppk" in done and flown.is_file() else None
     exposures = ExposureFigures.read(seen) if "exposures" in done and seen.is_file() else None
-    check = figures("georeferencing", "check.json")
+    check, control = figures("georeferencing", "check.json"), figures("control", CONTROL)
     judged = check and (check["methods"].get("integrated") or {}).get("assessment")
     adjusted = next((stage for stage in ("analysis", "calibration") if stage in done), None)
     final = project_verdict(work, done)
@@ -252,6 +256,7 @@ def summary(name: str, work: Path, made: Sequence[StageResult]) -> dict[str, Any
             }
             for result in made
         ],
+        "control": None if control is None else {key: control[key] for key in ("points", "marks")},
         "ppk": None if ppk is None else {key: ppk[key] for key in _PPK},
         "exposures": None if exposures is None else _exposures(exposures),
         "calibration": None if adjusted is None else _calibration(read_run(work / adjusted)),
@@ -333,6 +338,12 @@ def summary_text(figures: dict[str, Any], *, details: bool = False) -> str:
     seconds = sum(stage["seconds"] for stage in figures["stages"] if not stage["kept"])
     made = len(figures["stages"]) - kept
     lines = [f"{figures['project']}: {made} stages made in {seconds:.1f} s, {kept} kept; {figures['work']}"]
+    if figures["control"] is not None:
+        points, marks = figures["control"]["points"], figures["control"]["marks"]
+        rest = f"{marks['used']} of {marks['read']} marks can be used"
+        lines.append(
+            _line("control", f"{points['control']} control and {points['check']} check points, {rest}")
+        )
     if figures["ppk"] is not None:
         p = figures["ppk"]
         rest = f"{p['float']} float, {p['single']} single"

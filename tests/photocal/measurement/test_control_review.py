@@ -37,7 +37,7 @@ def test_a_slip_is_named_and_a_wrong_digit_has_none(slip: str) -> None:
     places[4, 0] += 100_000.0
     found = stray_points(points(places), "EPSG:31982")
     assert [one.row for one in found] == [2, 4]
-    assert found[0].slip.startswith(slip)
+    assert f"from the others: {slip}" in found[0].said()
     assert found[1].slip == ""
     assert found[1].away_m == pytest.approx(100_000, rel=0.01)
 
