@@ -19,7 +19,7 @@ from photocal.measurement.mark_frames import AS_STORED, FrameChoice, MarkFrame, 
 from photocal.measurement.marks import ControlMarks, in_map_system, named_after
 from photocal.measurement.position_files import map_places
 from photocal.run.folder_survey import ControlFile
-from photocal.run.project_checks import FREED
+from photocal.run.project_checks import FREED, unfit
 
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
 # Around a place, deg: grids are looked up there.
@@ -253,6 +253,9 @@ def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, plac
         if moved is None:
             authority = system.to_authority()
             return ":".join(authority) if authority and not system.is_compound else text
+        if wrong := unfit(moved.crs):
+            made.asked.append(f'crs: {text!r}{wrong}: write a map system (such as "EPSG:31982"), or "local"')
+            return ""
         made.points = moved.points
         return moved.crs
     offers = called(text, xy if len(xy) else None)
@@ -279,9 +282,23 @@ def _offered(offers: Sequence[MapSystem], example: str = "") -> str:
 
 def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bool, flown: bool) -> None:
     """Settle the kind of the heights, and the grid that it needs."""
-    control = bool(made.points.names)
+    control, own = bool(made.points.names), _heights_of(made.crs)
     if made.crs == "local":
         made.height = "local"
+    elif own and made.height == "ellipsoidal":
+        made.asked.append(
+            f'height: {made.crs} has heights of its own ({own}): "orthometric"; or, with ellipsoidal ones, '
+            f'crs = "{_level(made.crs)}"'
+        )
+        made.height = ""
+    elif own:
+        made.height = "orthometric"
+        if not matters and (lacks := missing_grids(made.crs, None)):
+            made.known.append(
+                f"grid {', '.join(lacks)} of {made.crs} is not here, and nothing needs it: no position is "
+                f"held against the control points' heights ({own})"
+            )
+            made.crs = _level(made.crs)
     elif made.height == "local":
         made.crs = "local"
     elif not made.height and not control:
@@ -300,6 +317,25 @@ def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bo
     precise = flown or any(np.isfinite(image.position_sigma_m).all() for image in placed)
     if made.height == "orthometric" and made.crs and precise:
         _with_geoid(made, placed)
+
+
+def _heights_of(crs: str) -> str:
+    """Name of the heights that a system has of its own; empty for one of the plane."""
+    from pyproj import CRS
+
+    if not crs or crs == "local":
+        return ""
+    system = CRS.from_user_input(crs)
+    return str(system.sub_crs_list[1].name) if system.is_compound else ""
+
+
+def _level(crs: str) -> str:
+    """The plane of a compound system, by its code."""
+    from pyproj import CRS
+
+    plane = CRS.from_user_input(crs).sub_crs_list[0]
+    authority = plane.to_authority()
+    return ":".join(authority) if authority else str(plane.to_wkt())
 
 
 def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:

@@ -163,24 +163,25 @@ def facts_of_pictures(project: Project, most: int | None = _PICTURES) -> list[Im
 
 
 def _check_system(project: Project, place: Place | None) -> None:
-    if project.crs == "local":
-        return
+    if project.crs != "local" and (wrong := unfit(project.crs)):
+        raise ConfigurationError(f"crs = {project.crs!r}{wrong}", _proposal(place), where=project.path)
+
+
+def unfit(crs: str) -> str:
+    """Say why no control can be adjusted in a system; nothing for a map system in metres."""
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
     try:
-        system = CRS.from_user_input(project.crs)
+        system = CRS.from_user_input(crs)
     except CRSError:
-        wrong = " is no system that is known"
-    else:
-        level = system.sub_crs_list[0] if system.is_compound else system
-        if level.is_geographic or level.is_geocentric:
-            wrong = f" ({level.name}) has no map coordinates: degrees cannot be adjusted"
-        elif (unit := level.axis_info[0].unit_name) != "metre":
-            wrong = f" ({level.name}) is in {unit}, not in metres"
-        else:
-            return
-    raise ConfigurationError(f"crs = {project.crs!r}{wrong}", _proposal(place), where=project.path)
+        return " is no system that is known"
+    level = system.sub_crs_list[0] if system.is_compound else system
+    if level.is_geographic or level.is_geocentric:
+        return f" ({level.name}) has no map coordinates: degrees cannot be adjusted"
+    if (unit := level.axis_info[0].unit_name) != "metre":
+        return f" ({level.name}) is in {unit}, not in metres"
+    return ""
 
 
 def _proposal(place: Place | None) -> str:
