@@ -23,6 +23,8 @@ MAX_BYTES = 2 << 30
 MAX_SIDE_PX = 1_000_000
 # Bytes of a name: what the file systems in use allow.
 _LONGEST_NAME = 255
+# Halves of an end of line with halves of their neighbours: letters that no alphabet has.
+_SHIFTED = ("\u0a00", "\u0a0d")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 T = TypeVar("T")
 MAX_XML_BYTES = 256 << 20
@@ -80,6 +82,12 @@ def read_text(path: Path) -> str:
             "save it as UTF-8",
             where=f"{path}, line {line}",
         ) from failure
+    if encoding == "utf-16" and any(mark in text for mark in _SHIFTED):
+        raise InputMalformedError(
+            "is UTF-16 whose line ends were changed as if it were plain text: letters are cut in two",
+            "copy it again as a binary file, or save it as UTF-8",
+            where=path,
+        )
     if "\0" in text:
         raise InputMalformedError("is not a text file", "is it the right file?", where=path)
     return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -5,7 +5,7 @@ to topocentric coordinates at its middle, adjusted there, and taken back.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -125,17 +125,27 @@ class ReferenceFrame:
         return np.stack(columns, axis=2)
 
 
+@cache
+def system_of(text: str) -> Any:
+    """Give the system that a code, a PROJ string or WKT names, parsed once.
+
+    raises CRSError: where it names none.
+    """
+    from pyproj import CRS
+
+    return CRS.from_user_input(text)
+
+
 def parsed(name: str) -> Any:
     """Read the name of a coordinate reference system.
 
     raises ConfigurationError: for an unknown name, or units other than metres.
     """
-    from pyproj import CRS
     from pyproj.exceptions import CRSError
 
     wrong = ConfigurationError.at("block.toml")
     try:
-        system = CRS.from_user_input(name)
+        system = system_of(name)
     except CRSError as failure:
         raise wrong(
             f"frame {name!r} is no coordinate reference system", 'use "local" or a name such as "EPSG:31982"'

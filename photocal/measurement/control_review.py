@@ -11,6 +11,7 @@ from photocal.base.arrays import Floats
 from photocal.block.model import ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.findings.finding import Finding
+from photocal.geometry.frames import system_of
 
 # A point so far from the others, and so many times as far as they are from each other, is none of the site.
 FAR_M, FARTHER = 2_000.0, 20.0
@@ -86,17 +87,17 @@ def _of_other_zones(place: Floats, crs: str) -> Iterator[tuple[str, Floats]]:
     """Where a place would lie if it were in a neighbouring zone of the system."""
     if not crs or crs == "local":
         return
-    from pyproj import CRS, Transformer
+    from pyproj import Transformer
     from pyproj.exceptions import CRSError, ProjError
 
     try:
-        system = CRS.from_user_input(crs)
+        system = system_of(crs)
         level = system.sub_crs_list[0] if system.is_compound else system
         authority = level.to_authority()
         if authority is None or not authority[1].isdecimal():
             return
         for step in ZONES:
-            other = CRS.from_user_input(f"{authority[0]}:{int(authority[1]) + step}")
+            other = system_of(f"{authority[0]}:{int(authority[1]) + step}")
             # Of the same family: zones differ in their number alone.
             if other.is_projected and _family(other.name) == _family(level.name):
                 way = Transformer.from_crs(other, level, always_xy=True)

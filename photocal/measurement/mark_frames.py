@@ -17,6 +17,7 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.exchange.parts import Mark
+from photocal.exchange.source import MAX_SIDE_PX
 from photocal.measurement.features import Features, FeatureSettings, detect
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.image_file import as_eight_bit, read_grey
@@ -147,7 +148,10 @@ def choose_frame(marks: Sequence[Mark], facts: Facts, folder: Mapping[str, Path]
 
     folder: where the pictures lie, by name.
     """
-    marks = [mark for mark in marks if mark.image in facts]
+    # What lies farther out than any picture reaches is a slip of its own.
+    marks = [m for m in marks if m.image in facts and max(abs(m.x), abs(m.y)) <= MAX_SIDE_PX]
+    if not marks:
+        return FrameChoice(AS_STORED, True, (FrameFit(AS_STORED, 0),), 0)
     frames = _frames(marks, facts)
     inside = [FrameFit(frame, _outside(frame.stored(marks, facts), facts)) for frame in frames]
     as_stored = inside[0]

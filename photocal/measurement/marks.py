@@ -16,6 +16,7 @@ from photocal.exchange.ground_points import read_gcp_list, read_gcp_rows
 from photocal.exchange.metashape import markers
 from photocal.exchange.parts import Mark, PointEntry, object_points, require_unique
 from photocal.exchange.source import Line, number, read_json, read_lines, read_xml, require_readable
+from photocal.geometry.frames import system_of
 from photocal.measurement.position_files import IMAGE_HEADS
 
 # A point that somebody clicked, when the table does not say how well.
@@ -143,7 +144,7 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
 
     Heights stay as they are.
     """
-    from pyproj import CRS, Transformer
+    from pyproj import Transformer
     from pyproj.aoi import AreaOfInterest
     from pyproj.database import query_utm_crs_info
     from pyproj.exceptions import CRSError
@@ -151,7 +152,7 @@ def in_map_system(given: ControlMarks) -> ControlMarks:
     if given.crs == "local":
         return given
     try:
-        system = CRS.from_user_input(given.crs)
+        system = system_of(given.crs)
     except CRSError as refusal:
         raise ConfigurationError(
             f"system {given.crs!r} of the control points is not known", "write it as EPSG:32722"

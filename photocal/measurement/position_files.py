@@ -16,6 +16,7 @@ from photocal.exchange.ground_points import read_geo
 from photocal.exchange.reference_table import read_references
 from photocal.exchange.source import read_text
 from photocal.findings.texts import catalogue, finding_text, plain
+from photocal.geometry.frames import system_of
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.listed_positions import ListedPositions, judge_listed
 
@@ -69,7 +70,7 @@ def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:
     The images' heights are of no known kind, so they are taken as they are: between ellipsoid and geoid lie
     up to 100 m, which start values bear and observations would not.
     """
-    from pyproj import CRS, Transformer
+    from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
     places = np.full((len(facts), 3), np.nan)
@@ -80,7 +81,7 @@ def map_places(facts: Sequence[ImageFacts], crs: str) -> Floats:
         [(f.longitude_deg, f.latitude_deg, f.altitude_m) for f in facts]
     )[known].T
     try:
-        system = CRS.from_user_input(crs)
+        system = system_of(crs)
         level = system.sub_crs_list[0] if system.is_compound else system
         way = Transformer.from_crs("EPSG:4326", level.to_2d(), always_xy=True)
         east, north = way.transform(longitude, latitude, errcheck=True)
@@ -210,7 +211,7 @@ def _of_events(path: Path, names: Sequence[str]) -> dict[str, _Place]:
 
 def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -> dict[str, _Place]:
     """The same with longitude and latitude; heights as they are."""
-    from pyproj import CRS, Transformer
+    from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
     malformed = InputMalformedError.at(path)
@@ -218,7 +219,7 @@ def _in_degrees(crs: str, listed: Mapping[str, tuple[float, ...]], path: Path) -
         raise malformed("does not name its system", "head its columns latitude and longitude")
     values = np.array(list(listed.values()), dtype=float).reshape(-1, 6)
     try:
-        system = CRS.from_user_input(crs)
+        system = system_of(crs)
         level = system.sub_crs_list[0] if system.is_compound else system
         way = Transformer.from_crs(level.to_2d(), "EPSG:4326", always_xy=True)
         values[:, 0], values[:, 1] = way.transform(values[:, 0], values[:, 1], errcheck=True)

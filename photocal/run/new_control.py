@@ -10,6 +10,7 @@ import numpy as np
 from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
+from photocal.geometry.frames import system_of
 from photocal.geometry.grids import missing_grids
 from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant
 from photocal.measurement.control_fit import FEWEST_CONTROL
@@ -151,7 +152,7 @@ def _with_marks(
     stored = made.frame.stored(list(here.values()), pictures)
     kept = tuple(mark for mark in stored if inside(mark, pictures[mark.image].size_px))
     made.refused += [
-        f"{mark.place}: {mark.point} at {mark.x:.0f}, {mark.y:.0f} lies outside of {mark.image}"
+        f"{mark.place}: {mark.point} at {mark.x:.6g}, {mark.y:.6g} lies outside of {mark.image}"
         for mark in stored
         if not inside(mark, pictures[mark.image].size_px)
     ]
@@ -233,7 +234,6 @@ def _with_system(made: NewControl, written: str, placed: Sequence[ImageFacts], *
 
 def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, placeable: bool) -> str:
     """Give the code of a system that somebody has named; empty, and asked for, where it is not clear."""
-    from pyproj import CRS
     from pyproj.exceptions import CRSError
 
     if text.strip().lower() == "local":
@@ -241,7 +241,7 @@ def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, plac
     xy = made.points.values[:, :2]
     degrees = bool(len(xy)) and bool((np.abs(xy) <= [180.0, 90.0]).all())
     try:
-        system = CRS.from_user_input(text)
+        system = system_of(text)
     except CRSError:
         system = None
     if system is not None and (not system.is_geographic or degrees):
@@ -321,27 +321,21 @@ def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bo
 
 def _heights_of(crs: str) -> str:
     """Name of the heights that a system has of its own; empty for one of the plane."""
-    from pyproj import CRS
-
     if not crs or crs == "local":
         return ""
-    system = CRS.from_user_input(crs)
+    system = system_of(crs)
     return str(system.sub_crs_list[1].name) if system.is_compound else ""
 
 
 def _level(crs: str) -> str:
     """The plane of a compound system, by its code."""
-    from pyproj import CRS
-
-    plane = CRS.from_user_input(crs).sub_crs_list[0]
+    plane = system_of(crs).sub_crs_list[0]
     authority = plane.to_authority()
     return ":".join(authority) if authority else str(plane.to_wkt())
 
 
 def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:
     """Ask for the system of orthometric heights that precise positions are held against, or for its grid."""
-    from pyproj import CRS
-
     if not placed:
         return
     latitude, longitude = _middle(placed)
@@ -353,7 +347,7 @@ def _with_geoid(made: NewControl, placed: Sequence[ImageFacts]) -> None:
         lacks = missing_grids(crs, area)
         return f"{', '.join(lacks)} is missing: photocal fetch-grids {crs}" if lacks else "its grid is here"
 
-    if CRS.from_user_input(made.crs).is_compound:
+    if system_of(made.crs).is_compound:
         if lacks := missing_grids(made.crs, area):
             made.doubtful.append(
                 f"grid {', '.join(lacks)} of {made.crs} is not here: photocal fetch-grids {made.crs}; "

@@ -18,7 +18,7 @@ from photocal.block.model import Block, ObjectPoints
 from photocal.block.network import ELLIPSOIDAL_M, block_frame
 from photocal.exchange.parts import PointEntry, object_points
 from photocal.exchange.source import read_json
-from photocal.geometry.frames import reference_frame, require_geoid
+from photocal.geometry.frames import reference_frame, require_geoid, system_of
 from photocal.geometry.grids import missing_grids
 from photocal.geometry.oriented_images import given_places
 from photocal.geometry.systems import heights_at
@@ -169,11 +169,10 @@ def _check_system(project: Project, place: Place | None) -> None:
 
 def unfit(crs: str) -> str:
     """Say why no control can be adjusted in a system; nothing for a map system in metres."""
-    from pyproj import CRS
     from pyproj.exceptions import CRSError
 
     try:
-        system = CRS.from_user_input(crs)
+        system = system_of(crs)
     except CRSError:
         return " is no system that is known"
     level = system.sub_crs_list[0] if system.is_compound else system
@@ -268,11 +267,10 @@ def _away(latitude: float, longitude: float, crs: str, places: Floats) -> Floats
 
 def _neighbours(crs: str, latitude: float, longitude: float) -> Iterator[str]:
     """Zones at the place: of the same datum, and of WGS 84, north and south."""
-    from pyproj import CRS
     from pyproj.aoi import AreaOfInterest
     from pyproj.database import query_utm_crs_info
 
-    datum = CRS.from_user_input(crs).name.split(" / ")[0]
+    datum = system_of(crs).name.split(" / ")[0]
     for name in dict.fromkeys((datum, "WGS 84")):
         for sign in (1, -1):
             area = AreaOfInterest(longitude, sign * latitude, longitude, sign * latitude)

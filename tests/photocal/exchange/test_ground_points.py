@@ -16,6 +16,7 @@ from photocal.base.errors import InputMalformedError
 from photocal.exchange.ground_points import (
     angles_of_geo,
     read_gcp_list,
+    read_gcp_rows,
     read_geo,
     write_gcp_list,
     write_geo,
@@ -130,3 +131,15 @@ def test_separators_of_gcp_lists(tmp_path: Path, row: str) -> None:
     _, places, (mark,) = read_gcp_list(path)
     assert places == {"p": (1.5, 2.5, 3)}
     assert (mark.x, mark.y, mark.image, mark.point) == (10, 20, "a.jpg", "p")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_utf_16_with_changed_line_ends_is_no_list(tmp_path: Path, encoding: str) -> None:
+    """A copy as text puts a byte before each end of line, and cuts what follows in two."""
+    path = tmp_path / "gcp_list.txt"
+    text = "\ufeffEPSG:2180\n1 2 3 4 5 a.jpg P\n1 2 3 4 5 b.jpg P\n1 2 3 4 5 c.jpg P\n"
+    path.write_bytes(text.encode(encoding))
+    assert len(read_gcp_rows(path).rows) == 3
+    path.write_bytes(text.encode(encoding).replace(b"\n", b"\r\n"))
+    with pytest.raises(InputMalformedError, match="line ends were changed as if it were plain text"):
+        read_gcp_rows(path)
