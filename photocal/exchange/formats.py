@@ -33,6 +33,13 @@ them get 1 px, and the a posteriori variance factor says what they are worth.
 beside it, GCP lists go to `photocal measure --gcp`. Of PhotoModeler its tables of 2-D and 3-D points are
 read too.
 
+`photocal adopt` sets quality reports beside its own figures, where they lie with a project: those of ODM
+(`report.pdf`, `stats.json`) and MicMac (Tapas, GCPBascule and Campari, kept as `campari.log`) were read from
+real ones, COLMAP's (`model_analyzer.txt`) by its program text; of Pix4D (XML, HTML, PDF) and Metashape (PDF)
+no real report was at hand: their tables are read by the heads that published readers name, and what is not
+recognised is left out. Of Pix4D's other files `tp_orima.txt`, `tp_pix4d.txt` and the rig parameters are not
+read: they repeat what the others hold, and no description of their columns was at hand.
+
 What a format wants and an adjustment does not know is filled in: OPF gets 1970-01-01 as time of exposure
 and 8-bit colour images; standard deviations that are not known are written as 0. Control points carry the
 standard deviations of the adjusted coordinates.

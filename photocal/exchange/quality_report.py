@@ -3,7 +3,8 @@
 Pix4D writes `NAME_report.pdf`, `.html` and `.xml` beside `params`, Metashape a PDF that its user names, ODM
 `report.pdf` and `stats.json`; COLMAP's model_analyzer and MicMac's Campari print theirs, which people keep as
 text. Tables are recognised by their heads and captions: pages and their layout change with each version.
-Sources: real reports of ODM 3.5, and what readers of Pix4D's XML and of Metashape's PDF expect.
+Sources: real reports of ODM 3.5; logs of MicMac as its users publish them; the program text of COLMAP's
+analyser; for Pix4D's XML and Metashape's PDF what published readers of them expect: no real one was at hand.
 """
 
 import math
@@ -365,10 +366,25 @@ def _of_colmap(path: Path, _: list[str], text: str) -> QualityReport:
     return QualityReport("COLMAP", path, mean, "mean", images, shown)
 
 
+_RAY = re.compile(r"RES:\[(.+?)\]")
+_GROUND = re.compile(rf"--NamePt (\S+) Ec Estim-Ter \[{_NUMBER},{_NUMBER},{_NUMBER}\]")
+
+
 def _of_micmac(path: Path, lines: list[str], _: str) -> QualityReport:
-    """What Campari prints after each step: the last counts."""
+    """What Tapas, GCPBascule and Campari print after each step: the last counts."""
     found = [_number_after(r"Residual =", line) for line in lines if "Residual =" in line]
-    return QualityReport("MicMac", path, found[-1] if found else math.nan, "rms")
+    images = {match[1] for line in lines if (match := _RAY.search(line))}
+    ground = {
+        match[1]: [float(match[k]) for k in (2, 3, 4)] for line in lines if (match := _GROUND.search(line))
+    }
+    rms = NOT_SAID
+    if ground:
+        squares = [[value**2 for value in row] for row in ground.values()]
+        x, y, z = (math.sqrt(sum(row[k] for row in squares) / len(squares)) for k in range(3))
+        rms = (x, y, z)
+    return QualityReport(
+        "MicMac", path, found[-1] if found else math.nan, "rms", len(images), len(images), rms
+    )
 
 
 # By what the text of a report is recognised.

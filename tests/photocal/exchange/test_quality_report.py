@@ -197,3 +197,48 @@ def test_other_documents_are_no_reports(tmp_path: Path) -> None:
     (tmp_path / "report.xml").write_text("<other/>")
     assert len(reports_near(tmp_path)) == 3
     assert report_of(tmp_path, lambda _: True) == (None, [])
+
+
+# As users of Tapas and GCPBascule publish what they print (six air photos of Mount St Helens).
+MICMAC = """    RES:[OIS-AR5840034159998.tif][C] ER2 0.8 Nn 99.1 Of 10897 Mul 4329 Mul-NN 4320 Time 0.333
+    | |  Residual = 0.9 ;; Evol, Moy=4.3e-03 ,Max=5.3e-03
+    --- End Iter 2 STEP 3
+    RES:[OIS-AR5840034159998.tif][C] ER2 0.677032 Nn 99.7247 Of 10897 Mul 4329 Mul-NN 4320 Time 0.333
+    RES:[OIS-AR5840034159999.tif][C] ER2 0.697072 Nn 99.7558 Of 4914 Mul 929 Mul-NN 927 Time 0.14
+    ----- Stat on type of point (ok/elim) ----
+         *   Perc=99.709% ;  Nb=49342 for Ok
+    | |  Residual = 0.671665 ;; Evol, Moy=4.31328e-08 ,Max=5.30388e-08
+    | |  Worst, Res 0.697072 for OIS-AR5840034159999.tif,  Perc 99.6733 for OIS-AR5840034159995.tif
+    ==== ADD Pts GCP5 Has Gr 1 Inc [1, 1, 1]
+    NOT OK (UPL) FOR GCP5 , Reason NoPb
+    ==== ADD Pts GCP6 Has Gr 1 Inc [1, 1, 1]
+    --NamePt GCP6 Ec Estim-Ter [-3.0,4.0,-1.0]           Dist =5.09902 ground units
+    --NamePt GCP7 Ec Estim-Ter [4.0,3.0,7.0]           Dist =8.60233 ground units
+"""
+# Lines of RunModelAnalyzer; later versions put their log's head before each.
+COLMAP = (
+    "Cameras: 1", "Images: 12", "Registered images: 10", "Points: 2696", "Observations: 9876",
+    "Mean track length: 3.663", "Mean observations per image: 987.600000",
+    "Mean reprojection error: 0.713000px",
+)  # fmt: skip
+
+
+def test_what_micmac_prints(tmp_path: Path) -> None:
+    path = tmp_path / "campari.log"
+    path.write_text(MICMAC, encoding="utf-8")
+    report = read(path)
+    assert (report.program, report.kind, report.reprojection_px) == ("MicMac", "rms", 0.671665)
+    assert report.calibrated == 2
+    # The square roots of (9 + 16) / 2, (16 + 9) / 2 and (1 + 49) / 2.
+    assert report.control_m == pytest.approx((3.535534, 3.535534, 5.0), abs=1e-6)
+    assert reports_near(tmp_path) == [path]
+
+
+@pytest.mark.parametrize("head", ["", "I20250412 20:08:49.215745 96464 model.cc:445] "])
+def test_what_colmap_prints(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "model_analyzer.txt"
+    path.write_text("".join(f"{head}{line}\n" for line in COLMAP), encoding="utf-8")
+    report = read(path)
+    assert (report.program, report.images, report.calibrated) == ("COLMAP", 12, 10)
+    assert report.reprojection_px == 0.713
+    assert reports_near(tmp_path) == [path]
