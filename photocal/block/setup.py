@@ -17,7 +17,8 @@ class BlockKeys(Table):
 
     name: str = ""
     frame: str
-    height: Literal["ellipsoidal", "orthometric", "local", ""] = Field(
+    # Unstated: another program's files do not say what their heights count from.
+    height: Literal["ellipsoidal", "orthometric", "local", "unstated", ""] = Field(
         default="", validation_alias=AliasChoices("height", "height_kind")
     )
     datum: Literal["control", "free"] | list[str] = "control"

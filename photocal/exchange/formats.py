@@ -60,9 +60,9 @@ Of a report `adopt` takes the names of check points, sigmas of the camera, and t
 ours. It is looked for in the folder of the project and in `report` or `odm_report` beside it.
 
 Coordinates of a map go through its system: `wkt.prj` of Pix4D, the reference of Metashape, the first line of
-`gcp_list.txt`. Files say nothing of the kind of the heights: ellipsoidal ones are assumed and it is said;
-within a block that changes nothing that can be measured. Without a system coordinates are taken as Cartesian,
-which is said where they are large enough to be those of a map.
+`gcp_list.txt`. Files say nothing of the kind of the heights: they are taken as they stand, and the
+certificate says so; within a block that changes nothing that can be measured. Without a system coordinates
+are taken as Cartesian, which is said where they are large enough to be those of a map.
 
 Left out and named: points whose rays have a parallax below 5 px (heads of one exposure are centimetres
 apart), images with fewer than four rays and cameras without any, rays that do not fit. A camera with no
@@ -245,6 +245,11 @@ FORMATS: tuple[Format, ...] = (
            "own", "none", "none", "none", "m", writes="write"),
     Format("pix4d", "photocal.exchange.pix4d_project", "Pix4D, .cam", ("cameras",), "none", CORNER, VISION,
            "brown-ideal", "mm on a nominal sensor", writes="write"),
+    Format("pix4d-external", "photocal.exchange.pix4d_tables", "Pix4D, orientations", ("orientations",),
+           "own", "none", PHOTO, "none", "m, deg", "read_external",
+           search="*calibrated_external_camera_parameters.txt"),
+    Format("odm-shots", "photocal.exchange.opensfm", "ODM, shots.geojson", ("orientations",), "own", "none",
+           VISION, "none", "m, rotation vector", "read_shots", search="shots.geojson"),
     Format("geojson", "photocal.exchange.geographic", "GeoJSON", ("orientations", "points"), "wgs84", CENTRE,
            PHOTO, "none", "deg, m, px", writes="write_geojson:block.geojson"),
     Format("kml", "photocal.exchange.geographic", "KML", ("orientations", "points"), "wgs84", CENTRE, PHOTO,

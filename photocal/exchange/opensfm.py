@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from photocal.base.errors import InputMalformedError
-from photocal.block.model import NO_OBSERVATIONS, Block, Images, ObjectPoints
+from photocal.block.model import NO_OBSERVATIONS, NO_POINTS, Block, Images, ObjectPoints
 from photocal.exchange.foreign_project import ForeignProject
 from photocal.exchange.parts import block, pixels
 from photocal.exchange.pinhole import Pinhole, from_pinhole, from_vision, to_pinhole, to_vision
@@ -27,6 +27,7 @@ from photocal.exchange.rigs import of_opensfm
 from photocal.exchange.source import image_size, number, read_json, read_lines, structured
 from photocal.geometry.camera import Camera
 from photocal.geometry.conversion import Conversion
+from photocal.geometry.frames import UNSTATED
 
 _WHAT = "an OpenSfM file"
 
@@ -76,6 +77,38 @@ def read_reconstruction(path: Path) -> Block:
 
     given = of_opensfm(structured(path, _WHAT, made), path, content[0])
     return _with_tracks(given, tracks) if tracks.is_file() else given
+
+
+def read_shots(path: Path) -> ForeignProject:
+    """Read ODM's shots.geojson: orientations in the zone of the pictures, of images of unknown cameras.
+
+    A feature has the rotation vector from the map's to camera axes, and as its translation the projection
+    centre in the UTM zone that ODM has chosen (before 2021 and without positions in axes of its own).
+    """
+    from photocal.exchange.output_system import utm_zone_of
+
+    features = structured(path, "a shots.geojson of ODM", lambda: list(read_json(path)["features"]))
+
+    def made() -> tuple[tuple[str, ...], Any, Any, Any]:
+        """Take names, rotation vectors, places in metres and in degrees."""
+        own = [feature["properties"] for feature in features]
+        turns, places = (
+            np.array([each[key] for each in own], dtype=float).reshape(-1, 3)
+            for key in ("rotation", "translation")
+        )
+        lonlat = np.array([feature["geometry"]["coordinates"][:2] for feature in features], dtype=float)
+        return tuple(str(each["filename"]) for each in own), turns, places, lonlat.reshape(-1, 2)
+
+    names, turns, places, lonlat = structured(path, "a shots.geojson of ODM", made)
+    if not names:
+        raise InputMalformedError("has no shots", "did ODM end well?", where=path)
+    rotation = Rotation.from_rotvec(turns).as_matrix()
+    poses = from_vision(rotation, -np.einsum("nij,nj->ni", rotation, places))
+    frame, remarks = utm_zone_of(lonlat, places)
+    images = Images(names, np.full(len(names), -1), poses)
+    given = block(path.stem, (), images, NO_POINTS, NO_OBSERVATIONS, [path])
+    height = "" if frame == "local" else UNSTATED
+    return ForeignProject("ODM", replace(given, frame=frame, height=height), remarks=remarks)
 
 
 def tracks_beside(path: Path) -> Path:

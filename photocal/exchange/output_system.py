@@ -8,10 +8,12 @@ import numpy as np
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.exchange.source import read_text
-from photocal.geometry.frames import parsed, reference_frame
+from photocal.geometry.frames import UNSTATED, parsed, reference_frame
 
 # Coordinates of a site grid are smaller than northings.
 OF_A_MAP_M = 2e4
+# Degrees of some digits and metres of one place differ by less, m.
+NEAR_M = 5.0
 
 
 def output_system(file: Path | None, places: Floats) -> tuple[str, str, list[str]]:
@@ -37,19 +39,37 @@ def output_system(file: Path | None, places: Floats) -> tuple[str, str, list[str
             except InputMalformedError:
                 # The grid of its geoid is missing, or it does not hold here.
                 continue
-            return name, height, [] if height == "orthometric" else [_ASSUMED]
+            return name, height, [] if height == "orthometric" else [HEIGHTS_UNSAID]
     except PhotocalError:
         return "local", "", [f"{file.name} names no map system in metres: coordinates are taken as Cartesian"]
     return "local", "", [f"{file.name}: {system.name} does not hold where the block lies: taken as Cartesian"]
 
 
-_ASSUMED = "the files do not say which heights these are: ellipsoidal ones are assumed, which bends nothing"
+def utm_zone_of(lonlat: Floats, places: Floats) -> tuple[str, tuple[str, ...]]:
+    """UTM zone in which places (n, 3) lie where others say in degrees; "local" where they do not."""
+    from pyproj import Transformer
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_utm_crs_info
+
+    longitude, latitude = np.median(lonlat, axis=0).tolist()
+    if abs(longitude) <= 180 and abs(latitude) <= 84:
+        here = AreaOfInterest(longitude, latitude, longitude, latitude)
+        for zone in query_utm_crs_info("WGS 84", here):
+            code = f"{zone.auth_name}:{zone.code}"
+            way = Transformer.from_crs("EPSG:4326", code, always_xy=True)
+            away = np.hypot(*(np.column_stack(way.transform(*lonlat.T)) - places[:, :2]).T)
+            if np.nanmax(away) <= NEAR_M:
+                return code, (HEIGHTS_UNSAID,)
+    return "local", ("the places are in no UTM zone: taken as Cartesian",)
+
+
+HEIGHTS_UNSAID = "the files do not say what their heights count from: they are taken as they stand"
 
 
 def _kinds(system: Any) -> list[tuple[str, str]]:
     """Names of a system with its heights, and of its plane alone."""
     plane = system.sub_crs_list[0] if system.is_compound else system
-    names = [(_name(plane), "ellipsoidal")]
+    names = [(_name(plane), UNSTATED)]
     return [(_name(system), "orthometric"), *names] if system.is_compound else names
 
 

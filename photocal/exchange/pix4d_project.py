@@ -88,14 +88,14 @@ def write(folder: Path, given: Reconstruction, _: Choices) -> tuple[Conversion, 
 def read(path: Path) -> ForeignProject:
     """Read a params folder by its file of cameras."""
     folder = path.parent
-    bingo = _file(folder, BINGO)
+    bingo = file_of(folder, BINGO)
     if bingo is None:
         raise InputNotFoundError(
             f"has no ..._{BINGO}",
             "export it: Process, Processing options, 1. Initial processing, Advanced",
             where=folder,
         )
-    offset_file = _file(folder, "offset.xyz")
+    offset_file = file_of(folder, "offset.xyz")
     offset = np.zeros(3)
     if offset_file is not None:
         cells = " ".join(line.text for line in read_lines(offset_file)).replace(",", " ")
@@ -124,7 +124,7 @@ def read(path: Path) -> ForeignProject:
     ]
     place = np.empty(len(points), dtype=np.int64)
     place[sorted(range(len(points)), key=seen.names.__getitem__)] = np.arange(len(points))
-    frame, height, told = output_system(_file(folder, "wkt.prj"), poses[:, 3:])
+    frame, height, told = output_system(file_of(folder, "wkt.prj"), poses[:, 3:])
     remarks += told
     given, weak = without_weak_points(
         block(
@@ -175,7 +175,8 @@ def _require_on_earth(places: Iterable[tuple[str, Sequence[float]]], what: str, 
             )
 
 
-def _file(folder: Path, ending: str) -> Path | None:
+def file_of(folder: Path, ending: str) -> Path | None:
+    """Find the file of a params folder whose name ends so; before it stands that of the project."""
     paths = [p for p in sorted(folder.iterdir()) if p.name == ending or p.name.endswith(f"_{ending}")]
     return min(paths, key=lambda path: len(path.name), default=None)
 
@@ -276,8 +277,8 @@ class _Ground:
 
 def _ground(folder: Path) -> _Ground:
     """Surveyed and other marked points, and what was assumed of them."""
-    both, measured = _file(folder, _MEASURED_ESTIMATED), _file(folder, "measured_gcps_position.txt")
-    surveyed, adjusted = _named(measured), _named(_file(folder, "estimated_gcps_position.txt"))
+    both, measured = file_of(folder, _MEASURED_ESTIMATED), file_of(folder, "measured_gcps_position.txt")
+    surveyed, adjusted = _named(measured), _named(file_of(folder, "estimated_gcps_position.txt"))
     remarks = []
     if measured is not None and both is None and not surveyed:
         remarks.append(
@@ -312,7 +313,7 @@ def _ground(folder: Path) -> _Ground:
 def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floats]:
     """Positions by GNSS, their accuracies as stated, and the sigmas that the program promises."""
     table, image_of = np.full((len(names), len(_ERROR_COLUMNS) - 1), np.nan), in_order(names)
-    for name, *cells in _rows(_file(folder, _ERRORS), _ERROR_COLUMNS):
+    for name, *cells in _rows(file_of(folder, _ERRORS), _ERROR_COLUMNS):
         k = image_of(name)
         if k >= 0:
             table[k] = [_value(cell) for cell in cells]

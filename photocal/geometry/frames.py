@@ -159,6 +159,10 @@ def parsed(name: str) -> Any:
     return system
 
 
+# Heights of another program's files that do not say what they count from: taken as they are.
+UNSTATED = "unstated"
+
+
 def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
     """Make the frame of a block in a coordinate reference system.
 
@@ -175,7 +179,7 @@ def reference_frame(name: str, height: str, origin: Floats) -> ReferenceFrame:
             f"heights are ellipsoidal, but frame {name} has a vertical system",
             "name the horizontal system alone",
         )
-    if height not in ("orthometric", "ellipsoidal"):
+    if height not in ("orthometric", "ellipsoidal", UNSTATED):
         raise wrong(
             f"the kind of the heights in frame {name} is not said",
             'add height = "ellipsoidal" or height = "orthometric"',

@@ -23,7 +23,11 @@ LEAST_M = 20.0
 # Neighbouring zones that are tried.
 ZONES = (-1, 1, -2, 2)
 MOST_NAMED = 5
-_SLIPS = {"exchanged": "E and N are exchanged", "in-feet": "it is in feet", "in-zone": "it is in {zone}"}
+_SLIPS = {
+    "far-exchanged": "E and N are exchanged",
+    "far-in-feet": "it is in feet",
+    "far-in-zone": "it is in {zone}",
+}
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class Stray:
     def finding(self) -> Finding:
         """Give it as a finding."""
         figures = {"km": self.away_m / 1000, "zone": self.zone}
-        clauses = (f"far-{self.slip}",) if self.slip else ()
+        clauses = (self.slip,) if self.slip else ()
         return Finding("control-far", "doubtful", self.name, figures, clauses)
 
 
@@ -75,12 +79,12 @@ def stray_points(points: ObjectPoints, crs: str) -> tuple[Stray, ...]:
 def _slip(place: Floats, middle: Floats, limit: float, crs: str) -> tuple[str, str]:
     """Code of the slip that explains a place, and the zone where it is one."""
     if np.linalg.norm(place[::-1] - middle) <= limit:
-        return "exchanged", ""
+        return "far-exchanged", ""
     if np.linalg.norm(place * FOOT_M - middle) <= limit:
-        return "in-feet", ""
+        return "far-in-feet", ""
     zones = (name for name, moved in _of_other_zones(place, crs) if np.linalg.norm(moved - middle) <= limit)
     zone = next(zones, "")
-    return ("in-zone", zone) if zone else ("", "")
+    return ("far-in-zone", zone) if zone else ("", "")
 
 
 def _of_other_zones(place: Floats, crs: str) -> Iterator[tuple[str, Floats]]:

@@ -13,7 +13,7 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.files import output_picture
 from photocal.block.model import Block
-from photocal.geometry.frames import LocalFrame
+from photocal.geometry.frames import UNSTATED, LocalFrame
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.products.kernels import BILINEAR, CUBIC, NEAREST
 from photocal.products.oriented import best_places, lens_tables
@@ -75,8 +75,12 @@ def heights_of(raster: RasterFile, block: Block, stated: str | None) -> str:
     raises ConfigurationError: when it is not known, or another one.
     """
     kind = raster.stated_heights(stated)
-    if not block.height and block.frame != "local":
-        raise ConfigurationError("the block does not say the kind of its heights", where="block.toml")
+    if block.height in ("", UNSTATED) and block.frame != "local":
+        raise ConfigurationError(
+            "the block does not say the kind of its heights",
+            'say height = "ellipsoidal" or height = "orthometric"',
+            where="block.toml",
+        )
     if block.height and block.height != kind:
         raise ConfigurationError(
             f"the block has {block.height} heights, the terrain model {kind} ones",

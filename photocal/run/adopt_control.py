@@ -10,6 +10,7 @@ from photocal.base.errors import IllPosedError
 from photocal.block.model import ROLES
 from photocal.block.network import block_frame, frame_of
 from photocal.exchange.foreign_project import ForeignProject
+from photocal.geometry.frames import UNSTATED
 from photocal.geometry.oriented_images import given_places, given_poses, local_poses
 from photocal.geometry.rotation import angles_from_matrix, matrix_from_angles
 from photocal.geometry.similarity import aligned_similarity, robust_similarity
@@ -50,7 +51,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     kept, track = np.unique(seen.point[order], return_inverse=True)
     # From the program's own axes, Cartesian ones, to those at the middle of the control.
     own, local = block_frame(block), control.crs == "local"
-    there = frame_of(control.crs, "" if local else "ellipsoidal", control.points.values)
+    there = frame_of(control.crs, "" if local else UNSTATED, control.points.values)
     tracks = Tracks(track, seen.image[order], seen.values[order], np.ones(len(order)))
     places = intersected(views_of(block, own), tracks)
     met = np.isfinite(places).all(axis=1)
@@ -74,7 +75,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     moved = replace(
         block,
         frame=control.crs,
-        height="" if local else "ellipsoidal",
+        height="" if local else UNSTATED,
         datum="control",
         images=replace(block.images, values=moved_poses),
         points=control.points.with_ties(ties, tie_places),
@@ -82,7 +83,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     )
     remarks = [
         f"control of {lists[0].name}, in {control.crs}"
-        + ("" if local else ", heights taken as ellipsoidal")
+        + ("" if local else ", which does not say what its heights count from")
         + f"; without accuracies: {ASSUMED_M[0]} and {ASSUMED_M[1]} m assumed"
     ]
     checks = [control.points.names[k] for k in np.flatnonzero(control.points.of_role("check"))]

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,14 @@ _DEPTH = 3
 # Who speaks of pictures does so at once.
 _HEAD_BYTES = 1 << 16
 Sizes = dict[str, tuple[int, int]]
+# Files of a project, by their programs.
+_COMPUTED = {
+    "Pix4D": (
+        "*calibrated_*camera_parameters*.txt", "*calibrated_images_position*.txt", "*calibrated_rig_*.txt",
+        "*_gcps_position.txt", "*_tp_*.txt", "*_pmatrix.txt",
+    ),
+    "ODM": ("shots.geojson",),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -60,6 +69,7 @@ class FolderContents:
 
     pictures: of each folder with pictures that can be read, at the positions that a table beside them gives.
     positions: such tables.
+    cams: cameras of Pix4D's .cam files.
     unread: pictures and tables that cannot be used, with the reason.
     """
 
@@ -72,6 +82,7 @@ class FolderContents:
     events: list[Path] = field(default_factory=list)
     positions: list[Path] = field(default_factory=list)
     rinex: list[Path] = field(default_factory=list)
+    cams: dict[Path, tuple[Camera, ...]] = field(default_factory=dict)
     unread: list[str] = field(default_factory=list)
 
 
@@ -86,12 +97,17 @@ def survey(folder: Path, leave_out: Collection[Path] = ()) -> FolderContents:
     files = sorted(path for path in _files(folder, _DEPTH) if path not in leave_out)
     seen.pictures = _pictures(files, seen.unread)
     sizes = {image.name: image.size_px for facts in seen.pictures.values() for image in facts}
+    results = _results(files, folder, seen.unread)
     for path in files:
+        if path in results:
+            continue
         kind = path.suffix.lower()
         if kind in _LOGS:
             seen.logs.append(path)
         elif kind in _RAW_LOGS and path.stem not in ("cameras", "images", "points3D"):
             seen.raw_logs.append(path)
+        elif kind == ".cam":
+            _with_cameras(path, sizes, seen)
         elif kind == ".mrk":
             seen.events.append(path)
         elif kind in _RINEX or (len(kind) == 4 and kind[1:3].isdigit() and kind[3] in "ong"):
@@ -104,6 +120,33 @@ def survey(folder: Path, leave_out: Collection[Path] = ()) -> FolderContents:
             if control is not None:
                 (seen.marks if control.points is None else seen.control).append(control)
     return seen
+
+
+def _results(files: Sequence[Path], folder: Path, unread: list[str]) -> set[Path]:
+    """What other programs have computed: no observation, and named once for each folder."""
+    found = {path: program for path in files for program, names in _COMPUTED.items() if _named(path, names)}
+    for where, program in dict.fromkeys((path.parent, program) for path, program in found.items()):
+        here = "the folder" if where == folder else where.relative_to(folder).as_posix()
+        unread.append(
+            f"{here} has what {program} has computed, which is no observation: photocal adopt {where} takes "
+            "its project with its measurements"
+        )
+    return set(found)
+
+
+def _named(path: Path, patterns: Sequence[str]) -> bool:
+    return any(fnmatch(path.name.casefold(), pattern) for pattern in patterns)
+
+
+def _with_cameras(path: Path, sizes: Sizes, seen: FolderContents) -> None:
+    """Cameras of a .cam file of Pix4D; that of Inpho beside it has no distortion, and is passed over."""
+    from photocal.exchange.pix4d_tables import read_cam
+
+    try:
+        seen.cams[path] = read_cam(path, dict.fromkeys(sizes.values()))
+    except PhotocalError as refusal:
+        if "pix4d" in path.name.casefold():
+            seen.unread.append(str(refusal))
 
 
 def _pictures(files: Sequence[Path], unread: list[str]) -> dict[Path, tuple[ImageFacts, ...]]:

@@ -38,6 +38,8 @@ APART_M = 0.1
 # By how much later a head may expose than the first, s: by pictures of a recorded head some 10 to 30 ms.
 # Where readouts differ, so do their middles: heads begin together, or end together.
 LATER_S = 0.02
+# A camera of another c is another camera: this share of it, or so many sigmas of what the pictures say.
+UNLIKE, FAR_SIGMAS = 0.1, 3.0
 _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
 
 
@@ -293,7 +295,7 @@ class _Text:
 
     def _cameras(self) -> Iterator[str]:
         known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}
-        member = self.member
+        member, computed = self.member, self._computed()
         for k, name in enumerate(self.cameras):
             stated, taken = self._stated(k), int((member == k).sum())
             if stated.camera.size_px in known:
@@ -301,6 +303,14 @@ class _Text:
                 yield f"\n[[camera]]  # {taken} pictures; {source}"
                 yield from _given_camera(replace(known[stated.camera.size_px], id=name))
                 self.known.append(f"camera {name}: {source}")
+                continue
+            if stated.camera.size_px in computed and self._may_be(stated, computed[stated.camera.size_px]):
+                file, own = computed[stated.camera.size_px]
+                source = f"start values of {self._beside(file)}, as its program has estimated them"
+                self.known.append(f"camera {name}: {taken} pictures, {source}")
+                yield f"\n[[camera]]  # {taken} pictures; {source}"
+                yield from _given_camera(replace(own, id=name))
+                yield f"estimate = {json.dumps(list(_ESTIMATE))}"
                 continue
             kind = "a guess" if stated.guessed else f"prior, {100 * stated.share:.2g} %"
             comment = f"c = {stated.camera.value('c'):.1f} px ({stated.source}; {kind})"
@@ -311,6 +321,27 @@ class _Text:
                 yield 'shutter = "unknown"  # tested, and a readout is estimated when it rolls; or "global"'
             if stated.guessed:
                 self.missing.append(f"nothing tells the c of camera {name}: it is a guess, to be estimated")
+
+    def _computed(self) -> dict[tuple[int, int], tuple[Path, Camera]]:
+        """Cameras of .cam files by the size of their pictures, where both leave no doubt."""
+        found: dict[tuple[int, int], list[tuple[Path, Camera]]] = {}
+        for file, cameras in self.seen.cams.items():
+            for own in cameras:
+                found.setdefault(own.size_px, []).append((file, own))
+        sizes = [self._stated(k).camera.size_px for k in range(len(self.cameras))]
+        return {size: pairs[0] for size, pairs in found.items() if len(pairs) == 1 and sizes.count(size) == 1}
+
+    def _may_be(self, stated: StatedCamera, computed: tuple[Path, Camera]) -> bool:
+        """Whether a camera that was computed may be that of the pictures; says so where it is not."""
+        file, own = computed
+        theirs, ours = (camera.value("c") / camera.pitch[0] for camera in (own, stated.camera))
+        if stated.guessed or abs(np.log(theirs / ours)) <= max(UNLIKE, FAR_SIGMAS * stated.share):
+            return True
+        self.missing.append(
+            f"not used: {self._beside(file)} is of another camera: c is {theirs:.0f} px there, and "
+            f"{ours:.0f} px as the pictures say ({stated.source})"
+        )
+        return False
 
     def _stated(self, camera: int) -> StatedCamera:
         """What the first picture of a camera says of it."""

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pyproj import Transformer
+from scipy.spatial.transform import Rotation
 
 from photocal.base.errors import InputMalformedError
-from photocal.exchange.opensfm import read_cameras, read_reconstruction
+from photocal.exchange.opensfm import read_cameras, read_reconstruction, read_shots
 from photocal.exchange.opensfm import write as write_opensfm
 from photocal.exchange.pinhole import to_vision
 from photocal.exchange.reconstruction import Reconstruction, of_block
 from photocal.geometry.camera import plane_to_pixel
 from photocal.geometry.distortion import projected
+from photocal.geometry.rotation import matrix_from_angles
 
 
 def test_opensfm_round_trip(tmp_path: Path, vision: Reconstruction) -> None:
@@ -78,3 +82,37 @@ def test_bad_reconstruction(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "r.json").write_text(text)
     with pytest.raises(InputMalformedError, match=message):
         of_block(read_reconstruction(tmp_path / "r.json"))
+
+
+def test_shots_of_odm(tmp_path: Path) -> None:
+    """As ODM's shots.py writes them: rotation to camera axes x right, y down, z forward; places in UTM."""
+    rng = np.random.default_rng(4)
+    places = np.array([677000.0, 7184000.0, 900.0]) + rng.uniform(-50, 50, (5, 3))
+    angles = np.column_stack([np.full(5, 175.0), rng.uniform(-8, 8, 5), [0, 90, 180, 270, 45]])
+    turns = Rotation.from_euler("xyz", angles, degrees=True)
+    degrees = np.column_stack(
+        Transformer.from_crs("EPSG:32722", "EPSG:4326", always_xy=True).transform(*places[:, :2].T)
+    )
+    features = [
+        {
+            "type": "Feature",
+            "properties": {
+                "filename": f"{k}.JPG", "focal": 0.85, "width": 4000, "height": 3000,
+                "translation": places[k].tolist(), "rotation": turns[k].as_rotvec().tolist(),
+            },
+            "geometry": {"type": "Point", "coordinates": [*degrees[k], places[k, 2]]},
+        }
+        for k in range(5)
+    ]  # fmt: skip
+    path = tmp_path / "shots.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    given = read_shots(path)
+    assert given.block.frame == "EPSG:32722"
+    assert given.block.height == "unstated"
+    np.testing.assert_allclose(given.block.images.values[:, 3:], places, atol=1e-9)
+    # Our own camera axes look backwards along z, with y up.
+    seen = matrix_from_angles(given.block.images.values[:, :3])
+    np.testing.assert_allclose(seen, np.diag([1.0, -1.0, -1.0]) @ turns.as_matrix(), atol=1e-12)
+    path.write_text(json.dumps({"features": [{"properties": {"filename": 1}}]}))
+    with pytest.raises(InputMalformedError):
+        read_shots(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 
 from photocal.base.errors import InputMalformedError
 from photocal.exchange.pix4d_project import write_pix4d
+from photocal.exchange.pix4d_tables import read_cam, read_external
 from photocal.exchange.reconstruction import Reconstruction
-from photocal.geometry.camera import plane_to_pixel
+from photocal.geometry.camera import among, plane_to_pixel
 from photocal.geometry.distortion import projected
-from tests.photocal.exchange.cam_file import read_pix4d
+from tests.photocal.exchange.pix4d_folder import write_params
 
 
 def test_pix4d_example() -> None:
@@ -31,9 +33,9 @@ def test_pix4d_example() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "maize.cam"
         path.write_text(text.replace("\n", "\r\n"))
-        own = read_pix4d(path, (4608, 3456))
+        (own,) = read_cam(path, [(4608, 3456)])
         write_pix4d(Path(folder) / "again.cam", own)
-        again = read_pix4d(Path(folder) / "again.cam", (4608, 3456))
+        (again,) = read_cam(Path(folder) / "again.cam", [(4000, 4000), (4608, 3456)])
     np.testing.assert_allclose(again.values, own.values, rtol=1e-9, atol=1e-20)
     x, y = 0.3, -0.2
     r2 = x * x + y * y
@@ -47,5 +49,22 @@ def test_pix4d_example() -> None:
 
 def test_pix4d_wants_the_right_image_size(tmp_path: Path, photogrammetric: Reconstruction) -> None:
     write_pix4d(tmp_path / "a.cam", photogrammetric.cameras[0])
-    with pytest.raises(InputMalformedError, match="does not fit images"):
-        read_pix4d(tmp_path / "a.cam", (4000, 4000))
+    with pytest.raises(InputMalformedError, match="has the shape of no picture"):
+        read_cam(tmp_path / "a.cam", [(4000, 4000)])
+
+
+def test_orientations_alone_are_those_of_the_block(tmp_path: Path, vision: Reconstruction) -> None:
+    # A .cam has one focal length.
+    square = [own.with_values(np.where(among("B1", "B2"), 0.0, own.values)) for own in vision.cameras]
+    write_params(tmp_path, replace(vision, cameras=tuple(square)))
+    given = read_external(tmp_path / "field 3_calibrated_external_camera_parameters.txt").block
+    assert given.images.names == vision.image_names
+    np.testing.assert_allclose(given.images.values, vision.poses, atol=1e-9)
+    cameras = read_cam(
+        tmp_path / "field 3_pix4d_calibrated_internal_camera_parameters.cam",
+        [camera.size_px for camera in vision.cameras],
+    )
+    for own, theirs in zip(square, cameras, strict=True):
+        rays = np.column_stack([np.linspace(-0.3, 0.3, 7), np.linspace(0.2, -0.2, 7), np.full(7, -1.0)])
+        expected, seen = (plane_to_pixel(c.size_px, c.pitch, projected(c, rays)) for c in (own, theirs))
+        np.testing.assert_allclose(seen, expected, atol=1e-6)

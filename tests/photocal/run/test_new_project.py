@@ -58,6 +58,42 @@ def test_pictures_alone(folder: Path) -> None:
         new_project(folder)
 
 
+CAM = """Pix4D camera calibration file 0
+#Focal Length mm assuming a sensor width of 17.5x13.125mm
+F {f}
+Px 8.8
+Py 6.5
+K1 0.0383
+K2 -0.0175
+K3 0.0205
+T1 0.0024
+T2 0.0029
+"""
+
+
+@pytest.mark.parametrize(("f", "taken"), [(15.0, True), (30.0, False)])
+def test_what_another_program_has_computed(folder: Path, f: float, taken: bool) -> None:
+    """Its camera is a start value where it may be that of the pictures; its orientations observe nothing."""
+    for k in range(3):
+        picture(folder / f"a{k}.jpg", 20.0 * k, f'drone-dji:CalibratedFocalLength="{15 / 17.5 * 160}"')
+    params = folder / "1_initial" / "params"
+    params.mkdir(parents=True)
+    (params / "field_pix4d_calibrated_internal_camera_parameters.cam").write_text(CAM.format(f=f))
+    rows = [f"a{k}.jpg 677864 7184231 1000 0 0 0" for k in range(3)]
+    external = params / "field_calibrated_external_camera_parameters.txt"
+    external.write_text("\n".join(["imageName X Y Z Omega Phi Kappa", *rows]))
+    made = new_project(folder)
+    (told,) = (line for line in made.missing if "no observation" in line)
+    assert told.startswith("not used: 1_initial/params has what Pix4D has computed")
+    camera = read_project(made.path).cameras[0]
+    other = [line for line in made.missing if "is of another camera: c is 274 px there, and 137 px" in line]
+    assert bool(other) is not taken
+    if taken:
+        assert camera.value("c") == pytest.approx(15.0 / 17.5 * 160)
+        assert camera.value("K1") != 0
+        assert camera.estimated.any()
+
+
 def test_a_brazilian_table_and_marks_beside_it(folder: Path) -> None:
     table = "Ponto;Este;Norte;Cota;Tipo\r\nÁgua;677864,5;7184231,25;912,4;controle\r\n"
     table += "P2;677870,0;7184240,0;911,9;checagem\r\n"
