@@ -25,6 +25,10 @@ class ReceiverOptions(Options):
     base_sigma: Annotated[str | None, Option("Standard deviations E,N,U of the base's position, metres.")] = (
         None
     )
+    base_frame: Annotated[
+        str | None,
+        Option("Frame and epoch of the base's position, as IGS20@2026.9; without: as its file names them."),
+    ] = None
     weather: Annotated[
         str | None, Option("TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa.")
     ] = None
@@ -50,6 +54,10 @@ class PpkOptions(Options):
         str, Option("Type and radome of the rover's antenna in it; none: without a model.")
     ] = ""
     base_antenna: Annotated[str, Option("The base's; without: as the RINEX header names it.")] = ""
+    crs: Annotated[
+        str | None,
+        Option("System of the control, as EPSG:31982: the base is moved to its frame and epoch."),
+    ] = None
     elevation: Annotated[float, Option("Least elevation of satellites, degrees.")] = 15.0
     static: Annotated[bool, Option("The rover stood still: one position.", ("--static",))] = False
 

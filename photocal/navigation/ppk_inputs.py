@@ -10,6 +10,8 @@ from photocal.base.arrays import Floats
 from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.time_scales import GPS_EPOCH_NS
+from photocal.geometry.realizations import realization
+from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
@@ -34,6 +36,8 @@ class Sources:
     rover_antenna_m, base_antenna_m: antenna reference point above the mark; None: as the RINEX header has it.
     base_sigma_m (3,): standard deviations of the base's coordinates, east, north, up; goes before what a
         survey-in says.
+    base_frame: `FRAME[@EPOCH]` of the base's position; goes before what a service's file says.
+    crs: system of the control: the base is moved to its frame and epoch; None: it stays.
     """
 
     log: FlightLog = field(default_factory=FlightLog)
@@ -48,6 +52,8 @@ class Sources:
     base_antenna_m: float | None = None
     base_sigma_m: Floats | None = None
     weather: AirAtBase | None = None
+    base_frame: str | None = None
+    crs: str | None = None
 
     def with_base(self, sigma: str | None, weather: str | None) -> Self:
         """Return the sources with what a person states of the base.
@@ -95,7 +101,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
                 raise IllPosedError("has no ephemerides", "give a RINEX navigation file", where=name)
             navigation.append(Path(name))
     given = sources.base_position
-    sigma = None
+    sigma, frame = None, None
     if given is None or "," in given:
         position, source = _base_position(sources, base_recording)
         if given is None and base_recording is not None:
@@ -103,9 +109,16 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     else:
         precise = read_precise_result(Path(given))
         position, source, sigma = precise.position_m, f"{given}{precise.description}", precise.sigma_enu_m
+        frame = precise.realization
     files = [path for path in navigation if path.exists()]
     sigma = sigma if sources.base_sigma_m is None else sources.base_sigma_m
-    return Inputs(rover, base, files, position, source, sigma, sources.weather), remarks
+    frame = frame if sources.base_frame is None else realization(sources.base_frame)
+    base_frame = BaseFrame.of(position, frame, sources.crs, base.time)
+    moved = base_frame.moved
+    if moved is not None:
+        position, source = position + moved.shift_m, f"{source}, moved to {moved.target}"
+        sigma = None if sigma is None else np.hypot(sigma, moved.sigma_m)
+    return Inputs(rover, base, files, position, source, sigma, sources.weather, base_frame), remarks
 
 
 def _needed(log: FlightLog, role: str) -> FlightLog:
