@@ -74,7 +74,8 @@ def survey(
     setup: Annotated[
         Path,
         argument(
-            "TOML: required_minutes, optional crs; [[known]] name, lat_deg, lon_deg, height_m, sigma_m; "
+            "TOML: required_minutes, optional crs, outside_area; [[known]] name, lat_deg, lon_deg, height_m, "
+            "sigma_m, optional frame (IGS20@2026.9); "
             "[[baseline]] name, start, end, base, rover (RINEX or flight logs, with base_link, rover_link), "
             "nav, products, base_antenna_m, rover_antenna_m; "
             "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m; antex with base_antenna, "
@@ -100,8 +101,8 @@ def survey(
 
     plan = read_toml(setup, SurveySetup)
     with tempfile.TemporaryDirectory() as scratch:
-        solution, sessions = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
-    figures = survey_figures(solution, sessions)
+        solution, *told = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
+    figures = survey_figures(solution, *told)
     with output_folder(output) as folder:
         figures["points_csv"] = write_points(folder / "points.csv", solution, plan.crs)
         write_json(folder / "survey.json", figures, 2)
