@@ -9,6 +9,14 @@ from photocal.base.errors import ConfigurationError
 from photocal.geometry.frames import ReferenceFrame, parsed
 
 
+def has_scale(crs: str | None) -> bool:
+    """Whether a system is a map, which has a scale."""
+    if crs is None or crs == "local":
+        return False
+    system = parsed(crs)
+    return bool((system.sub_crs_list[0] if system.is_compound else system).is_projected)
+
+
 @dataclass(frozen=True)
 class GroundScale:
     """Factors from a horizontal distance on the ground to that of the map, at each place.
@@ -39,7 +47,7 @@ def ground_scale(crs: str, places: Floats) -> GroundScale:
 
     system = parsed(crs)
     horizontal = system.sub_crs_list[0] if system.is_compound else system
-    if not horizontal.is_projected:
+    if not has_scale(crs):
         raise ConfigurationError(
             f"{crs} is no map system: it has no scale",
             "name the map system that the distances belong to",

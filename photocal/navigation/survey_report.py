@@ -11,6 +11,7 @@ from photocal.base import policy
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
+from photocal.geometry.ground_scale import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
 from photocal.navigation.mark_frames import MarkFrame
@@ -94,6 +95,8 @@ def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict
         [name, *map(format, row, forms), "control"] for name, row in zip(solution.names, figures, strict=True)
     ]
     write_rows(path, COLUMNS, rows)
+    if crs is not None and has_scale(crs):
+        frame |= {"combined_factor": float(combined_factor(crs, xyz.mean(axis=0, keepdims=True))[0])}
     return frame
 
 
@@ -124,6 +127,12 @@ def survey_text(figures: dict[str, Any]) -> str:
         lines.append(
             f"{mark['name']}: sigma E N U {sigma} mm, ellipse (95 %) {major:.1f} x {minor:.1f} mm towards "
             f"{mark['ellipse_azimuth_deg']:.0f} deg"
+        )
+    factor = figures.get("points_csv", {}).get("combined_factor")
+    if factor is not None:
+        lines.append(
+            f"combined factor {factor:.8f}: a distance on the ground is {1e6 * (factor - 1):+.0f} ppm longer "
+            f"in {figures['points_csv']['frame']}"
         )
     lines.append(f"redundancy {figures['degrees_of_freedom']}")
     lines += _reliability_text(figures)
