@@ -12,8 +12,10 @@ from photocal.base.options import Option, Options
 class ReceiverOptions(Options):
     """Observations of rover and base, and what is known of the base."""
 
-    rover: Annotated[Path | None, Option("RINEX observations of the rover.")] = None
-    base: Annotated[Path | None, Option("RINEX observations of the base.")] = None
+    rover: Annotated[
+        Path | None, Option("Observations of the rover: RINEX (also gz, Z, Hatanaka), or a raw file.")
+    ] = None
+    base: Annotated[Path | None, Option("Observations of the base, as of the rover.")] = None
     nav: Annotated[
         tuple[str, ...],
         Option("RINEX navigation file; may be repeated. `base`: those that the base's link recorded."),

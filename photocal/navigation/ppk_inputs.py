@@ -17,6 +17,7 @@ from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file, read_precise_result
 from photocal.navigation.receiver_recording import ReceiverRecording, pick, read_receivers, refuse_unusable
+from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
 from photocal.navigation.time import GpsTime
 from photocal.navigation.troposphere import parse_weather
 from photocal.project import AirAtBase
@@ -90,16 +91,29 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
         remarks.extend(f"{role}: {n} epochs {kind} left out" for kind, n in counts.items() if n)
         return observations, recording
 
-    rover = read_observation_file(sources.rover or recorded(sources.rover_link, "rover")[0])
-    base_path, base_recording = sources.base, None
+    def named(path: Path, other: Path | None, role: str) -> Path:
+        """Observations of a file; ephemerides and remarks of a raw one are added to those known."""
+        ready = observations_ready(path, engine, folder / f"{role}-file", now(), other)
+        navigation.extend(ready.navigation)
+        remarks.extend(f"{role}: {remark}" for remark in ready.remarks)
+        return ready.path
+
+    rover_path, base_path = sources.rover, sources.base
+    if rover_path is not None:
+        rover_path = named(rover_path, base_path, "rover")
+    rover = read_observation_file(rover_path or recorded(sources.rover_link, "rover")[0])
+    base_recording = None
     if base_path is None:
         base_path, base_recording = recorded(sources.base_link, "base", rover.time[[0]])
+    else:
+        base_path = named(base_path, rover.path, "base")
     base = read_observation_file(base_path)
-    for name in sources.navigation:
+    for number, name in enumerate(sources.navigation):
         if name != NAV_OF_BASE:
-            if not count_ephemerides(Path(name)):
+            ready = navigation_ready(Path(name), folder / f"navigation-{number}")
+            if not count_ephemerides(ready):
                 raise IllPosedError("has no ephemerides", "give a RINEX navigation file", where=name)
-            navigation.append(Path(name))
+            navigation.append(ready)
     given = sources.base_position
     sigma, frame = None, None
     if given is None or "," in given:
@@ -149,7 +163,7 @@ def converted(
         epochs, _ = recording.epochs_and_arrivals()
         # The receiver knows the time; the recording computer's clock may be years off.
         near = GpsTime(epochs[:1] if len(epochs) else np.array([recording.first_log_ns - GPS_EPOCH_NS]))
-    made = engine.convert(b"".join(frames), form, stem, near)
+    made = engine.convert(b"".join(frames), form, stem, near if form == "rtcm3" else None)
     if not made[0].exists():
         raise IllPosedError(
             "the observations could not be converted to RINEX",

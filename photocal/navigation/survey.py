@@ -21,6 +21,7 @@ from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, wit
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
+from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
 from photocal.project import AirAtBase
@@ -180,7 +181,8 @@ def _observations(
     if not source.is_file():
         raise InputNotFoundError("does not exist", where=source, remedy="check the set-up file")
     if source.suffix != _LOG:
-        return read_observation_file(source), []
+        ready = observations_ready(source, survey.engine, stem.with_name(f"{stem.name}-file"), now())
+        return read_observation_file(ready.path), list(ready.navigation)
     log = FlightLog((source,))
     recording = pick(read_receivers(log), link, role, log)
     refuse_unusable(recording, role, log)
@@ -192,7 +194,7 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     folder = _own_folder(survey, measured.name)
     rover, of_rover = _observations(measured.rover, measured.rover_link, "rover", survey, folder / "rover")
     base, of_base = _observations(measured.base, measured.base_link, "base", survey, folder / "base")
-    named = [survey.folder / p for p in (*measured.nav, *measured.products)]
+    named = [*_navigation(measured, survey, folder), *(survey.folder / p for p in measured.products)]
     files = [*of_rover, *of_base, *named]
     inputs = Inputs(rover, base, files, start_m, f"mark {measured.start}", weather=survey.setup.weather)
     options = replace(
@@ -235,7 +237,7 @@ def _through_air(result: PpkResult) -> tuple[Trajectory, float]:
 def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, dict[str, Any]]:
     folder = _own_folder(survey, f"ppp-{point.name}")
     observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, folder / "rover")
-    named = [survey.folder / p for p in (*point.nav, *point.products)]
+    named = [*_navigation(point, survey, folder), *(survey.folder / p for p in point.products)]
     options = replace(options_for(observed, observed), rover_antenna_m=point.rover_antenna_m, precise=True)
     options = with_antennas(options, survey.antex, (observed, point.rover_antenna), None)
     result = _precise_point(observed, [*recorded, *named], options, survey.engine, folder)
@@ -250,6 +252,12 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, 
         **_duration(float(observed.time.ns[-1] - observed.time.ns[0]) / 60e9, survey),
     }
     return GroundMark(point.name, place, covariance), observed.time, session
+
+
+def _navigation(session: _Session, survey: Survey, folder: Path) -> list[Path]:
+    return [
+        navigation_ready(survey.folder / p, folder / f"navigation-{k}") for k, p in enumerate(session.nav)
+    ]
 
 
 def _own_folder(survey: Survey, name: str) -> Path:
