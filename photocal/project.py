@@ -90,6 +90,7 @@ class FlightKeys(Table):
     base_antenna_height_m, rover_antenna_height_m: antenna reference point above the mark; None: as the RINEX
         headers have it.
     base_sigma_m: standard deviations of the base's position, east, north, up.
+    base_frame: `FRAME[@EPOCH]` of the base's position, such as "IGS20@2026.9"; it is moved to that of `crs`.
     weather: measured at the base during the flight.
     edge: of the time marks.
     delay_s: from the event to the exposure.
@@ -107,6 +108,7 @@ class FlightKeys(Table):
     base_antenna_height_m: FiniteFloat | None = None
     rover_antenna_height_m: FiniteFloat | None = None
     base_sigma_m: Sigmas | None = None
+    base_frame: str | None = None
     weather: AirAtBase | None = None
     edge: Literal["rising", "falling"] = "rising"
     delay_s: FiniteFloat = 0.0

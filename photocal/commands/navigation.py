@@ -1,4 +1,4 @@
-"""`photocal ppk`, `exposures`, `survey`: trajectories, exposures and control points from raw observations."""
+"""`photocal ppk`, `exposures`, `survey`, `localise`: trajectories, exposures and control points."""
 
 from pathlib import Path
 from typing import Annotated
@@ -74,7 +74,8 @@ def survey(
     setup: Annotated[
         Path,
         argument(
-            "TOML: required_minutes, optional crs; [[known]] name, lat_deg, lon_deg, height_m, sigma_m; "
+            "TOML: required_minutes, optional crs, outside_area; [[known]] name, lat_deg, lon_deg, height_m, "
+            "sigma_m, optional frame (IGS20@2026.9); "
             "[[baseline]] name, start, end, base, rover (RINEX or flight logs, with base_link, rover_link), "
             "nav, products, base_antenna_m, rover_antenna_m; "
             "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m; antex with base_antenna, "
@@ -100,9 +101,48 @@ def survey(
 
     plan = read_toml(setup, SurveySetup)
     with tempfile.TemporaryDirectory() as scratch:
-        solution, sessions = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
-    figures = survey_figures(solution, sessions)
+        solution, *told = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
+    figures = survey_figures(solution, *told)
     with output_folder(output) as folder:
         figures["points_csv"] = write_points(folder / "points.csv", solution, plan.crs)
         write_json(folder / "survey.json", figures, 2)
     answer(as_json, lambda: figures, lambda: survey_text(figures))
+
+
+def localise(
+    local: Annotated[
+        Path, argument("Points in the local system: point, X, Y, Z, optional sX, sY, sZ, role.")
+    ],
+    mapped: Annotated[Path, argument("Points in the map system, as `photocal survey` writes them.")],
+    output: Annotated[Path, option("Folder for the report and the points.", "-o", "--output")],
+    crs: Annotated[str, option("Map system of the second table, such as EPSG:31982.")],
+    *,
+    scale: Annotated[
+        str, option("free, ground (metres on the ground), or a number: local over map.")
+    ] = "free",
+    level: Annotated[bool, option("Heights differ by a shift, not by a tilted plane.", "--level")] = False,
+    without: Annotated[str, option("Common points that take no part, with commas between.")] = "",
+    as_json: AsJson = False,
+) -> None:
+    """Calibrate a site: tie a local system to a map system by the points that both tables name.
+
+    A similarity in plan and a tilted plane of heights, with residuals, a test of each point, and the combined
+    factor between ground and map. `points.csv` has the local points in the map system, `local.csv` those of
+    the map in the local one.
+
+    Example: `photocal localise site.csv control/points.csv --crs EPSG:31982 -o site`
+    """
+    from photocal.base.files import output_folder
+    from photocal.navigation.site_calibration import (
+        calibrate,
+        calibration_text,
+        read_point_table,
+        write_calibration,
+    )
+
+    names = tuple(name.strip() for name in without.split(",") if name.strip())
+    tables = read_point_table(local), read_point_table(mapped)
+    made = calibrate(*tables, crs, names, scale, tilt=not level)
+    with output_folder(output) as folder:
+        figures = write_calibration(folder, made)
+    answer(as_json, lambda: figures, lambda: calibration_text(made))

@@ -137,6 +137,21 @@ def _to_degrees(code: str) -> Any:
         return None
 
 
+def degrees_outside(crs: str, latitude: Floats, longitude: Floats) -> Floats:
+    """By how many degrees places lie outside the area of use of a system; 0 inside, and where it has none."""
+    from pyproj import CRS
+
+    area = CRS.from_user_input(crs).area_of_use
+    if area is None:
+        return np.zeros(len(latitude))
+    beside = np.maximum(np.maximum(area.south - latitude, latitude - area.north), 0.0)
+    # An area may lie over the meridian of 180 degrees.
+    width = (area.east - area.west) % 360.0 or 360.0
+    off = (longitude - area.west) % 360.0
+    aside = np.where(off <= width, 0.0, np.minimum(off - width, 360.0 - off))
+    return np.asarray(np.hypot(beside, aside))
+
+
 def heights_at(latitude: float, longitude: float, most: int = MOST) -> tuple[tuple[str, str], ...]:
     """Vertical systems of a place, codes and names: those of the smaller areas first, the world's last."""
     from pyproj.aoi import AreaOfInterest

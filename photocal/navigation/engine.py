@@ -58,17 +58,19 @@ class Rtklib:
 
     name: str = "RTKLIB 2.4.3 (rnx2rtkp)"
 
-    def convert(
-        self, raw: bytes, form: Literal["ubx", "rtcm3"], stem: Path, near: GpsTime
-    ) -> tuple[Path, Path]:
-        """Write observations and ephemerides as RINEX beside `stem` from intact frames, by `convbin`."""
-        # A file that would be empty is not written. `near` settles RTCM's week.
+    def convert(self, raw: bytes, form: str, stem: Path, near: GpsTime | None = None) -> tuple[Path, Path]:
+        """Write observations and ephemerides as RINEX beside `stem` from intact frames, by `convbin`.
+
+        form: as `convbin` calls it.
+        near: settles the week of RTCM.
+        """
+        # A file that would be empty is not written.
         source = stem.with_suffix(f".{form}")
         source.write_bytes(raw)
         observations, navigation = stem.with_suffix(".obs"), stem.with_suffix(".nav")
-        date, time = near.iso()[0].split(" ")
         arguments = ["-r", form, "-v", "3.03", "-od", "-os", "-o", observations, "-n", navigation]
-        if form == "rtcm3":
+        if near is not None:
+            date, time = near.iso()[0].split(" ")
             arguments += ["-tr", date.replace("-", "/"), time[:8]]
         _run("convbin", [*map(str, arguments), str(source)])
         return observations, navigation

@@ -243,6 +243,8 @@ def choices_of_project(project: Project) -> ExposureChoices:
         flight.base_antenna_height_m,
         None if flight.base_sigma_m is None else np.array(flight.base_sigma_m),
         flight.weather,
+        flight.base_frame,
+        project.crs,
     )
     images = project.contents.images
     keys = project.contents.rig

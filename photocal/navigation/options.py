@@ -12,8 +12,10 @@ from photocal.base.options import Option, Options
 class ReceiverOptions(Options):
     """Observations of rover and base, and what is known of the base."""
 
-    rover: Annotated[Path | None, Option("RINEX observations of the rover.")] = None
-    base: Annotated[Path | None, Option("RINEX observations of the base.")] = None
+    rover: Annotated[
+        Path | None, Option("Observations of the rover: RINEX (also gz, Z, Hatanaka), or a raw file.")
+    ] = None
+    base: Annotated[Path | None, Option("Observations of the base, as of the rover.")] = None
     nav: Annotated[
         tuple[str, ...],
         Option("RINEX navigation file; may be repeated. `base`: those that the base's link recorded."),
@@ -25,6 +27,10 @@ class ReceiverOptions(Options):
     base_sigma: Annotated[str | None, Option("Standard deviations E,N,U of the base's position, metres.")] = (
         None
     )
+    base_frame: Annotated[
+        str | None,
+        Option("Frame and epoch of the base's position, as IGS20@2026.9; without: as its file names them."),
+    ] = None
     weather: Annotated[
         str | None, Option("TEMPERATURE,HUMIDITY[,PRESSURE] at the base: degrees Celsius, percent, hPa.")
     ] = None
@@ -50,6 +56,10 @@ class PpkOptions(Options):
         str, Option("Type and radome of the rover's antenna in it; none: without a model.")
     ] = ""
     base_antenna: Annotated[str, Option("The base's; without: as the RINEX header names it.")] = ""
+    crs: Annotated[
+        str | None,
+        Option("System of the control, as EPSG:31982: the base is moved to its frame and epoch."),
+    ] = None
     elevation: Annotated[float, Option("Least elevation of satellites, degrees.")] = 15.0
     static: Annotated[bool, Option("The rover stood still: one position.", ("--static",))] = False
 

@@ -11,6 +11,7 @@ from photocal.base.arrays import Flags, Floats
 from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
+from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.common_errors import CommonErrors, common_errors
 from photocal.navigation.engine import Direction, Mode, ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import (
@@ -79,6 +80,7 @@ class Inputs:
         height).
     base_sigma_m (3,): its standard deviations, east, north, up; None: nobody stated them.
     weather: measured at the base; None: that of the climate.
+    base_frame: frame and epoch of its position, and whether it was moved to those of the control.
     """
 
     rover: ObservationFile
@@ -88,6 +90,7 @@ class Inputs:
     base_source: str
     base_sigma_m: Floats | None = None
     weather: AirAtBase | None = None
+    base_frame: BaseFrame | None = None
 
 
 @dataclass(frozen=True)

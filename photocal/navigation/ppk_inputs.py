@@ -10,11 +10,14 @@ from photocal.base.arrays import Floats
 from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.time_scales import GPS_EPOCH_NS
+from photocal.geometry.realizations import realization
+from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
 from photocal.navigation.precise_results import count_ephemerides, read_observation_file, read_precise_result
 from photocal.navigation.receiver_recording import ReceiverRecording, pick, read_receivers, refuse_unusable
+from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
 from photocal.navigation.time import GpsTime
 from photocal.navigation.troposphere import parse_weather
 from photocal.project import AirAtBase
@@ -34,6 +37,8 @@ class Sources:
     rover_antenna_m, base_antenna_m: antenna reference point above the mark; None: as the RINEX header has it.
     base_sigma_m (3,): standard deviations of the base's coordinates, east, north, up; goes before what a
         survey-in says.
+    base_frame: `FRAME[@EPOCH]` of the base's position; goes before what a service's file says.
+    crs: system of the control: the base is moved to its frame and epoch; None: it stays.
     """
 
     log: FlightLog = field(default_factory=FlightLog)
@@ -48,6 +53,8 @@ class Sources:
     base_antenna_m: float | None = None
     base_sigma_m: Floats | None = None
     weather: AirAtBase | None = None
+    base_frame: str | None = None
+    crs: str | None = None
 
     def with_base(self, sigma: str | None, weather: str | None) -> Self:
         """Return the sources with what a person states of the base.
@@ -84,18 +91,31 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
         remarks.extend(f"{role}: {n} epochs {kind} left out" for kind, n in counts.items() if n)
         return observations, recording
 
-    rover = read_observation_file(sources.rover or recorded(sources.rover_link, "rover")[0])
-    base_path, base_recording = sources.base, None
+    def named(path: Path, other: Path | None, role: str) -> Path:
+        """Observations of a file; ephemerides and remarks of a raw one are added to those known."""
+        ready = observations_ready(path, engine, folder / f"{role}-file", now(), other)
+        navigation.extend(ready.navigation)
+        remarks.extend(f"{role}: {remark}" for remark in ready.remarks)
+        return ready.path
+
+    rover_path, base_path = sources.rover, sources.base
+    if rover_path is not None:
+        rover_path = named(rover_path, base_path, "rover")
+    rover = read_observation_file(rover_path or recorded(sources.rover_link, "rover")[0])
+    base_recording = None
     if base_path is None:
         base_path, base_recording = recorded(sources.base_link, "base", rover.time[[0]])
+    else:
+        base_path = named(base_path, rover.path, "base")
     base = read_observation_file(base_path)
-    for name in sources.navigation:
+    for number, name in enumerate(sources.navigation):
         if name != NAV_OF_BASE:
-            if not count_ephemerides(Path(name)):
+            ready = navigation_ready(Path(name), folder / f"navigation-{number}")
+            if not count_ephemerides(ready):
                 raise IllPosedError("has no ephemerides", "give a RINEX navigation file", where=name)
-            navigation.append(Path(name))
+            navigation.append(ready)
     given = sources.base_position
-    sigma = None
+    sigma, frame = None, None
     if given is None or "," in given:
         position, source = _base_position(sources, base_recording)
         if given is None and base_recording is not None:
@@ -103,9 +123,16 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     else:
         precise = read_precise_result(Path(given))
         position, source, sigma = precise.position_m, f"{given}{precise.description}", precise.sigma_enu_m
+        frame = precise.realization
     files = [path for path in navigation if path.exists()]
     sigma = sigma if sources.base_sigma_m is None else sources.base_sigma_m
-    return Inputs(rover, base, files, position, source, sigma, sources.weather), remarks
+    frame = frame if sources.base_frame is None else realization(sources.base_frame)
+    base_frame = BaseFrame.of(position, frame, sources.crs, base.time)
+    moved = base_frame.moved
+    if moved is not None:
+        position, source = position + moved.shift_m, f"{source}, moved to {moved.target}"
+        sigma = None if sigma is None else np.hypot(sigma, moved.sigma_m)
+    return Inputs(rover, base, files, position, source, sigma, sources.weather, base_frame), remarks
 
 
 def _needed(log: FlightLog, role: str) -> FlightLog:
@@ -136,7 +163,7 @@ def converted(
         epochs, _ = recording.epochs_and_arrivals()
         # The receiver knows the time; the recording computer's clock may be years off.
         near = GpsTime(epochs[:1] if len(epochs) else np.array([recording.first_log_ns - GPS_EPOCH_NS]))
-    made = engine.convert(b"".join(frames), form, stem, near)
+    made = engine.convert(b"".join(frames), form, stem, near if form == "rtcm3" else None)
     if not made[0].exists():
         raise IllPosedError(
             "the observations could not be converted to RINEX",

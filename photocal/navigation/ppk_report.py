@@ -11,6 +11,7 @@ from photocal.base.files import output_picture, write_json
 from photocal.base.geodesy import geodetic
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
+from photocal.navigation.base_frame import BaseFrame
 from photocal.navigation.common_errors import common_text
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.engine_output import FIXED
@@ -66,6 +67,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
             **_span(result.inputs.base),
             **_place(geodetic(result.inputs.base_m)),
             "position_from": result.inputs.base_source,
+            **_frame(result.inputs.base_frame),
             "off_code_solution_m": np.linalg.norm(result.base_off_code_m),
             "up_off_code_solution_m": result.base_off_code_m[2],
             "gaps": len(result.base_gaps_s),
@@ -95,6 +97,11 @@ def _place(values: Iterable[Any]) -> dict[str, Any]:
     return dict(zip(("lat_deg", "lon_deg", "height_m"), values, strict=True))
 
 
+def _frame(known: BaseFrame | None) -> dict[str, Any]:
+    moved = None if known is None else known.moved
+    return {} if moved is None else {"moved": moved.as_json()}
+
+
 def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
     """Find what should not pass silently into results."""
     fixed = 100.0 * counts["fixed"] / epochs
@@ -104,6 +111,8 @@ def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterato
     off = float(np.linalg.norm(result.base_off_code_m))
     if off > _SUSPECT_BASE_M:
         yield Finding("base-position", "grave", figures={"off_m": off}, clauses=("off-code",))
+    if result.inputs.base_frame is not None:
+        yield from result.inputs.base_frame.findings()
     lost = [(t, s) for t, s in result.base_gaps_s if s > _LONG_GAP_S]
     if lost:
         longest: dict[str, Any] = {"n": float(len(lost)), "limit_s": _LONG_GAP_S}

@@ -12,6 +12,7 @@ import numpy as np
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, reading
+from photocal.geometry.realizations import Realization, known_realization
 from photocal.navigation.time import GpsTime, exact_ns
 from photocal.navigation.trajectory import enu_axes_at
 
@@ -131,8 +132,13 @@ class PreciseResult:
         return np.asarray(np.sqrt(np.diag(turn @ self.covariance_m2 @ turn.T)))
 
     @property
+    def realization(self) -> Realization | None:
+        """Frame and epoch; None for a frame that is not told, or told without its version."""
+        return known_realization(self.frame, self.epoch) if self.frame else None
+
+    @property
     def description(self) -> str:
-        """Frame and epoch for a person: nothing is transformed to those of the control."""
+        """Frame and epoch for a person."""
         epoch = "" if np.isnan(self.epoch) else f", epoch {self.epoch:.4f}"
         return f" ({self.frame or 'frame not told'}{epoch})"
 

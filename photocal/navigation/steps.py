@@ -142,7 +142,7 @@ def ppk(
     >>> made.write("ppk")
     """
     asked, engine = options or PpkOptions(), Rtklib()
-    sources = sources_of(flight, receivers or ReceiverOptions())
+    sources = sources_of(flight, receivers or ReceiverOptions(), asked.crs)
     with tempfile.TemporaryDirectory() as scratch:
         inputs, remarks = gather_inputs(sources, engine, Path(scratch))
         rover, base = inputs.rover, inputs.base
@@ -202,7 +202,7 @@ def exposures(
         crs = None if named.crs == "local" else named.crs
     else:
         choices = ExposureChoices(
-            sources_of(logs, receivers or ReceiverOptions()),
+            sources_of(logs, receivers or ReceiverOptions(), asked.crs),
             None if asked.images is None else Path(asked.images),
             None if asked.mrk is None else Path(asked.mrk),
             asked.edge,
@@ -219,8 +219,11 @@ def exposures(
         return ExposuresOfFlight(run_exposures(choices, Rtklib(), Path(scratch)), choices.rig, camera, crs)
 
 
-def sources_of(flight: Paths, receivers: ReceiverOptions) -> Sources:
-    """Give where the observations come from; ConfigurationError for texts that are no numbers."""
+def sources_of(flight: Paths, receivers: ReceiverOptions, crs: str | None = None) -> Sources:
+    """Give where the observations come from; ConfigurationError for texts that are no numbers.
+
+    crs: system of the control.
+    """
     return Sources(
         FlightLog(_paths(flight)),
         None if receivers.rover is None else Path(receivers.rover),
@@ -229,6 +232,8 @@ def sources_of(flight: Paths, receivers: ReceiverOptions) -> Sources:
         receivers.base_position,
         receivers.rover_link,
         receivers.base_link,
+        base_frame=receivers.base_frame,
+        crs=crs,
     ).with_base(receivers.base_sigma, receivers.weather)
 
 

@@ -11,14 +11,18 @@ from photocal.base.arrays import Floats, picked
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.base.geodesy import enu_axes, geocentric
+from photocal.geometry.systems import degrees_outside
 from photocal.navigation.baseline_network import Baseline, GroundMark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajectory_of
 from photocal.navigation.flight_log import FlightLog
+from photocal.navigation.mark_frames import MarkFrame, frame_of_orbits, frame_told, in_system
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
+from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
+from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
 from photocal.project import AirAtBase
 
@@ -28,13 +32,17 @@ _PRECISE = 6
 
 
 class KnownMark(Table):
-    """A mark with a known position: degrees, ellipsoidal height, sigmas east, north, up (0: held)."""
+    """A mark with a known position: degrees, ellipsoidal height, sigmas east, north, up (0: held).
+
+    frame: `FRAME[@EPOCH]` of it; empty: that of the survey's system.
+    """
 
     name: str
     lat_deg: float = Field(ge=-90, le=90)
     lon_deg: float = Field(ge=-360, le=360)
     height_m: float
     sigma_m: tuple[float, float, float]
+    frame: str = ""
 
 
 class _Session(Table):
@@ -75,9 +83,13 @@ class PrecisePoint(_Session):
 
 
 class SurveySetup(Table):
-    """A survey; the weather is that of its time and place, None: the climate's; antex: antenna models."""
+    """A survey; the weather is that of its time and place, None: the climate's; antex: antenna models.
+
+    outside_area: whether marks may lie outside the area of use of the system.
+    """
 
     crs: str | None = None
+    outside_area: bool = False
     required_minutes: float = Field(gt=0)
     weather: AirAtBase | None = None
     antex: Path | None = None
@@ -101,18 +113,23 @@ class Survey:
         return None if self.setup.antex is None else self.folder / self.setup.antex
 
 
-def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
+def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], list[MarkFrame]]:
     """Compute precise points, then the baselines one after the other, and adjust them.
 
+    returns: also figures of each session, and what was taken from one frame to another.
     raises ConfigurationError: when no chain of baselines reaches a start.
     raises InputNotFoundError: when a file is missing.
     """
     sessions: list[dict[str, Any]] = []
-    control = [_mark(mark) for mark in survey.setup.known]
+    crs = survey.setup.crs
+    require_inside(survey.setup)
+    started = [in_system(_mark(mark), frame_told(mark.name, mark.frame), crs) for mark in survey.setup.known]
     for point in survey.setup.ppp:
-        mark, session = _precise(point, survey)
-        control.append(mark)
+        mark, time, session = _precise(point, survey)
+        orbits = frame_of_orbits(tuple(survey.folder / path for path in point.products))
+        started.append(in_system(mark, orbits, crs, time))
         sessions.append(session)
+    control = [mark for mark, _ in started]
     known = {mark.name: mark.xyz_m for mark in control}
     baselines = []
     waiting = list(survey.setup.baseline)
@@ -128,7 +145,26 @@ def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]]]:
         baselines.append(baseline)
         sessions.append(session)
         known.setdefault(ready.end, known[ready.start] + baseline.vector_m)
-    return adjust_baselines(baselines, control), sessions
+    return adjust_baselines(baselines, control), sessions, [done for _, done in started if done is not None]
+
+
+def require_inside(setup: SurveySetup) -> None:
+    """Refuse known marks outside the area of use of the survey's system.
+
+    raises ConfigurationError: with systems that have the place in theirs.
+    """
+    if setup.crs is None or setup.outside_area or not setup.known:
+        return
+    latitude, longitude = np.array([[mark.lat_deg, mark.lon_deg] for mark in setup.known]).T
+    outside = degrees_outside(setup.crs, latitude, longitude)
+    worst = int(np.argmax(outside))
+    if outside[worst] > 0:
+        raise ConfigurationError(
+            f"mark {setup.known[worst].name} lies {outside[worst]:.2f} degrees outside the area of use of "
+            f"{setup.crs}",
+            "name the system of the place, check the signs of latitude and longitude, or say "
+            "outside_area = true",
+        )
 
 
 def _mark(mark: KnownMark) -> GroundMark:
@@ -145,7 +181,8 @@ def _observations(
     if not source.is_file():
         raise InputNotFoundError("does not exist", where=source, remedy="check the set-up file")
     if source.suffix != _LOG:
-        return read_observation_file(source), []
+        ready = observations_ready(source, survey.engine, stem.with_name(f"{stem.name}-file"), now())
+        return read_observation_file(ready.path), list(ready.navigation)
     log = FlightLog((source,))
     recording = pick(read_receivers(log), link, role, log)
     refuse_unusable(recording, role, log)
@@ -157,7 +194,7 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     folder = _own_folder(survey, measured.name)
     rover, of_rover = _observations(measured.rover, measured.rover_link, "rover", survey, folder / "rover")
     base, of_base = _observations(measured.base, measured.base_link, "base", survey, folder / "base")
-    named = [survey.folder / p for p in (*measured.nav, *measured.products)]
+    named = [*_navigation(measured, survey, folder), *(survey.folder / p for p in measured.products)]
     files = [*of_rover, *of_base, *named]
     inputs = Inputs(rover, base, files, start_m, f"mark {measured.start}", weather=survey.setup.weather)
     options = replace(
@@ -197,10 +234,10 @@ def _through_air(result: PpkResult) -> tuple[Trajectory, float]:
     return replace(corrected, covariance_m2=covariance), air_m
 
 
-def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, dict[str, Any]]:
+def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, dict[str, Any]]:
     folder = _own_folder(survey, f"ppp-{point.name}")
     observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, folder / "rover")
-    named = [survey.folder / p for p in (*point.nav, *point.products)]
+    named = [*_navigation(point, survey, folder), *(survey.folder / p for p in point.products)]
     options = replace(options_for(observed, observed), rover_antenna_m=point.rover_antenna_m, precise=True)
     options = with_antennas(options, survey.antex, (observed, point.rover_antenna), None)
     result = _precise_point(observed, [*recorded, *named], options, survey.engine, folder)
@@ -214,7 +251,13 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, dict[str,
         "rover_antenna_m": point.rover_antenna_m,
         **_duration(float(observed.time.ns[-1] - observed.time.ns[0]) / 60e9, survey),
     }
-    return GroundMark(point.name, place, covariance), session
+    return GroundMark(point.name, place, covariance), observed.time, session
+
+
+def _navigation(session: _Session, survey: Survey, folder: Path) -> list[Path]:
+    return [
+        navigation_ready(survey.folder / p, folder / f"navigation-{k}") for k, p in enumerate(session.nav)
+    ]
 
 
 def _own_folder(survey: Survey, name: str) -> Path:

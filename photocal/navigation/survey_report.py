@@ -1,5 +1,6 @@
 """Results of a control survey: points with full covariances, figures, sentences."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +11,18 @@ from photocal.base import policy
 from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.files import write_rows
 from photocal.base.geodesy import geodetic
+from photocal.geometry.ground_scale import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
+from photocal.navigation.mark_frames import MarkFrame
 from photocal.navigation.trajectory import enu_axes_at
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
 
 
-def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) -> dict[str, Any]:
+def survey_figures(
+    solution: NetworkSolution, sessions: list[dict[str, Any]], frames: Sequence[MarkFrame] = ()
+) -> dict[str, Any]:
     """Return the figures of a survey, ready for JSON."""
     per_baseline = {
         "residual_enu_m": solution.residuals_m,
@@ -30,6 +35,7 @@ def survey_figures(solution: NetworkSolution, sessions: list[dict[str, Any]]) ->
             "schema": "photocal.survey/1",
             "marks": _marks(solution),
             "sessions": sessions,
+            "frames": [frame.as_json() for frame in frames],
             **picked(solution, "degrees_of_freedom", "sigma0_squared", "blunders", global_test="test"),
             "baselines": [
                 {
@@ -89,6 +95,8 @@ def write_points(path: Path, solution: NetworkSolution, crs: str | None) -> dict
         [name, *map(format, row, forms), "control"] for name, row in zip(solution.names, figures, strict=True)
     ]
     write_rows(path, COLUMNS, rows)
+    if crs is not None and has_scale(crs):
+        frame |= {"combined_factor": float(combined_factor(crs, xyz.mean(axis=0, keepdims=True))[0])}
     return frame
 
 
@@ -99,6 +107,7 @@ def survey_text(figures: dict[str, Any]) -> str:
         short = "" if s["long_enough"] else f", SHORTER than the required {s['required_minutes']:g} min"
         way = f": {s['start']} to {s['end']}, {s['length_m']:.3f} m" if s["start"] else ""
         lines.append(f"{s['name']}{way}, {s['status']}, {s['minutes']:.1f} min{short}")
+    lines += map(_frame_text, figures["frames"])
     named = {s["name"]: s for s in figures["sessions"]}
     for b in figures["blunders"]:
         heights = named.get(b["name"], {})
@@ -119,6 +128,12 @@ def survey_text(figures: dict[str, Any]) -> str:
             f"{mark['name']}: sigma E N U {sigma} mm, ellipse (95 %) {major:.1f} x {minor:.1f} mm towards "
             f"{mark['ellipse_azimuth_deg']:.0f} deg"
         )
+    factor = figures.get("points_csv", {}).get("combined_factor")
+    if factor is not None:
+        lines.append(
+            f"combined factor {factor:.8f}: a distance on the ground is {1e6 * (factor - 1):+.0f} ppm longer "
+            f"in {figures['points_csv']['frame']}"
+        )
     lines.append(f"redundancy {figures['degrees_of_freedom']}")
     lines += _reliability_text(figures)
     test = figures["global_test"]
@@ -130,6 +145,19 @@ def survey_text(figures: dict[str, Any]) -> str:
             f"{'too small' if figures['sigma0_squared'] > 1 else 'too large'}"
         )
     return "\n".join(lines)
+
+
+def _frame_text(frame: dict[str, Any]) -> str:
+    if "shift_enu_m" not in frame:
+        return (
+            f"WARNING {frame['mark']} counts in {frame['from']}, the survey in {frame['to']}: nothing known "
+            "leads from one to the other, it was not moved"
+        )
+    east, north, up = frame["shift_enu_m"]
+    return (
+        f"{frame['mark']}: moved from {frame['from']} to {frame['to']} by E {east:+.3f}, N {north:+.3f}, "
+        f"U {up:+.3f} m, sigma {frame['sigma_m']:.3f} m ({frame['way']})"
+    )
 
 
 def _reliability_text(figures: dict[str, Any]) -> list[str]:

@@ -25,9 +25,11 @@ def ppk_stage(project: Project) -> Stage:
             "base_antenna_height_m",
             "rover_antenna_height_m",
             "base_sigma_m",
+            "base_frame",
             "weather",
         },
     )
+    settings["crs"] = project.crs
     return Stage(
         "ppk", "positions of the antenna", lambda out, show: _make(project, out, show), inputs, settings
     )

@@ -42,6 +42,7 @@ MORE = {
     "photocal ppk": ("guide/processing",),
     "photocal targets": ("guide/planning",),
     "photocal survey": ("exposures",),
+    "photocal localise": ("exposures",),
     "photocal run": ("project-file", "guide/processing", "guide/warnings"),
     "photocal verify": ("guide/certificate",),
 }

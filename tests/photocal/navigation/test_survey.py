@@ -80,3 +80,36 @@ def test_wrong_set_ups(
     assert answer.code == 5
     assert message in answer.err
     assert answer.err.count("\n") == 1
+
+
+def test_marks_outside_the_area_of_the_system_are_refused(photocal: Photocal, tmp_path: Path) -> None:
+    """A mark whose sign of longitude is lost, and one in the next zone; EPSG:31982 ends at 47.99 W."""
+    text = """
+required_minutes = 20
+crs = "EPSG:31982"
+[[known]]
+name = "M1"
+lat_deg = -25.45
+lon_deg = {lon}
+height_m = 925.8
+sigma_m = [0, 0, 0]
+[[baseline]]
+name = "s1"
+start = "M2"
+end = "P1"
+base = "base.obs"
+rover = "rover.obs"
+nav = ["base.nav"]
+base_antenna_m = 0
+rover_antenna_m = 0
+"""
+    path = tmp_path / "survey.toml"
+    for lon, outside in (("49.23", "97.22"), ("-46.6", "1.39")):
+        path.write_text(text.format(lon=lon))
+        refused = photocal("survey", path, "-o", tmp_path / "out")
+        assert f"mark M1 lies {outside} degrees outside the area of use of EPSG:31982" in refused.err
+    for said in ("", "outside_area = true"):
+        path.write_text(said + text.format(lon="-49.23" if not said else "-46.6"))
+        assert (
+            "no chain of baselines reaches its start M2" in photocal("survey", path, "-o", tmp_path / "o").err
+        )

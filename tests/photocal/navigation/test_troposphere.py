@@ -195,7 +195,7 @@ def test_a_mark_on_a_hill_is_surveyed_through_the_air(tmp_path: Path) -> None:
         setup = SurveySetup(required_minutes=1.0, weather=air, known=(known,), baseline=(baseline,))
         scratch = folder / "scratch"
         scratch.mkdir()
-        solution, (session,) = run_survey(Survey(setup, folder, Rtklib(), scratch))
+        solution, (session,), _ = run_survey(Survey(setup, folder, Rtklib(), scratch))
         up = float((solution.xyz_m[1] - BASE_M) @ AXES[2])
         heights[humidity] = up, session["air_correction_m"]
     (dry, nothing), (moist, correction) = heights[0.0], heights[0.7]

@@ -1,0 +1,233 @@
+"""Site calibration: coordinates of a map system in a local one, from common points, plan and height apart.
+
+As controllers of surveyors do it: a similarity in plan (shift, rotation, scale) and, for heights, a shift or
+a tilted plane. Residuals are computed minus given, in the local system.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from photocal.base import policy
+from photocal.base.arrays import Flags, Floats
+from photocal.base.errors import IllPosedError
+
+# A plane through heights wants a point more than it has parameters, and width against its length.
+_FEWEST_FOR_TILT, _LINE = 4, 0.02
+_ROUNDS = 20
+# A point that the others leave no redundancy for is not checked.
+_LEAST_REDUNDANCY = 1e-6
+
+
+@dataclass(frozen=True)
+class CommonPoints:
+    """Points in both systems; a coordinate that is NaN in either takes no part.
+
+    map_m, local_m (n, 3): east, north, height.
+    sigma_m (n, 3): of both together; None where nobody states them: the residuals tell.
+    """
+
+    names: tuple[str, ...]
+    map_m: Floats
+    local_m: Floats
+    sigma_m: Floats | None = None
+
+
+@dataclass(frozen=True)
+class FittedPart:
+    """Plan, or height, as it was fitted.
+
+    parameters, covariance: as `Localisation` has them.
+    residual_m (n, k): computed minus given; NaN for points without it.
+    miss_m (n, k): where the other points put a point, less where it was given.
+    probability (n,): of a larger miss by chance; NaN where nothing checks the point.
+    factor: square root of the variance factor; NaN without redundancy.
+    """
+
+    parameters: Floats
+    covariance: Floats
+    residual_m: Floats
+    miss_m: Floats
+    probability: Floats
+    redundancy: int
+    factor: float
+
+    @property
+    def doubtful(self) -> Flags:
+        """Points that do not fit the others, shape (n,); the family of tests alarms once in 200 cases."""
+        checked = np.isfinite(self.probability)
+        limit = policy.FAMILY_SIGNIFICANCE / max(int(checked.sum()), 1)
+        return np.asarray(checked & (np.nan_to_num(self.probability, nan=1.0) < limit))
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """The way from a map system to a local one.
+
+    middle_m (2,): east, north of the point that shifts and slopes belong to.
+    plan: its parameters are east, north of the middle in the local system, rotation (rad, counterclockwise)
+        and scale.
+    height: its parameters are shift (local less map) and slopes to the east and the north.
+    scale_free, tilted: whether scale and slopes were estimated.
+    """
+
+    middle_m: Floats
+    plan: FittedPart
+    height: FittedPart
+    scale_free: bool
+    tilted: bool
+
+    def to_local(self, places: Floats) -> Floats:
+        """Map coordinates, shape (n, 3), in the local system."""
+        offset = places[:, :2] - self.middle_m
+        return np.column_stack([_turned(self.plan.parameters, offset), places[:, 2] + self._above(offset)])
+
+    def to_map(self, places: Floats) -> Floats:
+        """Local coordinates, shape (n, 3), in the map system."""
+        east, north, angle, scale = self.plan.parameters
+        offset = (places[:, :2] - [east, north]) @ _rotation(angle) / scale
+        return np.column_stack([offset + self.middle_m, places[:, 2] - self._above(offset)])
+
+    def sigma_m(self, map_places: Floats) -> Floats:
+        """What the parameters leave uncertain of coordinates in either system, shape (n, 3)."""
+        offset = map_places[:, :2] - self.middle_m
+        design = _plan_design(self.plan.parameters, offset)
+        plan = np.einsum("nij,jk,nik->ni", design, self.plan.covariance, design)
+        slope = np.column_stack([np.ones(len(offset)), offset])
+        height = np.einsum("ni,ij,nj->n", slope, self.height.covariance, slope)
+        return np.sqrt(np.column_stack([plan, height]))
+
+    def _above(self, offset: Floats) -> Floats:
+        shift, *slopes = self.height.parameters
+        return np.asarray(shift + offset @ np.asarray(slopes))
+
+
+def localise(points: CommonPoints, scale: float | None = None, *, tilt: bool = True) -> Localisation:
+    """Fit a local system to common points.
+
+    scale: from the map to the local system, held; None: estimated.
+    tilt: whether heights may lie on a tilted plane; without four of them, or where they lie in a line, a
+        shift is fitted.
+    raises IllPosedError: for fewer than two points in plan, or none with a height.
+    """
+    in_plan = np.isfinite(points.map_m[:, :2] + points.local_m[:, :2]).all(axis=1)
+    high = in_plan & np.isfinite(points.map_m[:, 2] + points.local_m[:, 2])
+    if in_plan.sum() < 2 or not high.any():
+        raise IllPosedError(
+            f"{int(in_plan.sum())} common points have plan coordinates and {int(high.sum())} heights",
+            "give two common points in plan at least, four for a check, and one with a height",
+        )
+    middle = points.map_m[in_plan, :2].mean(axis=0)
+    offset = points.map_m[:, :2] - middle
+    extent = np.linalg.svd(offset[high] - offset[high].mean(axis=0), compute_uv=False)
+    tilted = tilt and int(high.sum()) >= _FEWEST_FOR_TILT and bool(extent[1] > _LINE * extent[0])
+    plan = _fitted_plan(points, offset, in_plan, scale)
+    columns = np.column_stack([np.ones(len(offset)), offset])
+    height = _fitted(
+        lambda p: columns @ p, lambda _: columns[:, None, :], np.zeros(3), np.array([True, tilted, tilted]),
+        points.local_m[:, 2:] - points.map_m[:, 2:], _sigma(points, [2]), high,
+    )  # fmt: skip
+    return Localisation(middle, plan, height, scale is None, tilted)
+
+
+def _sigma(points: CommonPoints, columns: list[int]) -> Floats | None:
+    return None if points.sigma_m is None else points.sigma_m[:, columns]
+
+
+def _fitted_plan(points: CommonPoints, offset: Floats, used: Flags, scale: float | None) -> FittedPart:
+    given = points.local_m[:, :2]
+    a, b = offset[used], given[used] - given[used].mean(axis=0)
+    # The closed form starts the fit at the right rotation.
+    dot, cross = float(np.sum(a * b)), float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    start_scale = float(np.hypot(dot, cross) / np.sum(a**2)) if scale is None else scale
+    start = np.array([*given[used].mean(axis=0), np.arctan2(cross, dot), start_scale])
+    return _fitted(
+        lambda p: _turned(p, offset), lambda p: _plan_design(p, offset), start,
+        np.array([True, True, True, scale is None]), given, _sigma(points, [0, 1]), used,
+    )  # fmt: skip
+
+
+def _rotation(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def _turned(parameters: Floats, offset: Floats) -> Floats:
+    east, north, angle, scale = parameters
+    return np.asarray(scale * offset @ _rotation(angle).T + [east, north])
+
+
+def _plan_design(parameters: Floats, offset: Floats) -> Floats:
+    """Derivatives of local plan coordinates with respect to the four parameters, shape (n, 2, 4)."""
+    _, _, angle, scale = parameters
+    turned = offset @ _rotation(angle).T
+    design = np.zeros((len(offset), 2, 4))
+    design[:, 0, 0] = design[:, 1, 1] = 1.0
+    design[:, 0, 2], design[:, 1, 2] = -scale * turned[:, 1], scale * turned[:, 0]
+    design[:, :, 3] = turned
+    return design
+
+
+def _fitted(
+    model: Callable[[Floats], Floats], derivative: Callable[[Floats], Floats],
+    start: Floats, free: Flags, given: Floats, sigma: Floats | None, used: Flags,
+) -> FittedPart:  # fmt: skip
+    """Fit by least squares; tests by what the other points say of each."""
+    k = given.shape[1]
+    deviation = np.ones((int(used.sum()), k)) if sigma is None else np.maximum(sigma[used], 1e-6)
+    weight = 1.0 / deviation.ravel()
+    parameters = start.copy()
+    for _ in range(_ROUNDS):
+        residual = (model(parameters).reshape(given.shape)[used] - given[used]).ravel()
+        design = derivative(parameters)[used].reshape(len(residual), -1)[:, free]
+        step, *_ = np.linalg.lstsq(design * weight[:, None], -residual * weight, rcond=None)
+        parameters[free] += step
+        if np.abs(design @ step).max(initial=0.0) < 1e-9:
+            break
+    residual = (model(parameters).reshape(given.shape)[used] - given[used]).ravel()
+    cofactor = np.linalg.pinv((design * weight[:, None] ** 2).T @ design)
+    redundancy = len(residual) - int(free.sum())
+    squares = float(np.sum((residual * weight) ** 2))
+    factor = float(np.sqrt(squares / redundancy)) if redundancy > 0 else np.nan
+    miss, probability = _tested(
+        residual.reshape(-1, k), design.reshape(-1, k, design.shape[1]), deviation, cofactor,
+        (squares, redundancy, sigma is not None),
+    )  # fmt: skip
+    covariance = np.zeros((len(start), len(start)))
+    # Without stated sigmas the residuals tell, and without redundancy nobody does.
+    scaled = cofactor if sigma is not None else cofactor * factor**2
+    covariance[np.ix_(free, free)] = scaled
+    whole = np.full((3, *given.shape), np.nan)
+    whole[0, used], whole[1, used] = residual.reshape(-1, k), miss
+    chance = np.full(len(given), np.nan)
+    chance[used] = probability
+    return FittedPart(parameters, covariance, whole[0], whole[1], chance, redundancy, factor)
+
+
+def _tested(
+    residual: Floats,
+    design: Floats,
+    deviation: Floats,
+    cofactor: Floats,
+    sum_of_squares: tuple[float, int, bool],
+) -> tuple[Floats, Floats]:
+    """Miss of each point by all others, and the probability of a larger one."""
+    from scipy import stats
+
+    squares, redundancy, known = sum_of_squares
+    k = residual.shape[1]
+    miss, probability = np.full(residual.shape, np.nan), np.full(len(residual), np.nan)
+    for i, (v, rows, sigma) in enumerate(zip(residual, design, deviation, strict=True)):
+        variance = np.diag(sigma**2)
+        left = variance - rows @ cofactor @ rows.T
+        if np.linalg.eigvalsh(left / np.outer(sigma, sigma)).min() < _LEAST_REDUNDANCY:
+            continue
+        miss[i] = variance @ np.linalg.solve(left, v)
+        statistic = float(v @ np.linalg.solve(left, v))
+        if known:
+            probability[i] = stats.chi2.sf(statistic, k)
+        elif redundancy > k:
+            rest = max(squares - statistic, 1e-18 * max(squares, 1e-12)) / (redundancy - k)
+            probability[i] = stats.f.sf(statistic / k / rest, k, redundancy - k)
+    return miss, probability

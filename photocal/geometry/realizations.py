@@ -1,0 +1,288 @@
+"""Frame and epoch of positions: by how much those of one count apart from those of another.
+
+In frames of the world (ITRF, IGS) the ground moves by centimetres a year; systems of countries are fixed to
+their plate. PROJ has the way between the frames, and from them to most systems that are fixed to a plate; for
+those that it takes for equal to a frame of the world, a table here has frame, epoch and plate.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from photocal.base.arrays import Floats
+from photocal.base.errors import ConfigurationError
+from photocal.base.geodesy import enu_axes, geodetic
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
+
+# The frame that every way goes through; its plate model is that of Altamimi et al. (2023,
+# doi:10.1029/2023GL106373), with the rate of its origin, as PROJ ships it.
+_HUB, _PLATES = "ITRF2020", "ITRF2020"
+# Stations on rigid ground scatter about the model by 0.25 mm a year (there, table 2). Others, and their
+# heights, which it leaves out, may move by more: cautious.
+PLATE_SIGMA_M_A = 0.001
+# Of two realizations of the world's frame, where PROJ tells none.
+_WAY_SIGMA_M = 0.01
+# What services write, and PROJ does not have; frames of the IGS are those of ITRF to some millimetres.
+_ALIKE = {"igb20": "igs20", "sirgas": "sirgas2000"}
+_OF_IGS = {
+    "IGS20": "ITRF2020",
+    "IGb14": "ITRF2014",
+    "IGS14": "ITRF2014",
+    "IGb08": "ITRF2008",
+    "IGS08": "ITRF2008",
+    "IGS05": "ITRF2005",
+}
+
+
+@dataclass(frozen=True)
+class FixedToPlate:
+    """A national system that is a frame of the world, stopped at an epoch.
+
+    frame, epoch: of the world, years.
+    plate: that the ground has moved with since, as PROJ calls it.
+    source: where this stands.
+    """
+
+    frame: str
+    epoch: float
+    plate: str
+    source: str
+
+
+FIXED: Mapping[str, FixedToPlate] = {
+    "SIRGAS 2000": FixedToPlate("ITRF2000", 2000.4, "SOAM", "IBGE, R.PR 1/2005"),
+    "SIRGAS 1995": FixedToPlate("ITRF94", 1995.4, "SOAM", "IBGE, SIRGAS final report 1997"),
+    "SIRGAS-ROU98": FixedToPlate("ITRF94", 1995.4, "SOAM", "SGM Uruguay, densification of SIRGAS95"),
+    "Mexico ITRF2008": FixedToPlate("ITRF2008", 2010.0, "NOAM", "INEGI, technical norm of 23 December 2010"),
+}
+
+
+@dataclass(frozen=True)
+class Realization:
+    """A frame with the epoch of its coordinates.
+
+    frame: as PROJ calls it, "IGS20", "SIRGAS 2000".
+    epoch: years; NaN for what is fixed to a plate, and where it is not told.
+    """
+
+    frame: str
+    epoch: float = math.nan
+
+    def __str__(self) -> str:
+        fixed = FIXED.get(self.frame)
+        epoch = fixed.epoch if fixed is not None else self.epoch
+        return self.frame + ("" if math.isnan(epoch) else f", epoch {epoch:.10g}")
+
+    @property
+    def moves(self) -> bool:
+        """Whether the ground moves in it: its coordinates need an epoch."""
+        return _is_dynamic(self.frame)
+
+
+@dataclass(frozen=True)
+class FrameShift:
+    """What is to be added to a position in one realization for its position in another.
+
+    shift_m (3,): earth-centred.
+    shift_enu_m (3,): the same, east, north, up.
+    sigma_m: of each axis.
+    way: how it was computed, in words.
+    """
+
+    source: Realization
+    target: Realization
+    shift_m: Floats
+    shift_enu_m: Floats
+    sigma_m: float
+    way: str
+
+    @property
+    def size_m(self) -> float:
+        """Length of the shift."""
+        return float(np.linalg.norm(self.shift_m))
+
+    def as_json(self) -> dict[str, object]:
+        """Figures for JSON."""
+        return {
+            "from": str(self.source),
+            "to": str(self.target),
+            "shift_enu_m": self.shift_enu_m.tolist(),
+            "sigma_m": self.sigma_m,
+            "way": self.way,
+        }
+
+    def __str__(self) -> str:
+        east, north, up = self.shift_enu_m
+        return (
+            f"{self.source} and {self.target} are {self.size_m:.3f} m apart there (E {east:+.3f}, "
+            f"N {north:+.3f}, U {up:+.3f} m, sigma {self.sigma_m:.3f} m by {self.way})"
+        )
+
+
+def realization(text: str) -> Realization:
+    """Read `FRAME[@EPOCH]`, as "IGS20@2026.9", "SIRGAS2000" or "EPSG:31982".
+
+    raises ConfigurationError: for a frame that is not known, or an epoch that is no year.
+    """
+    name, _, epoch = text.partition("@")
+    found = known_realization(name)
+    if found is None:
+        alike = difflib.get_close_matches(_plain(name), list(_frames()), 3, 0.5)
+        raise ConfigurationError(
+            f"there is no frame {name.strip()!r}",
+            f"name one with its epoch, such as IGS20@2026.9 or SIRGAS2000"
+            f"{'; alike: ' + ', '.join(_frames()[one] for one in alike) if alike else ''}",
+        )
+    if not epoch:
+        return found
+    try:
+        year = float(epoch)
+    except ValueError:
+        year = math.nan
+    if not 1980 <= year <= 2100:
+        raise ConfigurationError(f"{epoch!r} is no epoch", "give it in years, such as IGS20@2026.9")
+    return Realization(found.frame, year)
+
+
+def known_realization(name: str, epoch: float = math.nan) -> Realization | None:
+    """Realization of a frame by its name, or of a coordinate system by its code; None for others.
+
+    WGS 84 and NAD83 without a version are of unknown realization.
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    plain = _plain(name)
+    if plain in _frames():
+        return Realization(_frames()[plain], epoch)
+    if ":" not in name:
+        return None
+    try:
+        geodetic_system = CRS.from_user_input(name).geodetic_crs
+    except CRSError:
+        return None
+    plain = _plain("" if geodetic_system is None else geodetic_system.name)
+    return Realization(_frames()[plain], epoch) if plain in _frames() else None
+
+
+def frame_shift(place_m: Floats, source: Realization, target: Realization) -> FrameShift | None:
+    """Give the shift of a place from one realization to another.
+
+    place_m (3,): earth-centred.
+    returns: None where nothing known leads from one to the other, where an epoch is missing, or where both
+        are moving frames of different epochs and nothing tells the plate.
+    """
+    here, there = FIXED.get(source.frame), FIXED.get(target.frame)
+    start = source if here is None else Realization(here.frame, here.epoch)
+    end = target if there is None else Realization(there.frame, there.epoch)
+    # What is fixed to a plate is the same at every epoch: it is met at that of the other.
+    first = start.epoch if start.moves else end.epoch
+    last = end.epoch if end.moves else first
+    plate = next((fixed.plate for fixed in (there, here) if fixed is not None), None)
+    if math.isnan(first) or math.isnan(last) or (first != last and plate is None):
+        return None
+    place = np.asarray(place_m, np.float64)
+    between = _between_frames(_of_itrf(start.frame), _HUB, place, first)
+    if between is None:
+        return None
+    place, variance, ways = between
+    if first != last:
+        place = np.array(_plate_motion(plate or "", first).transform(*place, last)[:3])
+        variance += (PLATE_SIGMA_M_A * (last - first)) ** 2
+        ways += (f"the plate model of {_PLATES}, {plate}, over {abs(last - first):.1f} years",)
+    between = _between_frames(_HUB, _of_itrf(end.frame), place, last)
+    if between is None:
+        return None
+    place, ways = between[0], (*ways, *between[2])
+    variance += between[1]
+    latitude, longitude, _ = geodetic(np.asarray(place_m))
+    shift = place - place_m
+    local = enu_axes(float(latitude), float(longitude)) @ shift
+    return FrameShift(source, target, shift, local, math.sqrt(variance), "; ".join(ways) or "identity")
+
+
+def _between_frames(
+    one: str, other: str, place: Floats, epoch: float
+) -> tuple[Floats, float, tuple[str, ...]] | None:
+    """Place in another frame at the same epoch, variance of the way, and its words; None without a way."""
+    if one == other:
+        return place, 0.0, ()
+    way = _way(one, other)
+    if way is None:
+        return None
+    moved = np.array(way.transform(*place, epoch)[:3])
+    # Which of several ways is taken shows after its use.
+    accuracy = way.get_last_used_operation().accuracy if way.accuracy < 0 else way.accuracy
+    return moved, (accuracy if accuracy > 0 else _WAY_SIGMA_M) ** 2, (f"{one} to {other}",)
+
+
+def _of_itrf(frame: str) -> str:
+    return _OF_IGS.get(frame, frame)
+
+
+def _plain(name: str) -> str:
+    """Letters and digits alone; two digits of a year are four."""
+    plain = re.sub(r"[^a-z0-9]", "", name.lower())
+    short = re.fullmatch(r"(itrf|etrf)(\d\d)", plain)
+    if short is not None and int(short[2]) < 80:
+        plain = f"{short[1]}20{short[2]}"
+    return _ALIKE.get(plain, plain)
+
+
+@cache
+def _frames() -> Mapping[str, str]:
+    """Names of the geocentric systems of the register, by their letters and digits."""
+    from pyproj.database import query_crs_info
+    from pyproj.enums import PJType
+
+    return {
+        re.sub(r"[^a-z0-9]", "", info.name.lower()): info.name
+        for info in query_crs_info("EPSG", PJType.GEOCENTRIC_CRS)
+        if info.name != "WGS 84"
+    }
+
+
+@cache
+def _code(frame: str) -> str:
+    from pyproj.database import query_crs_info
+    from pyproj.enums import PJType
+
+    infos = query_crs_info("EPSG", PJType.GEOCENTRIC_CRS)
+    return next(f"EPSG:{info.code}" for info in infos if info.name == frame)
+
+
+@cache
+def _is_dynamic(frame: str) -> bool:
+    from pyproj import CRS
+
+    datum = CRS.from_user_input(_code(frame)).to_json_dict().get("datum", {})
+    return bool(datum.get("type") == "DynamicGeodeticReferenceFrame")
+
+
+@cache
+def _way(one: str, other: str) -> "Transformer | None":
+    """Transformation between two frames of the register; None where PROJ would only equate them."""
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    try:
+        return Transformer.from_crs(_code(one), _code(other), always_xy=True, allow_ballpark=False)
+    except ProjError:
+        return None
+
+
+@cache
+def _plate_motion(plate: str, from_epoch: float) -> "Transformer":
+    from pyproj import Transformer
+
+    return Transformer.from_pipeline(
+        f"+proj=pipeline +step +init={_PLATES}:{plate}_T +t_epoch={from_epoch!r}"
+    )

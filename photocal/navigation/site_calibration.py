@@ -1,0 +1,322 @@
+"""`photocal localise`: a local system tied to a map system, and the report of the site calibration."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photocal.base.arrays import Floats, as_plain
+from photocal.base.errors import ConfigurationError
+from photocal.base.files import write_json, write_rows
+from photocal.block.table import read_wider_table
+from photocal.findings.document import KeyValues, Paragraph, Piece, Remarks, Section, markdown, table, text
+from photocal.geometry.ground_scale import GroundScale, ground_scale
+from photocal.geometry.localisation import CommonPoints, FittedPart, Localisation, localise
+
+COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "role")
+REPORT, FIGURES = "localisation.md", "localisation.json"
+_SIGMAS = ("sX", "sY", "sZ")
+# A scale is that of the ground, or of the map, within so many standard deviations.
+_AGREES = 3.0
+
+
+@dataclass(frozen=True)
+class PointTable:
+    """Points of one system; NaN where a coordinate or a sigma is not given."""
+
+    names: tuple[str, ...]
+    values: Floats
+    sigma: Floats
+    role: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SiteCalibration:
+    """A local system, the map system, and what ties them.
+
+    fit: over the common points without those left out.
+    scale: of the map at the common points' middle.
+    """
+
+    crs: str
+    local: PointTable
+    mapped: PointTable
+    common: CommonPoints
+    left_out: tuple[str, ...]
+    fit: Localisation
+    scale: GroundScale
+
+    @property
+    def combined(self) -> float:
+        """Length in the map of a metre on the ground."""
+        return float(self.scale.combined[0])
+
+
+def read_point_table(path: Path) -> PointTable:
+    """Read a table point, X, Y, Z with optional sX, sY, sZ, role; empty cells are not known.
+
+    raises InputMalformedError, InputNotFoundError: as of `read_wider_table`.
+    """
+    given = read_wider_table(path, COLUMNS[:4])
+    sigma = np.full((len(given), 3), np.nan)
+    for column, name in enumerate(_SIGMAS):
+        if given.has(name):
+            sigma[:, column] = given.numbers(name, empty=np.nan)
+    role = given.texts("role") if given.has("role") else ("control",) * len(given)
+    return PointTable(given.unique_names("point"), given.matrix("XYZ", empty=np.nan), sigma, role)
+
+
+def calibrate(
+    local: PointTable, mapped: PointTable, crs: str, left_out: tuple[str, ...] = (), scale: str = "free",
+    *, tilt: bool = True,
+) -> SiteCalibration:  # fmt: skip
+    """Fit a local system to the points that both tables name.
+
+    left_out: common points that take no part, and are shown all the same.
+    scale: "free", "ground" (a metre in the local system is one on the ground), or a number: local over map.
+    raises ConfigurationError: for points that are not common, or a scale that is none of these.
+    raises IllPosedError: for too few common points.
+    """
+    names = tuple(name for name in local.names if name in mapped.names)
+    strangers = sorted(set(left_out) - set(names))
+    if strangers:
+        raise ConfigurationError(
+            f"{', '.join(strangers)} cannot be left out: no common point is called so",
+            f"common are {', '.join(names) or 'none'}",
+            where="--without",
+        )
+    used = tuple(name for name in names if name not in left_out)
+    common = _common(local, mapped, used)
+    known = np.isfinite(common.map_m).all(axis=1)
+    middle = (common.map_m[known] if known.any() else np.nan_to_num(common.map_m)).mean(axis=0)
+    factors = ground_scale(crs, middle[None])
+    held = {"free": None, "ground": 1.0 / float(factors.combined[0])}
+    try:
+        value = held[scale] if scale in held else float(scale)
+    except ValueError as refusal:
+        raise ConfigurationError(
+            f"{scale!r} is no scale", 'give "free", "ground" or a number such as 1.0', where="--scale"
+        ) from refusal
+    fit = localise(common, value, tilt=tilt)
+    return SiteCalibration(crs, local, mapped, common, left_out, fit, factors)
+
+
+def _common(local: PointTable, mapped: PointTable, names: tuple[str, ...]) -> CommonPoints:
+    here, there = ([one.names.index(name) for name in names] for one in (local, mapped))
+    sigma = np.sqrt(np.nan_to_num(local.sigma[here]) ** 2 + np.nan_to_num(mapped.sigma[there]) ** 2)
+    # One coordinate without any sigma would count as known: then the residuals tell for all.
+    stated = sigma if len(names) and bool((sigma > 0).all()) else None
+    return CommonPoints(names, mapped.values[there], local.values[here], stated)
+
+
+def write_calibration(folder: Path, made: SiteCalibration) -> dict[str, Any]:
+    """Write the report, its figures, and the points of each table in the other system; give the figures."""
+    figures = calibration_figures(made)
+    write_json(folder / FIGURES, figures, 2)
+    (folder / REPORT).write_text(markdown("Site calibration", sections(made)), encoding="utf-8")
+    fit = made.fit
+    mapped = fit.to_map(made.local.values)
+    _write_points(folder / "points.csv", made.local, mapped, fit.sigma_m(mapped))
+    local = fit.to_local(made.mapped.values)
+    _write_points(folder / "local.csv", made.mapped, local, fit.sigma_m(made.mapped.values))
+    return figures
+
+
+def _write_points(path: Path, given: PointTable, places: Floats, spread: Floats) -> None:
+    sigma = np.hypot(given.sigma, spread)
+    numbers = np.hstack([places, sigma])
+    forms = [".5f"] * 3 + [".6f"] * 3
+    rows = [
+        [name, *("" if np.isnan(v) else format(v, form) for v, form in zip(row, forms, strict=True)), role]
+        for name, row, role in zip(given.names, numbers.tolist(), given.role, strict=True)
+    ]
+    write_rows(path, COLUMNS, rows)
+
+
+def calibration_figures(made: SiteCalibration) -> dict[str, Any]:
+    """Return the figures of a site calibration, ready for JSON."""
+    fit = made.fit
+    figures: dict[str, Any] = as_plain(
+        {
+            "schema": "photocal.localisation/1",
+            "crs": made.crs,
+            "points": [
+                {
+                    "point": name,
+                    "residual_m": [*fit.plan.residual_m[k], *fit.height.residual_m[k]],
+                    "miss_by_the_others_m": [*fit.plan.miss_m[k], *fit.height.miss_m[k]],
+                    "probability": {"plan": fit.plan.probability[k], "height": fit.height.probability[k]},
+                    "doubtful": {"plan": fit.plan.doubtful[k], "height": fit.height.doubtful[k]},
+                }
+                for k, name in enumerate(made.common.names)
+            ],
+            "left_out": made.left_out,
+            "middle_map_m": fit.middle_m,
+            "middle_local_m": fit.plan.parameters[:2],
+            "rotation_deg": np.degrees(fit.plan.parameters[2]),
+            "scale": fit.plan.parameters[3],
+            "scale_free": fit.scale_free,
+            "height_shift_m": fit.height.parameters[0],
+            "slope_east": fit.height.parameters[1],
+            "slope_north": fit.height.parameters[2],
+            "tilted": fit.tilted,
+            "plan": _part(fit.plan),
+            "height": _part(fit.height),
+            "ground_to_map": {
+                "point_scale_factor": made.scale.point_factor[0],
+                "elevation_factor": made.scale.elevation_factor[0],
+                "combined_factor": made.combined,
+            },
+            "metre_of_the_local_system": whose_metre(made),
+        }
+    )
+    return figures
+
+
+def _part(part: FittedPart) -> dict[str, Any]:
+    return {
+        "covariance": part.covariance,
+        "redundancy": part.redundancy,
+        "sigma0": part.factor,
+        "rms_m": _rms(part),
+    }
+
+
+def _rms(part: FittedPart) -> float:
+    return float(
+        np.sqrt(np.nanmean(np.nansum(part.residual_m**2, axis=1)[np.isfinite(part.residual_m[:, 0])]))
+    )
+
+
+def whose_metre(made: SiteCalibration) -> str:
+    """Whether a metre of the local system is one on the ground, one of the map, either or neither.
+
+    returns: "ground", "map", "either", "neither"; "held" where the scale was not estimated or nothing tells
+        how sure it is.
+    """
+    scale, sigma = made.fit.plan.parameters[3], float(np.sqrt(made.fit.plan.covariance[3, 3]))
+    if not made.fit.scale_free or np.isnan(sigma):
+        return "held"
+    ground, grid = (abs(scale - wanted) <= _AGREES * sigma for wanted in (1.0 / made.combined, 1.0))
+    return "either" if ground and grid else "ground" if ground else "map" if grid else "neither"
+
+
+_METRES = {
+    "ground": "the local system counts metres on the ground",
+    "map": "the local system counts metres of the map",
+    "either": "these points do not tell metres on the ground from metres of the map",
+    "neither": "the local system counts metres neither of the ground nor of the map: look at its scale",
+    "held": "the scale was held, or nothing tells how sure it is",
+}
+
+
+def sections(made: SiteCalibration) -> list[Section]:
+    """Write the report: parameters, points with residuals and tests, what to look at."""
+    fit, combined = made.fit, made.combined
+    east, north, angle, scale = fit.plan.parameters
+    sigma_plan, sigma_height = (np.sqrt(np.diag(part.covariance)) for part in (fit.plan, fit.height))
+    rows = (
+        ("middle in the map", f"E {fit.middle_m[0]:.4f} m, N {fit.middle_m[1]:.4f} m ({made.crs})"),
+        ("middle in the local system", f"X {east:.4f} m, Y {north:.4f} m{_sure(sigma_plan[:2], 'm')}"),
+        ("rotation", f"{np.degrees(angle):.6f} deg{_sure(np.degrees(sigma_plan[2:3]), 'deg', 6)}"),
+        ("scale", f"{scale:.8f} ({_ppm(scale)} ppm{_held(fit.scale_free, sigma_plan[3])})"),
+        ("height", f"{fit.height.parameters[0]:+.4f} m{_sure(sigma_height[:1], 'm')}"),
+        ("slope", _slope(fit, sigma_height)),
+        ("point scale factor", f"{made.scale.point_factor[0]:.8f}"),
+        ("elevation factor", f"{made.scale.elevation_factor[0]:.8f}"),
+        ("combined factor", f"{combined:.8f}: ground to map {_ppm(combined)} ppm"),
+        ("metre", _METRES[whose_metre(made)]),
+    )
+    pieces: list[Piece] = [KeyValues(rows), _point_table(made), Paragraph(_quality(fit))]
+    return [Section("", tuple(pieces)), Section("To be looked at", (Remarks(tuple(_remarks(made))),))]
+
+
+def _sure(sigma: Floats, unit: str, decimals: int = 4) -> str:
+    known = bool(np.isfinite(sigma).all())
+    return f", sigma {' '.join(f'{v:.{decimals}f}' for v in sigma)} {unit}" if known else ""
+
+
+def _ppm(factor: float) -> str:
+    return f"{1e6 * (factor - 1.0):+.1f}"
+
+
+def _held(free: bool, sigma: float) -> str:
+    return f", sigma {1e6 * sigma:.1f}" if free and np.isfinite(sigma) else "" if free else ", held"
+
+
+def _slope(fit: Localisation, sigma: Floats) -> str:
+    if not fit.tilted:
+        return "none: a shift only"
+    east, north = 1e6 * fit.height.parameters[1:]
+    sure = f", sigma {1e6 * sigma[1]:.1f} {1e6 * sigma[2]:.1f} ppm" if np.isfinite(sigma[1]) else ""
+    return f"east {east:+.1f} ppm, north {north:+.1f} ppm{sure}"
+
+
+def _point_table(made: SiteCalibration) -> Piece:
+    fit = made.fit
+    rows = []
+    for k, name in enumerate(made.common.names):
+        plan, height = fit.plan, fit.height
+        rows.append(
+            [
+                name,
+                *map(_metre, plan.residual_m[k]),
+                _metre(float(np.hypot(*plan.residual_m[k])), signed=False),
+                *map(_metre, height.residual_m[k]),
+                *map(_metre, (*plan.miss_m[k], *height.miss_m[k])),
+                *map(_chance, (plan.probability[k], height.probability[k])),
+            ]
+        )
+    heads = ["point", "vX", "vY", "v plan", "vZ", "miss X", "miss Y", "miss Z", "p plan", "p height"]
+    note = (
+        "v: computed minus given, local axes, m. miss: where the other points put the point, less where it "
+        "was given. p: probability of a larger miss by chance."
+    )
+    return table("Common points", heads, rows, note)
+
+
+def _metre(value: float, *, signed: bool = True) -> str:
+    return "" if np.isnan(value) else f"{value:+.4f}" if signed else f"{value:.4f}"
+
+
+def _chance(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.4f}"
+
+
+def _quality(fit: Localisation) -> str:
+    parts = []
+    for name, part in (("plan", fit.plan), ("height", fit.height)):
+        factor = "" if np.isnan(part.factor) else f", sigma0 {part.factor:.3g}"
+        parts.append(f"{name}: rms {_rms(part):.4f} m, redundancy {part.redundancy}{factor}")
+    return "; ".join(parts) + "."
+
+
+def _remarks(made: SiteCalibration) -> Iterable[str]:
+    fit, found = made.fit, False
+    for part, name in ((fit.plan, "plan"), (fit.height, "height")):
+        if part.redundancy < 1:
+            found = True
+            yield f"Nothing checks the {name}: measure more common points."
+        for k in np.flatnonzero(part.doubtful).tolist():
+            found = True
+            size = float(np.linalg.norm(part.miss_m[k]))
+            yield (
+                f"{made.common.names[k]} does not fit in {name}: the other points put it {size:.3f} m from "
+                f"where it was given (p {part.probability[k]:.1e}). Look at its mark, its name and its "
+                "antenna height; --without leaves it out."
+            )
+    if made.common.sigma_m is None:
+        found = True
+        yield "No sigmas are stated in both tables: the residuals alone say how sure this is."
+    if made.left_out:
+        found = True
+        yield f"Left out: {', '.join(made.left_out)}."
+    if not found:
+        yield "Nothing."
+
+
+def calibration_text(made: SiteCalibration) -> str:
+    """Write the report for a terminal."""
+    return text(sections(made))
