@@ -78,10 +78,11 @@ class ReferenceFrame:
     @cached_property
     def axes(self) -> tuple[Floats, Floats]:
         """Geocentric origin and rotation from geocentric to east, north, up."""
-        longitude, latitude, _ = self._geodetic(self.origin[None])[0]
+        longitude, latitude, _ = self.geodetic(self.origin[None])[0]
         return self._geocentric(self.origin[None])[0], enu_axes(latitude, longitude)
 
-    def _geodetic(self, given: Floats) -> Floats:
+    def geodetic(self, given: Floats) -> Floats:
+        """Longitude, latitude (deg) and ellipsoidal height (m) of given coordinates, shape (n, 3)."""
         from pyproj.exceptions import ProjError
 
         try:
@@ -96,7 +97,7 @@ class ReferenceFrame:
         return result
 
     def _geocentric(self, given: Floats) -> Floats:
-        longitude, latitude, height = self._geodetic(given).T
+        longitude, latitude, height = self.geodetic(given).T
         return geocentric(latitude, longitude, height, self._ellipsoid)
 
     def to_local(self, given: Floats) -> Floats:
