@@ -95,6 +95,8 @@ COARSE_M = 0.5
 # Standard uncertainty of the height that all GNSS positions of a flight share where nobody states it, m: base
 # coordinates, antenna heights and geoid of a careful survey.
 COMMON_HEIGHT_M = 0.02
+# The largest coefficient of refraction that is taken for one: it is 0.17 in the standard atmosphere.
+REFRACTION = 0.5
 # A correlation of parameters that is called strong.
 STRONG_CORRELATION = 0.8
 

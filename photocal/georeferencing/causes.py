@@ -1,5 +1,6 @@
 """The search of causes on a block: its network, its control as it was typed, and what it cannot separate."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
 from photocal.block.network import NetworkOfBlock, assemble
+from photocal.geometry.ground_scale import combined_factor
 from photocal.georeferencing.local import as_mounted
 from photocal.georeferencing.methods import without_georeference, without_weak_images
 from photocal.georeferencing.separation import Separation, separation
@@ -88,7 +90,20 @@ def typed_slips(typed: Block, names: Sequence[str], places: Floats, to_given: Pl
         wanted = to_given((places[local[point]] + error)[None, :])[0]
         return slips(typed.points.values[row[point]], wanted, sigma, typed.frame)
 
-    return of_point
+    return Slips(of_point, _combined_factor(typed))
+
+
+def _combined_factor(typed: Block) -> float:
+    """Metres on the map of a block's frame that make one on the ground, in its middle; NaN for no map."""
+    places = typed.points.values[typed.points.of_role("control")]
+    places = places[np.isfinite(places).all(axis=1)]
+    if typed.frame == "local" or not len(places):
+        return math.nan
+    try:
+        return float(combined_factor(typed.frame, places.mean(axis=0)[None])[0])
+    except PhotocalError:
+        # Degrees and geocentric coordinates have no scale.
+        return math.nan
 
 
 def slips_of(block: Block, assembly: NetworkOfBlock) -> Slips:
@@ -106,5 +121,5 @@ def mistyped_of(found: SystematicErrors | None, named: Slips = no_slips) -> tupl
         for k, point in enumerate(error.cause.subject.split(" ")):
             own = error.hypothesis.estimates[3 * k : 3 * k + 3]
             d, sigma = -np.array([e.correction for e in own]), np.array([e.sigma for e in own])
-            listed.append(Mistyped(point, d, sigma, named(point, d, sigma)))
+            listed.append(Mistyped(point, d, sigma, named.of_point(point, d, sigma)))
     return tuple(listed)

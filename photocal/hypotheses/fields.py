@@ -32,6 +32,7 @@ class RayField:
         that shrinks the image would shrink the errors of measurement, too, and explain something in every
         block.
     unit: of the amount, where it is not the camera's.
+    most: the largest amount that nature makes.
     """
 
     code: str
@@ -39,6 +40,7 @@ class RayField:
     camera: int
     displacement: Floats
     unit: str = ""
+    most: float = np.inf
 
     @property
     def name(self) -> str:

@@ -1,7 +1,8 @@
 """What the search found, said once and in the same words by every command: causes, then what was not told."""
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
@@ -26,18 +27,26 @@ from photocal.hypotheses.table import fault
 _UNKNOWN = 10.0
 _BODY_AXES = ("forward", "right", "down")
 # No model takes these up: what they do to c or to the points of a block withholds acceptance.
-_GRAVE = ("c-drift", "rolling-shutter")
+_GRAVE = ("c-drift", "rolling-shutter", "refraction", "earth-curvature")
 # One observation, or those of one strip: taken out, the rest stands.
 _PARTS = ("position-contradicts", "strip-position")
 # Gross rays that make up a larger share of v'Pv have bent what was adjusted with them.
 _MANY = 0.1
-# The slips of the pen that made the coordinates of a point wrong, from its error and sigma, (3,) m.
-Slips = Callable[[str, Floats, Floats], tuple[str, ...]]
 
 
-def no_slips(_point: str, _error: Floats, _sigma: Floats) -> tuple[str, ...]:
-    """Where nobody knows what was typed."""
-    return ()
+@dataclass(frozen=True)
+class Slips:
+    """What coordinates were typed, to name what was done wrong with them; of nothing by default.
+
+    of_point: slips of the pen that made the coordinates of a point wrong, from its error and sigma, (3,) m.
+    combined_factor: metres on the map that make one on the ground, of the frame; NaN where it is no map.
+    """
+
+    of_point: Callable[[str, Floats, Floats], tuple[str, ...]] = lambda *_: ()
+    combined_factor: float = math.nan
+
+
+no_slips = Slips()
 
 
 def cause_findings(
@@ -138,6 +147,8 @@ def _named(found: SystematicErrors, error: SystematicError, slips: Slips) -> lis
         return [_exchanged(found, cause)]
     if cause is not None and cause.fault.each == "point":
         return _mistyped(error, cause, slips)
+    if cause is not None and cause.trend is not None:
+        return [_scale(error, cause.trend, slips.combined_factor)]
     if tested.name == "strip-position":
         return [_strip(found, error)]
     if tested.name == "position-contradicts":
@@ -245,6 +256,28 @@ def _changes(order: tuple[int, ...], sign: tuple[float, ...]) -> tuple[str, ...]
     return (*parts, *(f"opposite {_BODY_AXES[k]}" for k in range(3) if sign[k] < 0))
 
 
+def _scale(error: SystematicError, trend: Floats, factor: float) -> Finding:
+    """A scale of the positions against control, held against the combined factor of a map frame."""
+    (scale,) = error.hypothesis.estimates
+    clauses, unsure = ["scale-of-ground"], policy.TIMES_999 * scale.sigma
+    if math.isfinite(factor):
+        # Control of the ground, taken for that of the map, is too long; positions are too short against it.
+        as_ground = abs(scale.correction - (factor - 1.0)) <= unsure
+        as_map = abs(scale.correction - (1.0 / factor - 1.0)) <= unsure
+        clauses = ["control-on-ground" if as_ground else "positions-on-ground" if as_map else "other-scale"]
+    figures: dict[str, Figure] = {
+        "ppm": 1e6 * scale.correction,
+        "sigma_ppm": 1e6 * scale.sigma,
+        "factor": factor,
+        "edge_m": abs(scale.correction) * float(np.linalg.norm(trend, axis=1).max()),
+        "same": error.same,
+    }
+    size = Size(1e6 * scale.correction, "ppm", 1e6 * scale.sigma)
+    return Finding(
+        "positions-scale", "grave", figures=figures, clauses=(*clauses, *_rivals(error)), size=size
+    )
+
+
 def _strip(found: SystematicErrors, error: SystematicError) -> Finding:
     tested, positions = error.hypothesis, found.first.network.positions
     strip = int(tested.estimates[0].name.partition("[")[2].rstrip("]"))
@@ -266,7 +299,7 @@ def _mistyped(error: SystematicError, cause: Cause, slips: Slips) -> list[Findin
         # Computed from the other points less given.
         d, sigma = -np.array([e.correction for e in own]), np.array([e.sigma for e in own])
         axes = zip("XYZ", d, sigma, strict=True)
-        told = slips(point, d, sigma)
+        told = slips.of_point(point, d, sigma)
         figures: dict[str, Figure] = {
             "numbers": tuple(f"{axis} {v:+.3f} +- {s:.3f}" for axis, v, s in axes),
             "slips": told,
@@ -330,6 +363,8 @@ def _of_model(found: SystematicErrors, error: SystematicError) -> Finding:
     if cause.fault.code == "rolling-shutter":
         clauses.append("read-in-ms" if field.unit == "s" else "read-in-intervals")
         figures |= {"value_ms": 1e3 * estimate.correction, "sigma_ms": 1e3 * estimate.sigma}
+    if cause.fault.code == "earth-curvature":
+        clauses.append("heights-in-plane" if estimate.correction > 0.0 else "curved-twice")
     if cause.fault.code == "y-scale":
         # Square pixels, scaled to a rounded format.
         ratio = camera.pitch[0] / camera.pitch[1]
@@ -362,7 +397,8 @@ def _figure(cause: Cause, estimate: Estimate, camera: Camera) -> tuple[float, st
         return 1.0 + estimate.correction, "1"
     if code == "c-drift":
         return estimate.correction, camera.unit
-    units = {"rolling-shutter": cause.field.unit if cause.field else "", "shear": "1"}
+    units = {"rolling-shutter": cause.field.unit if cause.field else "", "shear": "1", "refraction": "1"}
+    units["earth-curvature"] = "1"
     return estimate.correction, units.get(code, f"powers of {camera.unit}")
 
 

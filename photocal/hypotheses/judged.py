@@ -170,7 +170,7 @@ def moved_surely(c_before: Floats, had: Floats, c: Floats, has: Floats, stated: 
 def positions_moved(network: Network, solution: Shared, cause: Cause, stated: Stated) -> float:
     """How far what was freed moves the positions, in stated sigmas; infinite where it does not."""
     entry, positions, given = cause.fault, network.positions, network.mounting.values
-    if "positions" not in entry.where or not len(positions.image) or not entry.frees:
+    if "positions" not in entry.where or not len(positions.image) or not entry.frees or entry.each == "trend":
         return math.inf
     columns = np.array(common_columns(network, cause))
     moved = (solution.common[: len(given)] - given)[columns]
@@ -208,6 +208,8 @@ def estimates_of(
     sigma = np.zeros(0) if spread is None else np.sqrt(np.diag(spread))
     if entry.each == "part" and amounts is not None and cause.field is not None:
         return _changed(network, solution, cause, float(amounts[0]), float(sigma[0]))
+    if amounts is not None and cause.trend is not None:
+        return (estimate(entry.code, "1", float(amounts[0]), 0.0, float(sigma[0])),)
     if amounts is not None:
         unit = "m" if cause.field is None else cause.field.unit or _unit(network, cause)
         names = (

@@ -364,8 +364,9 @@ def _confirmed(
 def _by_memory(error: SystematicError, memory: Memory) -> bool:
     """Whether positions that share their errors explain what looks like a shift or a lever arm of theirs."""
     cause, tested = error.cause, error.hypothesis
-    of_positions = cause is not None and cause.fault.where[0] == "positions" and bool(cause.fault.frees)
-    return of_positions and tested.f / memory.inflation < tested.critical
+    common = cause is not None and (bool(cause.fault.frees) or cause.trend is not None)
+    of_positions = cause is not None and cause.fault.where[0] == "positions"
+    return common and of_positions and tested.f / memory.inflation < tested.critical
 
 
 def _told(
@@ -396,6 +397,9 @@ def with_causes(
     for cause in accepted:
         if cause.field is not None:
             plane = plane + amounts[cause.key] * cause.field.displacement
+        if cause.trend is not None:
+            straight = network.positions.values - amounts[cause.key] * cause.trend
+            network = replace(network, positions=replace(network.positions, values=straight))
         network = _applied(network, cause)
     return with_measurements(network, plane)
 

@@ -69,7 +69,7 @@ class Selection:
             if any((cause.fault.where, m) in members for m in _own(cause)):
                 continue
             tested = self._tested(cause, accepted)
-            if tested is not None and not _backwards(tested):
+            if tested is not None and _possible(cause, tested):
                 tried[cause] = tested
         return tried
 
@@ -176,7 +176,7 @@ def _one_matter(cause: Cause, other: Cause) -> bool:
 
 def _once(cause: Cause) -> tuple[str, ...]:
     """A fault of the whole block, or of one place in it, is accepted once."""
-    return (cause.fault.code,) if cause.fault.each in ("block", "strip", "part", "pair") else ()
+    return (cause.fault.code,) if cause.fault.each in ("block", "strip", "part", "pair", "trend") else ()
 
 
 def _own(cause: Cause) -> tuple[int, ...]:
@@ -194,9 +194,18 @@ def left_to_seek(table: tuple[Fault, ...], accepted: Sequence[Cause]) -> tuple[F
     return tuple(entry for entry in table if entry.code not in gone)
 
 
-def _backwards(tested: Hypothesis) -> bool:
-    """Rows are read one after the other, never backwards: that would be something else."""
-    return tested.name == "rolling-shutter" and bool(tested.estimates) and tested.estimates[0].value <= 0.0
+def _possible(cause: Cause, tested: Hypothesis) -> bool:
+    """Whether nature makes such an amount: else it would be something else."""
+    if cause.field is None or not tested.estimates:
+        return True
+    amount, unsure = tested.estimates[0].correction, policy.TIMES_999 * tested.estimates[0].sigma
+    if cause.fault.code == "rolling-shutter":
+        # Rows are read one after the other, never backwards.
+        return amount > 0.0
+    if cause.fault.code == "earth-curvature":
+        # The earth has one: it was neglected, or applied to coordinates that know of it.
+        return abs(abs(amount) - 1.0) <= unsure
+    return abs(amount) - unsure <= cause.field.most
 
 
 def _noteworthy(cause: Cause, tested: Hypothesis) -> bool:

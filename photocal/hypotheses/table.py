@@ -11,7 +11,7 @@ from photocal.base.extensions import HYPOTHESES, brought
 from photocal.findings.texts import Words
 
 Where = Literal["positions", "camera", "attitudes", "control", "time"]
-Each = Literal["block", "strip", "one-strip", "part", "field", "image", "point", "pair"]
+Each = Literal["block", "strip", "one-strip", "part", "field", "image", "point", "pair", "trend"]
 
 # Whatever is wrong shows at ground points and in tests; a method may be refused for it.
 SYMPTOMS = (
@@ -38,7 +38,7 @@ class Fault:
         another way.
     each: for what those are freed: once, for each strip, for one strip, for the images before and after a
         change of the camera; or what is wrong: a field of one camera's rays, the position of one image, a
-        control point or several, a pair of them that changed places.
+        control point or several, a pair of them that changed places, a trend of all positions.
     prior: what a freed value may be at most, as a weak observation that keeps the network regular: m, rad, s;
         for camera parameters a share of c.
     imitates: what it looks like: "*" for whatever else there is.
@@ -107,6 +107,10 @@ _OWN: tuple[Fault, ...] = (
     Fault("shear", ("camera",), (), "field", model=True),
     Fault("radial", ("camera",), (), "field", model=True),
     Fault("decentring", ("camera",), (), "field", model=True),
+    Fault("refraction", ("camera",), (), "field", model=True),
+    Fault("earth-curvature", ("camera",), (), "field", model=True),
+    # The place about which coordinates were scaled is nobody's: a shift goes with a scale.
+    Fault("positions-scale", ("positions",), _SHIFT[:2], "trend", 1000.0, contains=("base-position",)),
     Fault("position-contradicts", ("positions",), (), "image"),
     Fault("control-mistyped", ("control",), (), "point"),
     Fault("control-exchanged", ("control",), (), "pair"),

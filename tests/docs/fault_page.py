@@ -30,6 +30,7 @@ def _row(one: Fault) -> str:
         "strip": ", each strip",
         "one-strip": ", one strip",
         "part": ", before and after an image",
+        "trend": ", and a trend of all positions",
     }.get(one.each, "")
     added = {
         "field": "a field of the image coordinates",

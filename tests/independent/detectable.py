@@ -36,7 +36,15 @@ def scaled(errors: Errors, factor: float) -> Errors:
     made: dict[str, Any] = {}
     for name in ("lever_arm_m", "datum_m"):
         made[name] = tuple([factor * v for v in getattr(errors, name)])
-    for name in ("time_offset_s", "plane_scale", "c_step", "c_stated", "readout_s"):
+    for name in (
+        "time_offset_s",
+        "plane_scale",
+        "control_scale",
+        "c_step",
+        "c_stated",
+        "readout_s",
+        "refraction",
+    ):
         made[name] = factor * getattr(errors, name)
     made["lens"] = tuple((term, factor * value) for term, value in errors.lens)
     for name in ("control", "position"):

@@ -30,6 +30,8 @@ ATTITUDE_DEG = 0.05
 USUAL = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 # The frame's numbers are those of a survey: nobody measures at its origin.
 ORIGIN = np.array([1000.0, 2000.0, 50.0])
+# Mean radius of the earth (IUGG).
+EARTH_M = 6_371_008.8
 # How far a flight departs from its plan: turns of the body, gusts (m/s).
 TILT_DEG, GUST = 2.0, 0.3
 # Gross rays scatter by so many sigmas.
@@ -52,6 +54,8 @@ class Design:
         "free" (stated as zero), "stated" (with 0.02 deg), or "held" (at its true value).
     rays_worse, gnss_worse, control_worse
         True sigma over the stated one.
+    height_m
+        Over ground; bases, strips and relief grow with it.
     gnss
         Whether positions and attitudes were recorded.
     """
@@ -73,6 +77,7 @@ class Design:
     estimate: tuple[str, ...] = USUAL
     shutter: str = "global"
     readout_s: float = 0.0
+    height_m: float = HEIGHT_M
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,8 @@ class Errors:
         What the block states in place of the true lever arm.
     plane_scale
         Scale of the positions in plane, about the middle of the flight.
+    control_scale
+        Scale of the surveyed control in plane, about its first point.
     c_step
         Share by which c of the second half of the images differs.
     c_stated
@@ -103,6 +110,10 @@ class Errors:
         Number of an exposure and what its position is wrong by, m.
     gross
         Share of the rays that are `GROSS` times as bad.
+    refraction
+        Coefficient of the air that bends the rays: ratio of the radii of earth and ray.
+    curved
+        Whether the ground is a sphere, and plane coordinates are distances along it.
     """
 
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -110,6 +121,7 @@ class Errors:
     time_offset_s: float = 0.0
     datum_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     plane_scale: float = 0.0
+    control_scale: float = 0.0
     c_step: float = 0.0
     c_stated: float = 0.0
     readout_s: float = 0.0
@@ -119,6 +131,8 @@ class Errors:
     slip: int | None = None
     position: tuple[tuple[int, tuple[float, float, float]], ...] = ()
     gross: float = 0.0
+    refraction: float = 0.0
+    curved: bool = False
 
 
 @dataclass(frozen=True)
@@ -162,20 +176,22 @@ def world(design: Design, rng: np.random.Generator) -> World:
     """Fly the plan over points on hilly ground."""
     centre, heading, time, strip = _strips(design)
     n = len(centre)
-    centre = centre + rng.normal(0.0, [1.0, 1.0, 0.7], (n, 3))
+    size = design.height_m / HEIGHT_M
+    centre = size * (centre + rng.normal(0.0, [1.0, 1.0, 0.7], (n, 3)))
     yaw = heading + np.radians(rng.normal(0.0, TILT_DEG, n))
     angles = np.column_stack([*np.radians(rng.normal(0.0, TILT_DEG, (2, n))), yaw])
     along = np.column_stack([np.sin(heading), np.cos(heading), np.zeros(n)])
     velocity = SPEED * along + rng.normal(0.0, GUST, (n, 3))
     plane, role = _ground(design, centre, rng)
-    relief = 6.0 * np.sin(plane[:, 0] / 27.0) * np.cos(plane[:, 1] / 19.0) + 2.0 * np.sin(plane[:, 1] / 7.0)
-    points = np.column_stack([plane, relief]) + ORIGIN
+    x, y = (plane / size).T
+    relief = 6.0 * np.sin(x / 27.0) * np.cos(y / 19.0) + 2.0 * np.sin(y / 7.0)
+    points = np.column_stack([plane, size * relief]) + ORIGIN
     made = World(angles, centre + ORIGIN, velocity, time, strip, points, role, *_NOBODY)
     if design.boresight == "stated":
         turned = BORESIGHT_DEG + BORESIGHT_SIGMA_DEG * rng.normal(size=3)
         made = replace(made, boresight_deg=tuple(turned.tolist()))
     image, point = (grid.ravel() for grid in np.indices((n, len(points))))
-    near = np.abs(points[point, :2] - made.centre[image, :2]).max(axis=1) < 1.3 * HEIGHT_M
+    near = np.abs(points[point, :2] - made.centre[image, :2]).max(axis=1) < 1.3 * design.height_m
     image, point = image[near], point[near]
     seen = pixels(made.lens, made.camera_axes[image], made.centre[image], points[point])
     middle = (np.array(SIZE) - 1) / 2.0
@@ -196,7 +212,7 @@ def expected(truth: World, design: Design, errors: Errors) -> Observed:
     line, seen = np.zeros(len(truth.image)), np.zeros((len(truth.image), 2))
     for _ in range(6 if readout else 1):
         centre = truth.centre[truth.image] + (readout * line)[:, None] * truth.velocity[truth.image]
-        seen = pixels(lens, axes[truth.image], centre, truth.points[truth.point], scale)
+        seen = _seen(lens, axes[truth.image], centre, truth.points[truth.point], scale, errors)
         line = (seen[:, 1] - (SIZE[1] - 1) / 2.0) / SIZE[1]
     body = body_axes(truth.angles)
     arm = np.array(LEVER_M) + errors.lever_arm_m
@@ -207,12 +223,38 @@ def expected(truth: World, design: Design, errors: Errors) -> Observed:
     for number, wrong in errors.position:
         antenna[number] += wrong
     surveyed, control = truth.points.copy(), truth.of_role("control")
+    apart = surveyed[control] - surveyed[control[:1]]
+    surveyed[control] += errors.control_scale * apart * [1.0, 1.0, 0.0]
     for number, wrong in errors.control:
         surveyed[control[number]] += wrong
     if errors.swapped:
         pair = control[list(errors.swapped)]
         surveyed[pair] = surveyed[pair[::-1]]
     return Observed(seen, antenna, truth.angles.copy(), surveyed)
+
+
+def _seen(lens: Lens, axes: Floats, centre: Floats, points: Floats, scale: Floats, errors: Errors) -> Floats:
+    """Pixels of points that the air raises, over a plane or a sphere: each ray as it leaves its camera."""
+    away = points - centre
+    if errors.curved:
+        # The vertical of the camera is the axis of its attitude; along the sphere lies the plane distance.
+        level = np.linalg.norm(away[:, :2], axis=1)
+        way = np.divide(
+            away[:, :2], level[:, None], where=level[:, None] > 0.0, out=np.zeros((len(level), 2))
+        )
+        angle, radius = level / EARTH_M, EARTH_M + points[:, 2] - ORIGIN[2]
+        up = radius * np.cos(angle) - (EARTH_M + centre[:, 2] - ORIGIN[2])
+        away = np.column_stack([way * (radius * np.sin(angle))[:, None], up])
+    if errors.refraction:
+        # An arc of the earth's radius over the coefficient leaves its chord by half the angle that it spans.
+        level = np.linalg.norm(away[:, :2], axis=1)
+        raised = np.arctan2(away[:, 2], level) + errors.refraction * level / EARTH_M / 2.0
+        length = np.linalg.norm(away, axis=1)
+        way = np.divide(
+            away[:, :2], level[:, None], where=level[:, None] > 0.0, out=np.zeros((len(level), 2))
+        )
+        away = np.column_stack([way * (length * np.cos(raised))[:, None], length * np.sin(raised)])
+    return pixels(lens, axes, np.zeros(3), away, scale)
 
 
 def measured(truth: World, design: Design, errors: Errors, rng: np.random.Generator) -> Observed:
@@ -279,9 +321,9 @@ def _ground(design: Design, centre: Floats, rng: np.random.Generator) -> tuple[F
         apart = np.linalg.norm(inner[:, None] - inner[chosen], axis=2).min(axis=1)
         chosen.append(int(np.argmax(apart)))
     control, check = inner[chosen[: design.control]], rng.uniform(low, high, (design.check, 2))
-    margin = np.array([0.45, 0.35]) * HEIGHT_M
+    margin = np.array([0.45, 0.35]) * design.height_m
     area = float(np.prod(high - low + 2.0 * margin))
-    footprint = SIZE[0] * SIZE[1] * (HEIGHT_M / Lens().c) ** 2
+    footprint = SIZE[0] * SIZE[1] * (design.height_m / Lens().c) ** 2
     ties = rng.uniform(low - margin, high + margin, (round(design.per_image * area / footprint), 2))
     roles = ["control"] * len(control) + ["check"] * len(check) + ["tie"] * len(ties)
     return np.vstack([control, check, ties]), tuple(roles)

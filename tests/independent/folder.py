@@ -29,12 +29,17 @@ START_C = 1.004
 
 @dataclass(frozen=True)
 class Placement:
-    """The same flight otherwise: turned (deg, counter-clockwise), moved (m), renamed, by two cameras."""
+    """The same flight otherwise: turned (deg, counter-clockwise), moved (m), renamed, by two cameras.
+
+    frame: a map system; coordinates of a tangent plane at `origin` (longitude, latitude) become its own.
+    """
 
     turn_deg: float = 0.0
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     prefix: str = ""
     cameras: int = 1
+    frame: str = "local"
+    origin: tuple[float, float] = (0.0, 0.0)
 
     @property
     def turn(self) -> Floats:
@@ -45,7 +50,21 @@ class Placement:
 
     def placed(self, places: Floats) -> Floats:
         """Coordinates in the other frame."""
-        return np.asarray(places @ self.turn.T + self.shift_m)
+        turned = np.asarray(places @ self.turn.T + self.shift_m)
+        if self.frame == "local":
+            return turned
+        from pyproj import CRS, Transformer
+
+        # PROJ's own tangent plane, by way of geocentric coordinates.
+        longitude, latitude = self.origin
+        ellipsoid = f"+ellps=GRS80 +lon_0={longitude} +lat_0={latitude} +h_0=0"
+        map_system = CRS(self.frame)
+        to_degrees = Transformer.from_pipeline(
+            f"+proj=pipeline +step +inv +proj=topocentric {ellipsoid} +step +inv +proj=cart +ellps=GRS80"
+        )
+        east, north, up = to_degrees.transform(*turned.T)
+        to_map = Transformer.from_crs(map_system.geodetic_crs, map_system, always_xy=True)
+        return np.column_stack([*to_map.transform(east, north), up])
 
     def image_names(self, truth: World) -> list[str]:
         """Names of the exposures."""
@@ -127,7 +146,8 @@ shutter = "{design.shutter}"
     cameras = "".join(f'\n[[camera]]\nid = "cam{k}"{camera}' for k in range(at.cameras))
     text = f"""[block]
 name = "{design.name}"
-frame = "local"
+frame = "{at.frame}"
+{'height = "ellipsoidal"' if at.frame != "local" else ""}
 datum = "control"
 
 [observations]

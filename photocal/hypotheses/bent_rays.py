@@ -1,0 +1,35 @@
+"""Rays that the air bends, and heights above a curved earth that were taken in a plane, as fields."""
+
+import numpy as np
+
+from photocal.adjustment.network import Network
+from photocal.adjustment.state import State
+from photocal.base import policy
+from photocal.base.arrays import Floats, Integers
+from photocal.block.bending import apparent_rise
+from photocal.hypotheses.fields import RayField
+
+
+def bent_rays(network: Network, state: State) -> tuple[RayField, ...]:
+    """List refraction (by its coefficient) and curvature (1: neglected, -1: applied to a plane) by camera.
+
+    At one height both are a radial term: only another height, oblique rays or a held lens tell them from it.
+    """
+    image, point = network.rays.image, network.rays.point
+    apart = state.points[point] - state.centre[image]
+    camera_of_ray, listed = network.exposures.camera[image], list[RayField]()
+    for code, refraction, most in (("refraction", 1.0, policy.REFRACTION), ("earth-curvature", 0.0, 1.0)):
+        rise = apparent_rise(apart, refraction, curved=not refraction)
+        raised = _raised(state, state.cameras[camera_of_ray, :1], image, apart, rise)
+        for k in range(len(network.cameras)):
+            own = (camera_of_ray == k)[:, None]
+            if own.any():
+                listed.append(RayField(code, "", k, -raised * own, "1", most))
+    return tuple(listed)
+
+
+def _raised(state: State, c: Floats, image: Integers, apart: Floats, rise: Floats) -> Floats:
+    """Displacement on the image plane of points that seem to lie higher, distortion left out, (n, 2)."""
+    q = np.einsum("nij,nj->ni", state.rotation[image], apart)
+    dq = state.rotation[image][:, :, 2] * rise[:, None]
+    return -c * (dq[:, :2] / q[:, 2:] - q[:, :2] * dq[:, 2:] / q[:, 2:] ** 2)
