@@ -16,6 +16,7 @@ from photocal.commands import (
     products,
     project,
     radiometry,
+    study,
     verify,
 )
 
@@ -47,6 +48,7 @@ app.command()(project.adopt)
 app.command()(export.export)
 app.command()(products.volume)
 app.command()(products.ortho)
+app.command()(study.study)
 
 
 def main() -> None:
