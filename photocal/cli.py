@@ -16,6 +16,7 @@ from photocal.commands import (
     products,
     project,
     radiometry,
+    study,
     verify,
 )
 
@@ -48,6 +49,7 @@ app.command()(project.adopt)
 app.command()(export.export)
 app.command()(products.volume)
 app.command()(products.ortho)
+app.command()(study.study)
 
 
 def main() -> None:

@@ -11,12 +11,22 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+SOURCES = [
+    "acquire",
+    "drivers",
+    "photocal",
+    "configs/studies",
+    "pyproject.toml",
+    "setup.py",
+    "README.md",
+    "LICENSE",
+]
 
 
 def build(folder: Path) -> Path:
     """Build the wheel from a copy: what lies about in the sources, or an older build, is no part of it."""
     tracked = subprocess.run(
-        ["git", "ls-files", "-z", "acquire", "drivers", "photocal", "pyproject.toml", "README.md", "LICENSE"],
+        ["git", "ls-files", "-z", *SOURCES],
         cwd=ROOT,
         capture_output=True,
         check=True,

@@ -122,7 +122,7 @@ def assess(discrepancies: Discrepancies, standards: tuple[Standard, ...], questi
     given = {"planimetry": plane, "height": height}
     products = {name: classes.sample(vectors) for name, vectors in given.items() if len(vectors)}
     tables = tuple(
-        _apply(standard, table, products[table.component], question)
+        apply_table(standard, table, products[table.component], question)
         for standard in standards
         if isinstance(standard, ScaleStandard)
         for table in standard.tables
@@ -195,9 +195,10 @@ def _similarity(discrepancies: Discrepancies) -> statistics.SimilarityTrend | No
     return statistics.similarity_trend(both[:, :2], both[:, 2:])
 
 
-def _apply(
+def apply_table(
     standard: ScaleStandard, table: LimitTable, product: classes.Sample, question: Question
 ) -> TableResult:
+    """Apply one table of a standard to a product."""
     size = question.scale_denominator if table.basis == "scale" else question.interval_m
     if size is None and table.basis == "interval" and question.scale_denominator is not None:
         size = table.interval_at(question.scale_denominator)

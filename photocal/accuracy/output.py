@@ -32,7 +32,7 @@ def to_json(assessment: Assessment, say: Catalogue | None = None) -> dict[str, A
         "space": _vector(assessment.space),
         "similarity_trend": trend
         and {**picked(trend, "shift_m", "scale", "rmse_left_m"), "rotation_mrad": trend.rotation_rad * 1e3},
-        "standards": [*map(_table, assessment.tables), *map(_value, assessment.values)],
+        "standards": [*map(table_record, assessment.tables), *map(value_record, assessment.values)],
         "findings": [finding_json(finding, say or catalogue("en")) for finding in findings(assessment)],
     }
 
@@ -57,7 +57,8 @@ def _vector(lengths: LengthStatistics | None, **probable: str) -> dict[str, Any]
     return picked(lengths, "n", "maximum_m", **renamed) | within
 
 
-def _table(result: TableResult) -> dict[str, Any]:
+def table_record(result: TableResult) -> dict[str, Any]:
+    """Give one table of a standard as plain values."""
     table = result.table
     return {
         **picked(result, "size", "precision_class", "accuracy_class", "differ", standard="standard_id"),
@@ -83,7 +84,8 @@ def _decision(decision: classes.ClassDecision) -> dict[str, Any]:
     }
 
 
-def _value(value: classes.ValueClass) -> dict[str, Any]:
+def value_record(value: classes.ValueClass) -> dict[str, Any]:
+    """Give the class as the value reached as plain values."""
     reached = {"horizontal": value.horizontal_m, "vertical": value.vertical_m}
     reached |= {"vegetated": value.vegetated_m, "space": value.spatial_m}
     included = {axis: f"survey_included_{axis}" for axis in ("horizontal", "vertical")}
@@ -116,7 +118,7 @@ def to_text(assessment: Assessment) -> str:
             )
         )
     for result in assessment.tables:
-        parts += _standard(result)
+        parts += standard_parts(result)
     for value in assessment.values:
         parts.append(Paragraph(f"{value.standard.title}: {classes.value_class_text(value)}"))
     return text([Section("", (*parts, remarks(findings(assessment))))])
@@ -176,7 +178,8 @@ def _tests(assessment: Assessment) -> TablePart:
     return table("Tests", heads, rows)
 
 
-def _standard(result: TableResult) -> list[Piece]:
+def standard_parts(result: TableResult) -> list[Piece]:
+    """Write one table of a standard."""
     title = f"{result.standard_title}: {result.table.product}"
     parts: list[Piece] = [] if result.size is None else [_decisions(result, title, result.size)]
     parts.append(_smallest(result, title))

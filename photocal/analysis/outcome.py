@@ -21,7 +21,7 @@ from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
 from photocal.analysis.robust import apart, bootstrap, sandwich
 from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit, sensor_grid, view
-from photocal.analysis.systematic_errors.camera_findings import of_datum
+from photocal.analysis.systematic_errors.camera_findings import of_datum, one_angle_photos
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.scatter import AssumedSigma, ResidualMap, VarianceComponent
 from photocal.analysis.systematic_errors.search import Search, camera_estimates, search
@@ -315,7 +315,7 @@ def analyse_network(
     names = [camera.id for camera in network.cameras]
     judged = [analyse_camera(fitted, k, checks, alpha, threshold, step) for k in range(len(names))]
     return Outcome(
-        findings=(*of_lens, *kept, *of_datum(searched)),
+        findings=(*of_lens, *kept, *of_datum(searched), *one_angle_photos(fitted)),
         variance_factor=fitted.solution.variance_factor,
         alpha=alpha,
         correlation_threshold=threshold,

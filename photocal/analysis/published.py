@@ -1,23 +1,42 @@
 """Parameters as a publication or another program prints them: tested, and their components analysed."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
-from photocal.analysis.components import Components, principal_components
+from photocal.analysis.components import Components, Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
 from photocal.analysis.estimates import GROUPS, Estimates, FTest, f_test, from_sigmas
-from photocal.base.arrays import as_plain
+from photocal.base import policy
+from photocal.base.arrays import Floats, as_plain, picked
 from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.table import read_columns, read_table, read_wider_table
+from photocal.findings.finding import Figure, Finding
+from photocal.geometry.camera import PARAMETERS
 
 SCHEMA = "photocal.published/1"
 # What the studies call the parameters of ours.
 _ALSO = {"f": "c", "xo": "x0", "yo": "y0", "A": "B1", "B": "B2"}
 _SIGMAS = ("std_dev", "sigma")
-_OPTIONAL = ("set", "unit", "degrees_of_freedom", *_SIGMAS)
+_OPTIONAL = ("set", "unit", "degrees_of_freedom", "sigma0", *_SIGMAS)
+
+
+@dataclass(frozen=True)
+class GlobalTest:
+    """One-sided test of a printed standard deviation of unit weight against 1."""
+
+    sigma0: float
+    chi_squared: float
+    critical: float
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the observations are as good as assumed."""
+        return self.chi_squared <= self.critical
 
 
 @dataclass(frozen=True)
@@ -26,6 +45,11 @@ class PublishedSet:
 
     tests: none where no values are known; of groups only where their correlations are.
     components: none without a matrix.
+    component_values (p,): Y = C' x of parameters over their standard deviations; the variance of each is its
+        eigenvalue. None without values.
+    removal: the removal rule of the tank study; None without correlations of a camera.
+    global_test: none without a standard deviation of unit weight.
+    one_angle: omega and kappa that are one angle; None where they are told apart.
     """
 
     name: str
@@ -34,6 +58,10 @@ class PublishedSet:
     tests: tuple[FTest, ...]
     correlations: tuple[StrongCorrelation, ...]
     components: Components | None
+    component_values: Floats | None = None
+    removal: Proposal | None = None
+    global_test: GlobalTest | None = None
+    one_angle: Finding | None = None
 
 
 def analyse_published(
@@ -57,32 +85,85 @@ def analyse_published(
         if matrix is not None or set_name is not None:
             raise wrong("is itself a matrix", "leave out --matrix and --set")
         estimates = _matrix(table)
-        strong, components = strong_correlations(estimates, threshold), principal_components(estimates)
-        return (PublishedSet("", estimates, np.inf, (), strong, components),)
+        return (_correlated("", estimates, np.inf, (), threshold),)
     sets = _sets(table, degrees_of_freedom)
     if set_name is not None and set_name not in sets:
         raise wrong(f"has no set {set_name}", f"it has {', '.join(sets)}")
     chosen = sets if set_name is None else {set_name: sets[set_name]}
     if matrix is None:
         return tuple(
-            PublishedSet(name, parameters, freedom, tuple(_tests(parameters, freedom, alpha, ())), (), None)
-            for name, (parameters, freedom) in chosen.items()
+            PublishedSet(
+                name,
+                one.estimates,
+                one.freedom,
+                tuple(_tests(one.estimates, one.freedom, alpha, ())),
+                (),
+                None,
+                global_test=_global_test(one, alpha),
+            )
+            for name, one in chosen.items()
         )
     if len(chosen) > 1:
         raise wrong(f"holds {len(chosen)} sets, but the matrix is of one", "name it with --set")
-    ((name, (single, freedom)),) = chosen.items()
+    ((name, single),) = chosen.items()
     correlation = _matrix(matrix)
-    if correlation.names != single.names:
+    of_table = single.estimates.names
+    if correlation.names != of_table:
         raise ConfigurationError(
-            f"the matrix is of {' '.join(correlation.names)}, the table of {' '.join(single.names)}",
+            f"the matrix is of {' '.join(correlation.names)}, the table of {' '.join(of_table)}",
             "name the same parameters in the same order in both",
             where=matrix,
         )
-    values, sigmas = single.values.tolist(), single.sigmas.tolist()
-    together = from_sigmas(single.names, values, sigmas, correlation.correlation)
-    tests = tuple(_tests(together, freedom, alpha, GROUPS))
-    strong = strong_correlations(together, threshold)
-    return (PublishedSet(name, together, freedom, tests, strong, principal_components(together)),)
+    values, sigmas = single.estimates.values.tolist(), single.estimates.sigmas.tolist()
+    together = from_sigmas(single.estimates.names, values, sigmas, correlation.correlation)
+    tests = tuple(_tests(together, single.freedom, alpha, GROUPS))
+    judged = _correlated(name, together, single.freedom, tests, threshold)
+    return (replace(judged, global_test=_global_test(single, alpha)),)
+
+
+def _correlated(
+    name: str, estimates: Estimates, freedom: float, tests: tuple[FTest, ...], threshold: float
+) -> PublishedSet:
+    """Say what follows from the correlations of a set."""
+    components = principal_components(estimates)
+    known = bool(np.any(estimates.values))
+    ours = replace(estimates, names=tuple(_ALSO.get(one, one) for one in estimates.names))
+    of_camera = sum(one in PARAMETERS for one in ours.names) > len(ours.names) / 2
+    return PublishedSet(
+        name,
+        estimates,
+        freedom,
+        tests,
+        strong_correlations(estimates, threshold),
+        components,
+        components.vectors.T @ (estimates.values / estimates.sigmas) if known else None,
+        propose_removal(ours) if of_camera else None,
+        one_angle=one_angle(estimates),
+    )
+
+
+def one_angle(estimates: Estimates) -> Finding | None:
+    """Say that omega and kappa are one angle, where phi is near 90 degrees.
+
+    Of turns that are equally sure about all axes, omega and kappa have the variance 1 / cos^2 phi and the
+    covariance sin phi / cos^2 phi: their correlation is the sine of phi (tank study, Table 1).
+    """
+    angles = ("omega", "kappa")
+    if not set(angles) <= set(estimates.names):
+        return None
+    both = estimates.select(angles)
+    r = float(both.correlation[0, 1])
+    if abs(r) < policy.ONE_ANGLE:
+        return None
+    figures: dict[str, Figure] = {"r": r, "phi_deg": math.degrees(math.asin(min(abs(r), 1.0)))}
+    return Finding("one-angle", "note", "omega-kappa", figures)
+
+
+def _global_test(one: "_Printed", alpha: float) -> GlobalTest | None:
+    if one.sigma0 is None or not np.isfinite(one.freedom):
+        return None
+    critical = float(chi2.ppf(1.0 - alpha, one.freedom))
+    return GlobalTest(one.sigma0, one.freedom * one.sigma0**2, critical)
 
 
 def _tests(
@@ -98,7 +179,16 @@ def _tests(
     return tests
 
 
-def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, float]]:
+@dataclass(frozen=True)
+class _Printed:
+    """A set as it was printed."""
+
+    estimates: Estimates
+    freedom: float
+    sigma0: float | None
+
+
+def _sets(path: Path, degrees_of_freedom: float) -> dict[str, _Printed]:
     """Read parameters with their standard deviations, set by set, and the redundancy of each."""
     table = read_table(path, ("parameter", "value"), _OPTIONAL)
     column = next((name for name in _SIGMAS if table.has(name)), None)
@@ -109,6 +199,7 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, f
     of_set, sets = table.names("set") if table.has("set") else (np.zeros(len(table), dtype=np.int64), ("",))
     values, sigmas = table.numbers("value"), table.numbers(column)
     freedom = table.numbers("degrees_of_freedom", empty=degrees_of_freedom)
+    sigma0 = table.numbers("sigma0", empty=np.nan) if table.has("sigma0") else None
     answer = {}
     for k, name in enumerate(sets):
         rows = np.flatnonzero(of_set == k)
@@ -118,7 +209,8 @@ def _sets(path: Path, degrees_of_freedom: float) -> dict[str, tuple[Estimates, f
                 f"a parameter comes twice{f' in set {name}' if name else ''}", "give a column set"
             )
         estimates = from_sigmas(parameters, values[rows].tolist(), sigmas[rows].tolist())
-        answer[name] = (estimates, float(freedom[rows[0]]))
+        of_unit = None if sigma0 is None or np.isnan(sigma0[rows[0]]) else float(sigma0[rows[0]])
+        answer[name] = _Printed(estimates, float(freedom[rows[0]]), of_unit)
     return answer
 
 
@@ -149,11 +241,23 @@ def published_record(sets: tuple[PublishedSet, ...]) -> dict[str, Any]:
 
 
 def _record(published: PublishedSet) -> dict[str, Any]:
+    removal = published.removal
     shown = ("eigenvalues", "percent", "cumulative_percent", "loadings")
+    test = published.global_test
     return {
         "set": published.name or None,
+        "global_test": test and {**as_plain(test), "accepted": test.accepted},
         "parameters": list(published.estimates.names),
         **{key: as_plain(getattr(published, key)) for key in ("degrees_of_freedom", "tests", "correlations")},
         "components": published.components
         and {key: as_plain(getattr(published.components, key)) for key in shown},
+        "component_values": as_plain(published.component_values),
+        "removal": removal
+        and {
+            "steps": [picked(step, "removed", "crowd", "negligible") for step in removal.steps],
+            **picked(removal, "removed", "kept", "recommended"),
+            "eigenvalues": as_plain(removal.final.eigenvalues),
+            "percent": as_plain(removal.final.percent),
+        },
+        "one_angle": published.one_angle and dict(published.one_angle.figures),
     }

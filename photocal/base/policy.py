@@ -99,6 +99,8 @@ COMMON_HEIGHT_M = 0.02
 REFRACTION = 0.5
 # A correlation of parameters that is called strong.
 STRONG_CORRELATION = 0.8
+# Sine of phi from which on omega and kappa of a photo are one angle (82 degrees).
+ONE_ANGLE = 0.99
 
 # --- How few are too few ----------------------------------------------------------------------------------
 

@@ -39,6 +39,13 @@ class OtherSources(Options):
             "unit in the header (dE_cm); optional E, N, h."
         ),
     ] = None
+    moments: Annotated[
+        Path | None,
+        Option(
+            "Instead of a block: CSV of printed moments: component (E, N, h), n, and mean_m, std_m, or "
+            "rmse_m, t (reference minus product); optional set."
+        ),
+    ] = None
     experiment: Annotated[
         Path | None, Option("Instead of a block: TOML file with interior orientations and control patterns.")
     ] = None
@@ -76,6 +83,15 @@ def judge_product(
         system = reference_system(maps.crs)
         write_geopackage(maps.geopackage, (("check", product),), system, changed_utc(path))
     return to_json(result) | more, "\n".join([to_text(result), *remarks])
+
+
+def judge_moments(path: Path, standards: tuple[Standard, ...], question: Question) -> Judged:
+    """Judge products of which only moments were printed."""
+    from photocal.accuracy.printed_moments import assess_moments, moments_record, moments_text, read_moments
+
+    sets = read_moments(path).items()
+    made = tuple(assess_moments(name, moments, standards, question) for name, moments in sets)
+    return moments_record(made), moments_text(made, question)
 
 
 def judge_block(
@@ -225,11 +241,11 @@ def check(
 
     Example: `photocal check field7 -o field7-check --scale 1:1000`
     """
-    sources = (block, other.discrepancies, other.experiment, product.points)
+    sources = (block, other.discrepancies, other.moments, other.experiment, product.points)
     if sum(source is not None for source in sources) != 1:
         raise ConfigurationError(
             "there must be one thing to check",
-            "name a block or project, or --discrepancies, or --experiment, or --points",
+            "name a block or project, or --discrepancies, --moments, --experiment or --points",
         )
     # What is wrong with them is said before anything is computed.
     question, standards = judgement.question(), judgement.standards()
@@ -240,6 +256,8 @@ def check(
         judged = _of_block(block, output, judgement, maps, repetition, details=details)
     elif repetition.control_numbers is not None:
         raise ConfigurationError("--control-numbers needs a block", "name a block or project")
+    elif other.moments is not None:
+        judged = judge_moments(other.moments, standards, question)
     elif other.discrepancies is not None:
         from photocal.accuracy.discrepancies import read_discrepancies
 

@@ -41,7 +41,7 @@ def compare(
     time: stability of one camera over several flights. From three on, the variance between flights and the
     uncertainty of a future use follow; certificates that state temperatures, c against temperature and time.
 
-    Example: `photocal compare configs/studies/canon-elph.toml --picture pairs.png`, or
+    Example: `photocal compare configs/studies/canon-elph/calibrations.toml --picture pairs.png`, or
     `photocal compare MAY.toml JUNE.toml --exchange`
     """
     from photocal.analysis.stability.camera_file import read_camera_file

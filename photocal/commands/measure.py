@@ -105,8 +105,18 @@ def _corner_lines(record: dict[str, Any]) -> list[str]:
             for ratio in record["principal_distance_sigma_ratio"]
             if ratio > WEAK
         ),
+        *_rejected(record.get("rejected", [])),
         *_left_out(record),
     ]
+
+
+def _rejected(corners: list[dict[str, str]]) -> list[str]:
+    """Name the corners that do not fit to the others."""
+    named = [f"{corner['point']} in {corner['image']}" for corner in corners]
+    if not named:
+        return []
+    more = f" and {len(named) - 10} more" if len(named) > 10 else ""
+    return [f"gross corners rejected, {len(named)}: {', '.join(named[:10])}{more}"]
 
 
 def _left_out(record: dict[str, Any]) -> list[str]:

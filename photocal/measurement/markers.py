@@ -16,7 +16,7 @@ from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_file import Grey, as_eight_bit, read_grey
 from photocal.measurement.patch_matching import Source
 from photocal.measurement.target_centre import LEAST_CONTRAST, Centre, accepted, half_contrast, measurable
-from photocal.measurement.template_fit import cut_window, fit_template
+from photocal.measurement.template_fit import cut_part, fit_template
 
 DICTIONARIES = (
     *(f"{n}x{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
@@ -32,7 +32,7 @@ WORST_MISFIT = 0.2
 # A cell of a code has at least so many pixels.
 _SMALLEST_CELL_PX = 1.25
 # Raised whenever the meaning of cached results changes.
-VERSION = 3
+VERSION = 4
 # Plates are not flat and lenses not modelled to the last: what the grey values cannot know, px.
 COMMON_PX = 0.02
 
@@ -41,9 +41,10 @@ def quadrilateral_centre(grey: Grey, corners: Floats, cell: float) -> tuple[Cent
     """Centre and corners of a dark quadrilateral, such as the border of a coded marker."""
     middle = corners.mean(axis=0)
     reach = float(np.hypot(*(corners - middle).T).max()) + 0.7 * cell + 1
-    window = cut_window(grey, (float(middle[0]), float(middle[1])), reach)
-    if window is None:
+    # Near the border of the picture, where distortion wants targets, part of the margin is enough.
+    if (corners < 0).any() or (corners > np.array(grey.shape[::-1]) - 1).any():
         return None
+    window = cut_part(grey, (float(middle[0]), float(middle[1])), reach)
     local = corners - window.middle
     along = np.roll(local, -1, axis=0) - local
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError
+from photocal.base.operating_system import cache_folder
 from photocal.base.progress import Progress, quiet
 from photocal.base.workers import Cluster
 from photocal.measurement.block_files import MeasuredBlock
@@ -62,7 +63,8 @@ def measure(
     folder, lens = Path(pictures), GivenLens(options.c_px, options.focal_mm)
     paths, name = list_images(folder), folder.resolve().name
     if options.field:
-        return measure_field(paths, options.field, options.distances, name, lens, progress)
+        cache = (options.cache or cache_folder()).resolve()
+        return measure_field(paths, options.field, options.distances, name, lens, cache, progress)
     if options.board:
         board = parse_board(options.board, options.square_m, options.charuco)
         return measure_board(paths, board, name, progress)

@@ -8,21 +8,23 @@ from typing import Any
 import numpy as np
 
 from photocal.adjustment.adjust import adjust
+from photocal.adjustment.snooping import snoop
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError, InputNotFoundError
 from photocal.base.progress import Progress
 from photocal.block.folder import read_relations
-from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations, digest
 from photocal.block.network import assemble
 from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.resection import resection
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.measurement.block_files import PIXEL_ORIGIN, SCHEMA, MeasuredBlock
 from photocal.measurement.boards import Board, find_board
+from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, read_grey
 from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
-from photocal.measurement.markers import dictionary, find_markers
+from photocal.measurement.markers import VERSION, dictionary, find_markers
 
 ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 # Of fewer pictures of a board, or of fewer pictures or targets of a field, no camera is calibrated.
@@ -93,26 +95,38 @@ def measure_field(
     distances: Path | None,
     name: str,
     lens: GivenLens,
+    cache: Path,
     progress: Progress,
 ) -> MeasuredBlock:
     """Measure the corners of coded targets without coordinates and make the block that calibrates the camera.
 
+    cache: folder where what was measured is kept by the content of the picture.
     distances: CSV with the columns from, to, value, sigma (m) between corners; without, the unit is free.
     raises InputNotFoundError: when too few pictures show too few targets.
     raises PhotocalError: when the pictures do not determine the camera.
     """
-    dictionary(dictionary_name)
+    # What is wrong with the inputs is said before the pictures cost minutes.
+    codes = dictionary(dictionary_name)
+    if distances is not None:
+        possible = tuple(f"{code}.{k + 1}" for code in range(len(codes.bytesList)) for k in range(4))
+        read_relations(distances, "distance", possible, f"targets of {dictionary_name}")
 
     def measure(path: Path) -> TargetView:
-        """Measure the corners of the coded targets in one picture."""
-        markers = find_markers(read_grey(path), dictionary_name)
-        # Two edges make a corner, each about as good as the centre that four of them make.
-        sigma = np.array([2.0 * np.hypot(*m.centre.sigma) / np.sqrt(2.0) for m in markers])
-        corner = np.array([[4 * m.identity + k for k in range(4)] for m in markers], dtype=np.int64).ravel()
-        pixels = np.array([m.corners for m in markers]).reshape(-1, 2)
-        return TargetView(
-            lens.of(read_facts(path)), corner, pixels, np.repeat(sigma, 4)[:, None].repeat(2, axis=1)
-        )
+        """Measure the corners of the coded targets in one picture, or take them from the cache."""
+
+        def make() -> Arrays:
+            """Find and measure them."""
+            markers = find_markers(read_grey(path), dictionary_name)
+            # Two edges make a corner, each about as good as the centre that four of them make.
+            sigma = np.array([2.0 * np.hypot(*m.centre.sigma) / np.sqrt(2.0) for m in markers])
+            corner = np.array([[4 * m.identity + k for k in range(4)] for m in markers], dtype=np.int64)
+            pixels = np.array([m.corners for m in markers]).reshape(-1, 2)
+            return {"corner": corner.ravel(), "pixels": pixels, "sigma": np.repeat(sigma, 4)}
+
+        facts = lens.of(read_facts(path))
+        key = combined_key(VERSION, "corners of coded targets", digest(path), dictionary_name)
+        found = cached(cache, key, ("corner", "pixels", "sigma"), make)
+        return TargetView(facts, found["corner"], found["pixels"], found["sigma"][:, None].repeat(2, axis=1))
 
     with progress("measuring the targets", len(paths)) as done:
         views, left_out = each_picture(paths, measure, done)
@@ -140,7 +154,9 @@ def measure_field(
     block = _block([view.some(corners) for view in used], corners, points, name)
     if distances is not None:
         block = replace(block, relations=read_relations(distances, "distance", names, "the pictures"))
+    block, rejected = without_gross_corners(block)
     block, record = _measured(block, used, left_out)
+    record["rejected"] = rejected
     # Sigmas from the residuals are not tested with them.
     block = replace(block, global_test=(0.95, "none"))
     given = {"dictionary": dictionary_name, "targets": targets, "distances": len(block.relations.values)}
@@ -196,7 +212,7 @@ def _measured(
 ) -> tuple[Block, dict[str, Any]]:
     """The block with the sigmas that its residuals tell, and what the record of both kinds says."""
     block, figures = with_common_sigma(block)
-    corners = np.bincount(block.observations.image)
+    corners = np.bincount(block.observations.image, minlength=len(views))
     images = [
         {"image": view.facts.name, "corners": int(n), "grey_value_sigma_px": float(view.sigma.mean())}
         for view, n in zip(views, corners, strict=True)
@@ -223,6 +239,24 @@ def plane_principal_distance(flat: Sequence[Floats], planes: Sequence[Floats]) -
     left = np.array(rows)
     inverse_square = float(left @ np.array(right) / max(left @ left, 1e-300))
     return 1 / np.sqrt(inverse_square) if inverse_square > 0 else None
+
+
+def without_gross_corners(block: Block) -> tuple[Block, list[dict[str, str]]]:
+    """Leave out corners that a neighbour covers or a plate's edge shifts, by data snooping.
+
+    Nobody knows the sigmas yet: Pope's tau goes by those that the residuals tell.
+    """
+    level = np.sqrt((block.observations.sigma**2).mean())
+    seen = block.observations
+    equal = replace(block, observations=replace(seen, sigma=np.full_like(seen.sigma, level)))
+    assembly = assemble(equal)
+    accepted = assembly.rays[snoop(assembly.network, "tau").accepted]
+    out = np.setdiff1d(np.arange(len(seen.image)), accepted)
+    names = [
+        {"image": block.images.names[seen.image[row]], "point": block.points.names[seen.point[row]]}
+        for row in out
+    ]
+    return replace(block, observations=seen.rows(np.sort(accepted))), names
 
 
 def with_common_sigma(block: Block) -> tuple[Block, dict[str, Any]]:

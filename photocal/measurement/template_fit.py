@@ -62,15 +62,24 @@ class Fit:
 
 
 def cut_window(grey: Grey, centre: tuple[float, float], radius: float) -> Window | None:
-    """Cut a round window out of an image."""
+    """Cut a round window out of an image; None where it leaves the image."""
     if not (np.isfinite(centre[0]) and np.isfinite(centre[1])):
         return None
     column, row, reach = round(centre[0]), round(centre[1]), int(np.ceil(radius))
     height, width = grey.shape
     if column - reach < 0 or row - reach < 0 or column + reach >= width or row + reach >= height:
         return None
-    part = grey[row - reach : row + reach + 1, column - reach : column + reach + 1]
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(float)
+    return cut_part(grey, centre, radius)
+
+
+def cut_part(grey: Grey, centre: tuple[float, float], radius: float) -> Window:
+    """Cut what lies in the image of a round window; the centre lies in it."""
+    column, row, reach = round(centre[0]), round(centre[1]), int(np.ceil(radius))
+    height, width = grey.shape
+    left, right = max(column - reach, 0), min(column + reach + 1, width)
+    top, bottom = max(row - reach, 0), min(row + reach + 1, height)
+    part = grey[top:bottom, left:right]
+    y, x = np.mgrid[top - row : bottom - row, left - column : right - column].astype(float)
     inside = np.hypot(x - (centre[0] - column), y - (centre[1] - row)) <= radius
     return Window((column, row), x[inside], y[inside], part[inside].astype(float))
 

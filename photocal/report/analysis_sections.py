@@ -278,21 +278,31 @@ def published(sets: Iterable[PublishedSet], threshold: float, say: Catalogue) ->
     """Tests, strong correlations and principal components of published sets."""
     sections = []
     for one in sets:
-        tables = [_tests(one.tests, {}, say)] if one.tests else []
+        tables: list[Piece] = [_tests(one.tests, {}, say)] if one.tests else []
         tables += _correlations(one.correlations, threshold, say)
         if one.components is not None:
-            tables.append(_loadings(one.components, say))
+            tables.append(_loadings(one, one.components, say))
+        remarks = [*(one.removal.remarks if one.removal else ()), *([one.one_angle] if one.one_angle else [])]
+        if remarks:
+            tables.append(Paragraph(" ".join(finding_text(remark, say) for remark in remarks)))
+        test = one.global_test
+        if test is not None:
+            figures = {"chi_squared": test.chi_squared, "critical": test.critical}
+            verdict = "accepted" if test.accepted else "rejected"
+            tables.append(Paragraph(say(f"published.global_{verdict}", **figures)))
         sections.append(Section(say("published.set", name=one.name) if one.name else "", tuple(tables)))
     return sections
 
 
-def _loadings(components: Components, say: Catalogue) -> TablePart:
-    """Eigenvalues, their shares, and the correlation of each parameter with each component (MCCP)."""
+def _loadings(one: PublishedSet, components: Components, say: Catalogue) -> TablePart:
+    """Eigenvalues, their shares, values, and the correlation of each parameter with each component (MCCP)."""
+    values = one.component_values
     heads = (Column("", align="left"), *(Column(f"Y{k + 1}") for k in range(len(components.names))))
     rows = (
         (say("published.eigenvalue"), components.eigenvalues, 4),
         (say("published.percent"), components.percent, 2),
         (say("published.cumulative"), components.cumulative_percent, 2),
+        *(() if values is None else ((say("published.value"), values, 2),)),
         *((symbol(name), row, 2) for name, row in zip(components.names, components.loadings, strict=True)),
     )
     texts = tuple((label, *(say.fixed(v, digits) for v in values)) for label, values, digits in rows)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from tests.docs import api_page, architecture_figure, command_pages, fault_page, picture_page
+from tests.docs import api_page, architecture_figure, command_pages, fault_page, picture_page, study_pages
 
 command_pages.main()
 architecture_figure.main()
 fault_page.main()
 picture_page.main()
 api_page.main()
+study_pages.main()

@@ -41,6 +41,7 @@ MORE = {
     "photocal plan": ("guide/planning",),
     "photocal ppk": ("guide/processing",),
     "photocal targets": ("guide/planning",),
+    "photocal study": ("studies/README",),
     "photocal survey": ("exposures",),
     "photocal localise": ("exposures",),
     "photocal run": ("project-file", "guide/processing", "guide/warnings"),

@@ -1,8 +1,8 @@
 """Long study: seven flights of one camera, and an eighth after its lens was touched.
 
 Writes `docs/evidence/campaign.md`. The design of the study of seven calibrations of one camera
-(configs/studies/canon-elph.toml), each used in the others, with simulated flights whose truth is known: one
-vehicle over one field, other days; processed from raw GNSS, telemetry and image observations, then
+(configs/studies/canon-elph/calibrations.toml), each used in the others, with simulated flights whose truth is
+known: one vehicle over one field, other days; processed from raw GNSS, telemetry and image observations, then
 `photocal compare --exchange`.
 
 Run: `make evidence`, or `python -m tests.evidence.campaign`.

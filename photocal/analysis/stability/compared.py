@@ -16,7 +16,9 @@ from photocal.analysis.stability.comparison import (
     likeness,
     sentences,
 )
+from photocal.analysis.stability.joint import JointComparison, joint_comparison, joint_text
 from photocal.analysis.stability.methods import methods, sensor_grid
+from photocal.base import policy
 from photocal.base.arrays import as_plain
 
 SCHEMA = "photocal.comparison/1"
@@ -36,20 +38,26 @@ class Compared:
         Misclosure, zero rotation, rotation and single photo resection of each pair, px.
     followed
         Published figures, and whether these follow them.
+    joint
+        Every pair, and all, tested for equality of their parameters as vectors.
     """
 
     asked: CameraFile
     points: int
     pairs: tuple[CalibrationPair, ...]
     followed: tuple[Followed, ...]
+    joint: JointComparison
 
     def figures(self) -> dict[str, Any]:
         """Give all figures as a JSON value."""
-        return _figures(self.asked, self.points, self.pairs, self.followed)
+        made = _figures(self.asked, self.points, self.pairs, self.followed)
+        return made | {"joint": as_plain(self.joint)}
 
     def __str__(self) -> str:
         """Say it for people: a matrix for each method, then what differs."""
-        return _text(self.asked, self.pairs, self.followed)
+        level = 1.0 - policy.CONFIDENCE
+        told = (_text(self.asked, self.pairs, self.followed), joint_text(self.joint, level))
+        return "\n\n".join(filter(None, told))
 
 
 def compare_cameras(asked: CameraFile, done: Callable[[], None] = lambda: None) -> Compared:
@@ -76,7 +84,8 @@ def compare_cameras(asked: CameraFile, done: Callable[[], None] = lambda: None) 
     pixels = sensor_grid(asked.calibrations[0].size_px, how.grid_step_px)
     chosen = methods(len(pixels), how.terrain, how.terrains_each, how.seed)
     pairs = compare(asked.calibrations, pixels, chosen, np.random.default_rng(how.seed), done=done)
-    return Compared(asked, len(pixels), pairs, follow(asked.published, pairs))
+    joint = joint_comparison(asked.calibrations, pixels)
+    return Compared(asked, len(pixels), pairs, follow(asked.published, pairs), joint)
 
 
 def _figures(

@@ -191,3 +191,15 @@ def _factor(fitted: AdjustedNetwork) -> float:
 
 def _honest(fitted: AdjustedNetwork, camera: int) -> Estimates:
     return scaled(camera_estimates(fitted, camera), _factor(fitted))
+
+
+def one_angle_photos(fitted: AdjustedNetwork) -> list[Finding]:
+    """Name the photos whose omega and kappa are one angle, because phi is near 90 degrees."""
+    # The third row of a rotation begins with the sine of phi.
+    steep = np.abs(fitted.state.rotation[:, 2, 0])
+    at = np.flatnonzero(steep > policy.ONE_ANGLE)
+    if not len(at):
+        return []
+    names = tuple(fitted.network.image_names[k] for k in at)
+    apart = float(np.degrees(np.arccos(steep[at].max())))
+    return [Finding("one-angle-photos", "note", ", ".join(names), {"images": names, "apart_deg": apart})]

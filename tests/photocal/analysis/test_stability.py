@@ -33,7 +33,7 @@ from photocal.geometry.distortion import distorted
 from photocal.geometry.rotation import matrix_from_angles
 
 Rows = list[dict[str, str]]
-STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph.toml"
+STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph/calibrations.toml"
 
 
 @pytest.fixture(scope="module")

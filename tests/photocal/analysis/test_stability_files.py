@@ -24,7 +24,7 @@ from photocal.base.errors import (
 from photocal.cli import app
 from photocal.geometry.camera import camera
 
-STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph.toml"
+STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph/calibrations.toml"
 GRID = sensor_grid((4000, 3000), 250.0)
 CHOSEN = methods(len(GRID), (ResectionGround(height_m=250.0, relief_m=100.0),), 2, 5)
 ENTRY = '[[camera]]\nid = "{}"\nmodel = "brown-observed"\nunit = "px"\nsize_px = [400, 300]\n'

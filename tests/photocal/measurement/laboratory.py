@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,20 +80,37 @@ def tapes(lab: Laboratory, rng: np.random.Generator) -> list[tuple[str, str, flo
     ]
 
 
-def picture(lab: Laboratory, k: int, rng: np.random.Generator, over: int = 3) -> NDArray[np.uint8]:
-    """Trace the rays of every pixel back to the targets' planes; blur and noise as of a camera."""
+def picture(
+    lab: Laboratory,
+    k: int,
+    rng: np.random.Generator,
+    over: int = 3,
+    covered: Sequence[int] = (),
+    margin: float = 0.3,
+) -> NDArray[np.uint8]:
+    """Trace the rays of every pixel back to the targets' planes; blur and noise as of a camera.
+
+    covered: targets over one corner of which a plate lies, on a quarter of two sides.
+    margin: of a target's side, between it and the picture's border; nearer ones are not there.
+    """
     width, height = SIZE
     sheet = _sheets()
     fine = np.full((height * over, width * over), LIGHT, dtype=np.float32)
+    plates: list[list[Floats]] = []
     for code, corners in enumerate(lab.corners):
         q = (corners - lab.centre[k]) @ lab.rotation[k].T
         if (q[:, 2] > -0.3).any():
             continue
         seen = plane_to_pixel(SIZE, (1.0, 1.0), projected(lab.lens, q))
         side = np.linalg.norm(np.roll(seen, -1, axis=0) - seen, axis=1).max()
-        low, high = seen.min(axis=0) - 0.3 * side, seen.max(axis=0) + 0.3 * side
-        if (low < 2).any() or (high > np.array(SIZE) - 3).any():
+        apart = margin * side
+        if (seen - apart < 2).any() or (seen + apart > np.array(SIZE) - 3).any():
             continue
+        low = np.maximum(seen.min(axis=0) - 0.3 * side, 0.0)
+        high = np.minimum(seen.max(axis=0) + 0.3 * side, np.array(SIZE) - 1.0)
+        if code in covered:
+            at, before, after = seen[0], seen[3] - seen[0], seen[1] - seen[0]
+            plates.append([at + 0.25 * before, at - 0.2 * (before + after), at + 0.25 * after])
         # Where the rays meet the sheet, every fourth pixel, linear between: to some thousandths of one.
         first = np.floor(low).astype(int)
         count = np.ceil((high - first) / _STEP).astype(int)
@@ -117,6 +135,9 @@ def picture(lab: Laboratory, k: int, rng: np.random.Generator, over: int = 3) ->
         rows = slice(first[1] * over, (first[1] + tall) * over)
         columns = slice(first[0] * over, (first[0] + wide) * over)
         fine[rows, columns] = np.minimum(fine[rows, columns], grey[: tall * over, : wide * over])
+    for plate in plates:
+        outline = np.round((np.array(plate) + 0.5) * over - 0.5).astype(np.int32)
+        cv2.fillPoly(fine, [outline], (LIGHT,))
     blurred = np.asarray(cv2.GaussianBlur(fine, (0, 0), 0.7 * over), dtype=np.float64)
     coarse = blurred.reshape(height, over, width, over).mean(axis=(1, 3))
     noisy = coarse + rng.normal(0.0, 2.0, coarse.shape)

@@ -1,0 +1,174 @@
+"""One test that two calibrations are equal as parameter vectors, with their full covariances; and of many."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import chi2
+
+from photocal.analysis.estimates import estimates_of
+from photocal.analysis.stability import methods
+from photocal.analysis.stability.methods import IdealImage, Method
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.geometry.camera import PARAMETERS, Camera
+
+# What moves the image by less than this with one standard deviation, px rms, is no difference in the image.
+_NOTHING_PX = 0.02
+
+
+@dataclass(frozen=True)
+class ChiSquared:
+    """A statistic against its distribution.
+
+    p_value: probability of so large a statistic when all are the same camera.
+    """
+
+    chi_squared: float
+    degrees_of_freedom: int
+    p_value: float
+
+
+@dataclass(frozen=True)
+class JointTest:
+    """Whether two calibrations are equal, all parameters in one test.
+
+    parameters: estimated in one of both, or both.
+    vector: of the differences of the parameters, d' (S1 + S2)^-1 d.
+    image: the same of what they do in the image when the exterior orientation may turn the bundle back; only
+        combinations that then move it count, as difference and as degree of freedom. None where the bundles
+        cannot be compared.
+    rms_px: what the difference does there, root mean square, px.
+    """
+
+    first: str
+    second: str
+    parameters: tuple[str, ...]
+    vector: ChiSquared
+    image: ChiSquared | None
+    rms_px: float | None
+
+
+@dataclass(frozen=True)
+class JointComparison:
+    """Tests of every pair, and of all calibrations together.
+
+    together: of the deviations from the mean vector, sum of (x - mean)' S^-1 (x - mean); None for two.
+    """
+
+    pairs: tuple[JointTest, ...]
+    together: ChiSquared | None
+
+
+def joint_comparison(calibrations: Sequence[Camera], pixels: Floats) -> JointComparison:
+    """Test every pair of calibrations, and all of them, for equality of their parameters.
+
+    calibrations: independent of each other; those without standard deviations are left out.
+    pixels (n, 2): column and row, px.
+    """
+    known = [camera for camera in calibrations if estimates_of(camera) is not None]
+    pairs = tuple(_joint(a, b, pixels) for a, b in combinations(known, 2))
+    return JointComparison(pairs, _together(known) if len(known) > 2 else None)
+
+
+def _names(cameras: Sequence[Camera]) -> tuple[str, ...]:
+    return tuple(name for name in PARAMETERS if any(camera.sigma_of(name) > 0.0 for camera in cameras))
+
+
+def _covariance(camera: Camera, names: Sequence[str]) -> Floats:
+    """Covariance of parameters; of printed correlations the nearest that is none is made one."""
+    sigma = np.array([camera.sigma_of(name) for name in names])
+    eigenvalues, vectors = np.linalg.eigh(camera.correlation_of(names))
+    correlation = (vectors * np.maximum(eigenvalues, 1e-9)) @ vectors.T
+    return np.asarray(correlation * np.outer(sigma, sigma))
+
+
+def _joint(first: Camera, second: Camera, pixels: Floats) -> JointTest:
+    names = _names((first, second))
+    d = np.array([second.value(name) - first.value(name) for name in names])
+    both = _covariance(first, names) + _covariance(second, names)
+    scale = np.sqrt(np.diag(both))
+    root = np.linalg.cholesky(both / np.outer(scale, scale))
+    z = np.linalg.solve(root, d / scale)
+    vector = _against(float(z @ z), len(names))
+    image, rms_px = _in_image(first, second, names, scale[:, None] * root, z, pixels)
+    return JointTest(first.id, second.id, names, vector, image, rms_px)
+
+
+def _in_image(
+    first: Camera, second: Camera, names: Sequence[str], factor: Floats, z: Floats, pixels: Floats
+) -> tuple[ChiSquared | None, float | None]:
+    """Test what independent unit differences z do in the image beyond a rotation of the bundle."""
+    values = dict(zip(PARAMETERS, (first.values + second.values) / 2.0, strict=True))
+    middle = first.changed(**values)
+    rotation = Method("ROT", "two principal distances", "equations", 3, False, (methods.rotation_misfit,))
+    try:
+        here = methods.view(middle, pixels)
+        _, design = methods.fitted_pose(rotation, methods.rotation_misfit, here, here)
+        moved = np.array([_moved(middle, here, names, step, pixels) for step in factor.T])
+    except (IllPosedError, NotConvergedError):
+        return None, None
+    basis, _ = np.linalg.qr(design)
+    left = moved - (moved @ basis) @ basis.T
+    directions, strength, _ = np.linalg.svd(left, full_matrices=False)
+    rank = int(np.sum(strength / np.sqrt(len(pixels)) > _NOTHING_PX))
+    rms_px = float(np.linalg.norm(z @ left) / np.sqrt(len(pixels)))
+    return _against(float(np.sum((directions[:, :rank].T @ z) ** 2)), rank), rms_px
+
+
+def _moved(camera: Camera, here: IdealImage, names: Sequence[str], step: Floats, pixels: Floats) -> Floats:
+    """Change of the bundle, (2 n,) px, with a step of the parameters."""
+    sides = []
+    for sign in (1.0, -1.0):
+        values = {name: camera.value(name) + sign * by for name, by in zip(names, step.tolist(), strict=True)}
+        sides.append(
+            methods.rotation_misfit(here, methods.view(camera.changed(**values), pixels), np.zeros(3))
+        )
+    return np.asarray((sides[0] - sides[1]).ravel() / 2.0)
+
+
+def _together(cameras: Sequence[Camera]) -> ChiSquared | None:
+    """Test the deviations of all calibrations from their mean vector."""
+    names = tuple(n for n in PARAMETERS if all(camera.sigma_of(n) > 0.0 for camera in cameras))
+    if not names:
+        return None
+    scale = np.array([cameras[0].sigma_of(name) for name in names])
+    vectors = [np.array([camera.value(name) for name in names]) / scale for camera in cameras]
+    weights = [np.linalg.inv(_covariance(camera, names) / np.outer(scale, scale)) for camera in cameras]
+    right = sum((w @ x for w, x in zip(weights, vectors, strict=True)), np.zeros(len(names)))
+    mean = np.linalg.solve(sum(weights, np.zeros_like(weights[0])), right)
+    total = sum(float((x - mean) @ w @ (x - mean)) for w, x in zip(weights, vectors, strict=True))
+    return _against(total, (len(cameras) - 1) * len(names))
+
+
+def _against(statistic: float, freedom: int) -> ChiSquared:
+    return ChiSquared(statistic, freedom, float(chi2.sf(statistic, freedom)))
+
+
+def joint_text(joint: JointComparison, level: float) -> str:
+    """Write the tests for people; those whose probability is below the level are marked."""
+    from photocal.findings.document import Section, table, text
+
+    rows = []
+    for one in joint.pairs:
+        moved = "-" if one.rms_px is None else f"{one.rms_px:.2f}"
+        pair = f"{one.first}-{one.second}"
+        rows.append((pair, *_cells(one.vector, level), *_cells(one.image, level), moved))
+    heads = ("", "chi2", "of", "p", "in the image", "of", "p", "px")
+    note = (
+        "left: the parameters as one vector; right: what they do in the image when the bundle may turn, and "
+    )
+    note += "its root mean square; * not the same camera"
+    made = [text([Section("", (table("equal as parameter vectors", heads, rows, note),))])] if rows else []
+    if joint.together is not None:
+        chi, of, p = _cells(joint.together, level)
+        made.append(f"all calibrations as one: chi2 {chi} of {of}, p {p}")
+    return "\n".join(made)
+
+
+def _cells(test: ChiSquared | None, level: float) -> tuple[str, str, str]:
+    if test is None:
+        return ("-", "", "")
+    mark = "*" if test.p_value < level else " "
+    return f"{test.chi_squared:.1f}", str(test.degrees_of_freedom), f"{test.p_value:.3g}{mark}"

@@ -1,0 +1,244 @@
+"""Printed figures against ours, one by one."""
+
+import csv
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from photocal.base.errors import ConfigurationError, InputNotFoundError
+from photocal.studies.study import Apart, Figure, PrintedTable, Study
+
+RESULTS = "results"
+SCHEMA = "photocal.study/1"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One printed figure.
+
+    ours: None where no command gives it.
+    agrees: within what rounding allows, or the same word.
+    why: why it need not agree; empty where it should.
+    """
+
+    table: str
+    label: str
+    column: str
+    printed: str
+    ours: float | str | None
+    agrees: bool
+    why: str
+
+
+@dataclass(frozen=True)
+class ComparedTable:
+    """All figures of one printed table."""
+
+    printed: PrintedTable
+    figures: tuple[Compared, ...]
+
+    @property
+    def agreeing(self) -> int:
+        """How many agree."""
+        return sum(figure.agrees for figure in self.figures)
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """A study, repeated."""
+
+    study: Study
+    tables: tuple[ComparedTable, ...]
+
+    @property
+    def figures(self) -> tuple[Compared, ...]:
+        """All figures of all tables."""
+        return tuple(figure for table in self.tables for figure in table.figures)
+
+    @property
+    def printed(self) -> tuple[int, int]:
+        """How many printed figures agree, and of how many."""
+        tables = [table for table in self.tables if not table.printed.recomputed]
+        return sum(table.agreeing for table in tables), sum(len(table.figures) for table in tables)
+
+    @property
+    def unexplained(self) -> tuple[Compared, ...]:
+        """Figures that differ without a known reason."""
+        return tuple(figure for figure in self.figures if not figure.agrees and not figure.why)
+
+
+def compare_study(study: Study, folder: Path) -> Repeated:
+    """Compare the printed tables of a study with the answers of its commands in a folder.
+
+    raises InputNotFoundError, ConfigurationError: for an answer or a figure that is not there.
+    """
+    read = cache(lambda name: _answer(folder, name))
+    return Repeated(study, tuple(_table(table, folder, read) for table in study.table))
+
+
+def _table(table: PrintedTable, folder: Path, read: Any) -> ComparedTable:
+    path = folder / table.printed
+    if not path.is_file():
+        raise InputNotFoundError("does not exist", "the study needs it", where=path)
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = [row for row in csv.DictReader(stream) if _chosen(row, table.rows)]
+    figures = []
+    for number, row in enumerate(rows):
+        label = " ".join(row[name] for name in table.label)
+        named = {column: table.names.get(word, word) for column, word in row.items()}
+        for figure in table.figure:
+            printed = row[figure.column]
+            if printed == "":
+                continue
+            ours = _ours(read(figure.answer or table.answer), figure, named | {"row": str(number)}, path)
+            agrees = _agree(printed, ours, figure, row)
+            why = "" if agrees else _why(table.apart, figure.column, row)
+            figures.append(Compared(table.title, label, figure.column, printed, ours, agrees, why))
+    return ComparedTable(table, tuple(figures))
+
+
+def _chosen(row: dict[str, str], wanted: dict[str, tuple[str, ...]]) -> bool:
+    return all(row[name] in words for name, words in wanted.items())
+
+
+def _why(apart: Iterable[Apart], column: str, row: dict[str, str]) -> str:
+    fitting = (one for one in apart if one.column in ("", column) and _chosen(row, one.where))
+    return next((one.why for one in fitting), "")
+
+
+def _answer(folder: Path, name: str) -> Any:
+    """Read what a command answered, or a table or JSON file that it wrote."""
+    path = folder / name if "." in name else folder / RESULTS / f"{name}.json"
+    if not path.is_file():
+        raise InputNotFoundError("does not exist", "run the commands of the study first", where=path)
+    if path.suffix == ".parquet":
+        return _covariances(path)
+    text = path.read_text(encoding="utf-8")
+    return list(csv.DictReader(text.splitlines())) if path.suffix == ".csv" else json.loads(text)
+
+
+def _covariances(path: Path) -> dict[str, dict[str, dict[str, float]]]:
+    """Read covariance.parquet of a run: by kind, by name, by both parameters with a blank between."""
+    import pyarrow.parquet as pq
+
+    kinds: dict[str, dict[str, dict[str, float]]] = {}
+    for row in pq.read_table(path).to_pylist():
+        names = row["names"]
+        pairs = [(a, b) for i, a in enumerate(names) for b in names[: i + 1]]
+        entries = zip(pairs, row["lower"], strict=True)
+        both = {f"{a} {b}": value for pair, value in entries for a, b in (pair, pair[::-1])}
+        kinds.setdefault(row["kind"], {})[row["id"]] = both
+    return kinds
+
+
+def _ours(answer: Any, figure: Figure, row: dict[str, str], path: Path) -> float | str | None:
+    found = answer
+    for part in figure.ours.split("/"):
+        key = part.format_map(row)
+        try:
+            found = _step(found, key)
+        except (KeyError, IndexError, ValueError, StopIteration, TypeError):
+            raise ConfigurationError(
+                f"the answer has no {figure.ours.format_map(row)}", f"there is none at {key}", where=path
+            ) from None
+    if found is None or isinstance(found, bool):
+        return None if found is None else str(found).lower()
+    try:
+        value = figure.times * float(found)
+    except ValueError:
+        return str(found)
+    return abs(value) if figure.absolute else value
+
+
+def _step(found: Any, key: str) -> Any:
+    """Go one part of the way; a list is entered by a number, or by what its object or row says."""
+    if not isinstance(found, list):
+        return found[key]
+    if "=" not in key:
+        return found[int(key)]
+    wanted = dict(pair.split("=", 1) for pair in key.split(","))
+    return next(one for one in found if all(_said(one[name]) == word for name, word in wanted.items()))
+
+
+def _said(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _agree(printed: str, ours: float | str | None, figure: Figure, row: dict[str, str]) -> bool:
+    if printed in figure.words:
+        meant = figure.words[printed]
+        return ours == (str(meant).lower() if isinstance(meant, bool) else meant or None)
+    if isinstance(ours, str) or ours is None:
+        return printed == ours
+    value = abs(_number(printed)) if figure.absolute else _number(printed)
+    allowed = max(figure.within, abs(value) * figure.percent / 100.0)
+    if figure.within_column:
+        allowed = figure.share * _number(row[figure.within_column])
+    apart = ours - value
+    if figure.period:
+        apart = math.remainder(apart, figure.period)
+    # What stands at the edge of its rounding is within it.
+    return math.isfinite(ours) and abs(apart) <= allowed * (1.0 + 1e-9)
+
+
+def _number(printed: str) -> float:
+    """Read a printed number, also a fraction such as 3/5."""
+    over, _, under = printed.partition("/")
+    return float(over) / float(under or 1)
+
+
+def as_record(repeated: Repeated) -> dict[str, Any]:
+    """Give a comparison as plain values, ready for JSON."""
+    return {
+        "schema": SCHEMA,
+        "title": repeated.study.title,
+        "year": repeated.study.year,
+        "agreeing": repeated.printed[0],
+        "figures": repeated.printed[1],
+        "unexplained": len(repeated.unexplained),
+        "tables": [
+            {
+                "title": table.printed.title,
+                "printed": table.printed.printed,
+                "recomputed": table.printed.recomputed,
+                "agreeing": table.agreeing,
+                "figures": [
+                    {key: value for key, value in vars(figure).items() if key != "table"}
+                    for figure in table.figures
+                ],
+            }
+            for table in repeated.tables
+        ],
+    }
+
+
+def as_text(repeated: Repeated) -> str:
+    """Write a comparison for people: each table in a line, and below it what does not agree."""
+    lines = [f"{repeated.study.title} ({repeated.study.year})"]
+    for table in repeated.tables:
+        lines.append(f"  {table.printed.title}: {table.agreeing} of {len(table.figures)} agree")
+        differing = [figure for figure in table.figures if not figure.agrees]
+        lines += [f"    {line}" for line in grouped(differing)]
+    lines.append("{} of {} printed figures agree".format(*repeated.printed))
+    return "\n".join(lines)
+
+
+def grouped(figures: Iterable[Compared]) -> list[str]:
+    """Name the differing figures, those of one reason in one line."""
+    by_reason: dict[str, list[str]] = {}
+    for one in figures:
+        said = f"{one.label} {one.column} {one.printed} (ours {shown(one.ours)})"
+        by_reason.setdefault(one.why or "without a known reason", []).append(said)
+    return [
+        f"{why}: {'; '.join(said[:6])}" + (f" and {len(said) - 6} more" if len(said) > 6 else "")
+        for why, said in by_reason.items()
+    ]
+
+
+def shown(ours: float | str | None) -> str:
+    """Write a figure of ours."""
+    return "none" if ours is None else ours if isinstance(ours, str) else f"{ours:.6g}"

@@ -1,0 +1,68 @@
+"""Two calibrations equal as parameter vectors: the level is kept, a difference is found, the study's sets differ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from photocal.analysis.stability.camera_file import read_camera_file
+from photocal.analysis.stability.joint import joint_comparison, joint_text
+from photocal.analysis.stability.methods import sensor_grid
+from photocal.geometry.camera import PARAMETERS, Camera
+
+STUDY = Path(__file__).parents[3] / "configs/studies/canon-elph/calibrations.toml"
+SETS = read_camera_file(STUDY).calibrations
+GRID = sensor_grid(SETS[0].size_px, 400.0)
+NAMES = tuple(name for name in PARAMETERS if SETS[1].sigma_of(name) > 0.0)
+
+
+def drawn(random: np.random.Generator, name: str) -> Camera:
+    """Set 2 as another calibration of the same camera would find it."""
+    camera = SETS[1]
+    step = random.multivariate_normal(np.zeros(len(NAMES)), camera.covariance_of(NAMES), method="eigh")
+    values = {n: camera.value(n) + float(by) for n, by in zip(NAMES, step, strict=True)}
+    return replace(camera.changed(**values), id=name)
+
+
+def test_calibrations_of_one_camera_are_refused_as_often_as_the_level_says() -> None:
+    random = np.random.default_rng(11)
+    tests = [joint_comparison((drawn(random, "a"), drawn(random, "b")), GRID).pairs[0] for _ in range(150)]
+    for kind in ("vector", "image"):
+        refused = sum(getattr(test, kind).p_value < 0.05 for test in tests)
+        # Of 150 binomial cases with 5 %, 99.9 % lie within these.
+        assert 1 <= refused <= 18, kind
+
+
+def test_the_statistic_is_that_of_the_textbook() -> None:
+    (pair,) = joint_comparison(SETS[1:3], GRID).pairs
+    a, b = SETS[1:3]
+    d = np.array([b.value(name) - a.value(name) for name in NAMES])
+    expected = d @ np.linalg.inv(a.covariance_of(NAMES) + b.covariance_of(NAMES)) @ d
+    assert pair.parameters == NAMES
+    assert pair.vector.chi_squared == pytest.approx(expected, rel=1e-6)
+    assert pair.vector.degrees_of_freedom == 10
+
+
+def test_sets_of_the_study_are_not_one_camera_but_for_the_first_two() -> None:
+    """The study had no such test: sets 1 and 2 were taken the same day without moving the lens."""
+    joint = joint_comparison(SETS, GRID)
+    equal = {(pair.first, pair.second) for pair in joint.pairs if pair.vector.p_value > 0.05}
+    assert equal == {("1", "2")}
+    assert joint.together is not None
+    assert joint.together.degrees_of_freedom == 60
+    assert joint.together.p_value < 1e-6
+    assert "all calibrations as one: chi2" in joint_text(joint, 0.05)
+
+
+def test_what_no_picture_shows_counts_as_vector_only() -> None:
+    """K3 and K2 that change together within a hundredth of a pixel."""
+    camera = SETS[1]
+    sharp = replace(camera, sigma=np.where(camera.sigma > 0, camera.sigma * 1e-3, 0.0))  # type: ignore[operator]
+    other = replace(sharp.changed(c=sharp.value("c") + 6.0 * sharp.sigma_of("c")), id="b")
+    (pair,) = joint_comparison((sharp, other), GRID).pairs
+    assert pair.vector.p_value < 0.01
+    assert pair.image is not None
+    assert pair.image.degrees_of_freedom == 0
