@@ -23,6 +23,8 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError, readin
 
 # What is unpacked or read at once; chunks of our own and of other programs have one to some megabytes.
 LONGEST_CHUNK, LONGEST_RECORD = 64 << 20, 256 << 20
+# How a record that is damaged shows.
+_UNREADABLE = (struct.error, EndOfFile, LookupError, ValueError, OverflowError)
 
 
 @dataclass(frozen=True)
@@ -68,28 +70,36 @@ class LogReader:
     ) -> Iterator[list[LoggedMessages]]:
         """Yield the messages of each whole chunk, channel by channel.
 
+        A log without its end may end in what a power cut has torn: it is read up to there.
+
         raises InputNotFoundError: when the file is missing, empty or a folder.
         raises InputMalformedError: when it is no MCAP file or a chunk in it is damaged.
         """
+        torn: InputMalformedError | None = None
+        whole = False
         for opcode, body in self._records():
             try:
                 messages = self._take(opcode, body)
-            except InputMalformedError as refusal:
-                if damaged is None:
-                    raise
-                damaged(refusal)
+            except (InputMalformedError, *_UNREADABLE) as damage:
+                torn = torn or self._refusal(damage)
+                if damaged is not None:
+                    damaged(self._refusal(damage))
                 continue
-            except (struct.error, EndOfFile, LookupError, ValueError, OverflowError) as damage:
-                reason = printable(str(damage)) or "it ends early"
-                unreadable = InputMalformedError(
-                    f"a record cannot be read ({reason})", "run acquire recover", where=self.path
-                )
-                if damaged is None:
-                    raise unreadable from damage
-                damaged(unreadable)
-                continue
+            if torn is not None and damaged is None and (messages is not None or self.complete):
+                raise torn
             if messages is not None:
+                whole = True
                 yield messages
+        if torn is not None and damaged is None and not whole:
+            raise torn
+
+    def _refusal(self, damage: Exception) -> InputMalformedError:
+        if isinstance(damage, InputMalformedError):
+            return damage
+        reason = printable(str(damage)) or "it ends early"
+        return InputMalformedError(
+            f"a record cannot be read ({reason})", "run acquire recover", where=self.path
+        )
 
     def _take(self, opcode: int, body: bytes) -> list[LoggedMessages] | None:
         stream = ReadDataStream(io.BytesIO(body))

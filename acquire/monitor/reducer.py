@@ -28,7 +28,7 @@ from photocal.base.geodesy import geodetic
 
 # Critical, as a failsafe is, and error, as MAVLink counts severity from the worst.
 _CRITICAL, _SEVERE = 2, 3
-_LEVELS = {"lost": "bad", "silent": "bad", "disk_full": "bad", "disk_low": "bad", "clock_jump": "bad"}
+_LEVELS = dict.fromkeys(("lost", "silent", "disk_full", "disk_low", "disk_slow", "clock_jump"), "bad")
 _LEVELS |= {"file_gone": "bad", "source_changed": "warn", "device": "warn", "flood": "warn"}
 _TEXTS = {"link", "edge", "fix", "kind", "text"}
 _TROUBLE = {"lost", "silent"}

@@ -22,7 +22,7 @@ ALARM = JsonLayout(
     {
         "kind": words(
             "lost, back, source_changed, clock_jump, silent, heard_again, flood, disk_low, disk_full, "
-            "file_gone, device or note"
+            "disk_slow, file_gone, device or note"
         ),
         "link": words("link that is concerned; empty when none is"),
         "text": words("what happened"),

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, AliasChoices, BeforeValidator, ConfigDict, Field, model_validator
 
 from drivers.protocols import link_protocols
 from photocal.base.checked_toml import Table, read_toml
@@ -16,11 +16,20 @@ Longitude = Annotated[float, Field(ge=-180, le=180)]
 Height = Annotated[float, Field(ge=-1000, le=20_000)]
 
 
+def _several(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
 class Recording(Table):
-    """Where the log goes, how often it is made safe, and when the next file begins (0: never)."""
+    """Where the log goes, how often it is made safe, and when the next file begins (0: never).
+
+    fallback: another word for `spare`, a folder or several.
+    """
 
     output: Path
-    spare: tuple[Path, ...] = ()
+    spare: Annotated[tuple[Path, ...], BeforeValidator(_several)] = Field(
+        default=(), validation_alias=AliasChoices("spare", "fallback")
+    )
     flush_s: Annotated[float, Field(gt=0, le=1)] = 0.5
     rotate_mb: Annotated[float, Field(ge=0)] = 0.0
     rotate_min: Annotated[float, Field(ge=0)] = 0.0

@@ -1,145 +1,37 @@
-"""The files of a recording: one after the other, and on to the next place when a disk is full."""
+"""The files of a recording: one after the other, in the next place when a disk is full, fails or hangs."""
 
 import contextlib
-import datetime as dt
 import errno
 import io
-import itertools
 import math
-import os
-import shutil
-import sys
 import time
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 
 from acquire.log import records
+from acquire.log.chunk import OpenChunk, SealedChunk
 from acquire.log.records import Channel
 from acquire.log.writer import LogWriter
+from acquire.recording.log_file import OpenFile, WholeWrites, discard, in_background, new_file, new_log
+from acquire.recording.worth import SHARE, worth
 from photocal.base.arrays import Integers
 from photocal.base.errors import OutputError
-from photocal.base.operating_system import sync_folder
+from photocal.base.operating_system import available_memory
 
-# What is held in memory while no disk takes anything, and how often it is tried again.
+# What is held in memory while no disk takes anything (no more than a quarter of what is free), and how often
+# it is tried again.
 HELD_BYTES = 256 << 20
 TRY_AGAIN_S = 5.0
+# A flush that takes longer than this is told; after the second time recording goes on in the next folder.
+SLOW_S, HUNG_S, SLOW_TOLD_S = 1.0, 8.0, 10.0
+# How long a stop waits for a disk, and for one that was left because it fails or hangs.
+LAST_FLUSH_S, GIVE_UP_S = 60.0, 1.0
 
 # Kind (see `acquire.recording.alarms`) and words of what had to be done.
 Notice = tuple[str, str]
-
-
-class WholeWrites(io.RawIOBase):
-    """A file whose writes are complete or fail; after a failure it ends where the last complete one ended.
-
-    file: where the bytes go, unbuffered.
-    """
-
-    def __init__(self, file: io.FileIO) -> None:
-        super().__init__()
-        self._file = file
-        self._path = Path(os.fsdecode(file.name)).absolute()
-        self._folders = list(self._path.parents[:2])
-        # Where a file system gives its files no lasting numbers, only that there is one can be asked.
-        self._numbered = self._same()
-        self.size = 0
-
-    def writable(self) -> bool:
-        """Tell that it can be written."""
-        return True
-
-    def write(self, data: bytes) -> int:  # type: ignore[override]
-        """Write all of `data`."""
-        left = memoryview(data)
-        try:
-            while left:
-                left = left[self._file.write(left) :]
-        except OSError:
-            self._file.truncate(self.size)
-            self._file.seek(self.size)
-            raise
-        self.size += len(data)
-        return len(data)
-
-    def make_safe(self) -> None:
-        """Wait until the disk has everything, the first time also the name of the file and of its folder."""
-        os.fsync(self._file.fileno())
-        while self._folders:
-            # Not every file system knows how to; the file itself is on the disk.
-            with contextlib.suppress(OSError):
-                sync_folder(self._folders[0])
-            del self._folders[0]
-
-    @property
-    def at_its_name(self) -> bool:
-        """Whether the file is still what its name names: it may have been deleted or moved meanwhile.
-
-        Windows lets nobody delete or move an open file: there nothing is compared.
-        """
-        try:
-            return sys.platform == "win32" or self._same() or not self._numbered
-        except FileNotFoundError:
-            return False
-        except OSError:
-            # Whether it is there cannot be known; that it cannot be written any more will be told.
-            return True
-
-    def _same(self) -> bool:
-        return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
-
-    def whereabouts(self) -> Path | None:
-        """Return where a moved file is now, as far as the system tells; None when it is deleted."""
-        with contextlib.suppress(OSError):
-            if os.fstat(self._file.fileno()).st_nlink:
-                path = Path(f"/proc/self/fd/{self._file.fileno()}").readlink()
-                return path if path.exists() else None
-        return None
-
-    def copy_to(self, target: io.FileIO) -> None:
-        """Copy all that was written, safe on the disk: what has no name any more gets one again."""
-        with io.FileIO(os.dup(self._file.fileno())) as content, target:
-            content.seek(0)
-            shutil.copyfileobj(content, target, 1 << 20)
-            os.fsync(target.fileno())
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-        super().close()
-
-
-def new_file(path: Path) -> WholeWrites:
-    """Make a file that does not exist yet."""
-    return WholeWrites(io.FileIO(path, "x+b"))
-
-
-def new_log(
-    folder: Path, time_ns: int, make: Callable[[Path], WholeWrites] = new_file
-) -> tuple[Path, WholeWrites]:
-    """Make the file of a log under a name that is free; the folder is made."""
-    folder.mkdir(parents=True, exist_ok=True)
-    moment = dt.datetime.fromtimestamp(time_ns / 1e9, dt.UTC).strftime("%Y%m%dT%H%M%SZ")
-    for number in itertools.count(1):
-        # Sorted by their names the files of a second stand in their order, too.
-        path = folder / (f"flight-{moment}.mcap" if number == 1 else f"flight-{moment}_{number:02d}.mcap")
-        with contextlib.suppress(FileExistsError):
-            return path, make(path)
-    raise AssertionError
-
-
-def unclosed(folder: Path) -> list[Path]:
-    """Return the logs in a folder that have no end: recordings that were cut off, or still run."""
-    return [path for path in sorted(folder.glob("flight-*.mcap")) if not _has_end(path)]
-
-
-def _has_end(path: Path) -> bool:
-    try:
-        with path.open("rb") as stream:
-            stream.seek(-len(records.MAGIC), io.SEEK_END)
-            return stream.read() == records.MAGIC and stream.tell() > len(records.MAGIC)
-    except OSError:
-        return False
 
 
 @dataclass(frozen=True)
@@ -153,6 +45,7 @@ class RotationLimits:
 class LogFiles:
     """Writes messages to one log file after the other.
 
+    What the disk has not confirmed is kept in memory: where a flush fails it is written again, elsewhere.
     A file that is deleted while it is written is copied back from what the system still has of it; one that
     is moved is left where it is. Either way recording goes on in the next file.
 
@@ -175,29 +68,32 @@ class LogFiles:
         self._limits = limits
         self._clock_ns, self._steady_s = clock_ns, steady_s
         self._make = make
+        self._open = OpenChunk()
+        # Chunks that are in no file yet.
+        self._waiting: deque[SealedChunk] = deque()
+        self._waiting_bytes = 0
+        self._most_held = min(HELD_BYTES, (available_memory() or 4 * HELD_BYTES) // 4)
+        self._left_out: Counter[str] = Counter()
+        self._told_left_out: set[str] = set()
         self._place = 0
         # When writing is tried again, by the steady clock; None while there is a file.
         self._again_s: float | None = None
-        # A disk may take seconds to write what it has taken: nobody waits for it but this thread.
-        self._waiter = ThreadPoolExecutor(1, "disk")
-        self._safe: Future[None] | None = None
+        self._slow_due_s, self._slow = -math.inf, False
+        # Files that are ended, and those whose end of it is written elsewhere, in threads of their own.
+        self._ends: list[tuple[OpenFile, Future[None]]] = []
+        self._doubted: list[OpenFile] = []
+        self._given_up: list[Future[None]] = []
         # Deleted files that are being copied back, each with its name and that of its copy.
-        self._rescuer = ThreadPoolExecutor(1, "rescue")
         self._rescues: list[tuple[Path, Path, Future[None]]] = []
         self.paths: list[Path] = []
-        path = self._folders[0]
         try:
-            path, self._stream = new_log(path, clock_ns(), make)
-            self._writer = LogWriter(self._stream)
-            begin(self._writer)
+            self._file: OpenFile | None = self._new(0)
         except OSError as failure:
             raise OutputError(
                 f"cannot be written ({failure.strerror or failure})",
                 "make room, or choose another folder",
-                where=path,
+                where=self._folders[0],
             ) from failure
-        self._begun_s = steady_s()
-        self.paths.append(path)
 
     def existing(self) -> list[Path]:
         """Return the files of the recording that there are now."""
@@ -205,8 +101,13 @@ class LogFiles:
 
     @property
     def open_bytes(self) -> int:
+        """Size of the messages that are in no chunk yet."""
+        return self._open.size
+
+    @property
+    def held_bytes(self) -> int:
         """Size of the messages that are not in a file yet."""
-        return self._writer.open_bytes
+        return self._open.size + self._waiting_bytes
 
     def messages(
         self,
@@ -216,94 +117,189 @@ class LogFiles:
         publish_ns: Integers,
         sequence: Integers,
     ) -> None:
-        """Add messages, see `LogWriter.messages`."""
-        self._writer.messages(channel, payloads, log_ns, publish_ns, sequence)
+        """Add messages, see `OpenChunk.messages`; while no disk takes any, those of little worth go first."""
+        if self._again_s is not None and self.held_bytes > SHARE[worth(channel)] * self._most_held:
+            self._left_out[worth(channel)] += len(payloads)
+            return
+        self._open.messages(channel, payloads, log_ns, publish_ns, sequence)
 
     def end_chunk(self) -> list[Notice]:
         """Write the open chunk; return in words what had to be done for that.
 
-        Where every place is full the messages are held in memory and writing is tried again.
-
-        raises OutputError: when it can be written nowhere and more is held than `HELD_BYTES`.
+        Where every place is full the chunks are held in memory and writing is tried again.
         """
+        if (chunk := self._open.seal()) is not None:
+            self._waiting.append(chunk)
+            self._waiting_bytes += chunk.size
         if self._again_s is not None:
-            return self._try_again()
-        try:
-            self._writer.end_chunk()
-        except OSError as failure:
-            return self._move(failure)
-        return []
+            return [*self._try_again(), *self._tell_left_out()]
+        return self._write()
 
     def make_safe(self) -> list[Notice]:
         """Write everything, let the disk make it safe, and begin the next file when it is time."""
-        # See `end_chunk`. Whether the disk has it is known by the next call, or later where the disk is slow.
-        notices = [*self._rescued(), *self.end_chunk()]
-        if self._again_s is not None:
+        # Whether the disk has it is known by the next call, or later where the disk is slow.
+        notices = [*self._rescued(), *self._ended(), *self.end_chunk()]
+        file, now = self._file, self._steady_s()
+        if file is None:
             return notices
-        if not self._stream.at_its_name:
-            return notices + self._replace()
-        if self._safe is not None and self._safe.done():
-            failure = self._settled()
-            if failure is not None:
-                # What was written to this file cannot be trusted to be on the disk: nothing more goes there.
-                return notices + self._move(failure)
-        if self._safe is None:
-            self._safe = self._waiter.submit(self._stream.make_safe)
-        age_s = self._steady_s() - self._begun_s
-        if (self._limits.size and self._stream.size >= self._limits.size) or (
-            self._limits.age_s and age_s >= self._limits.age_s
+        if not file.stream.at_its_name:
+            return notices + self._replace(file)
+        if (failure := file.settle()) is not None:
+            # What was written to this file cannot be trusted to be on the disk: nothing more goes there.
+            return notices + self._move(failure, doubtful=True)
+        flushing_s = file.flushing_s(now)
+        notices += self._pace(file, flushing_s, now)
+        if flushing_s > HUNG_S and self._place + 1 < len(self._folders):
+            hung = OSError(errno.ETIMEDOUT, f"no answer for {flushing_s:.0f} s")
+            return notices + self._move(hung, doubtful=True)
+        file.flush(now)
+        if (self._limits.size and file.stream.size >= self._limits.size) or (
+            self._limits.age_s and now - file.begun_s >= self._limits.age_s
         ):
-            notices += self._rotate()
+            notices += self._rotate(file)
         return notices
+
+    @property
+    def flush_overdue(self) -> bool:
+        """Whether a disk that was too slow for the last flush has caught up, and should go on at once."""
+        return self._file is not None and self._file.flush_overdue
 
     def close(self) -> list[Notice]:
         """Write what is left and the summary; raises OutputError when what is held can be written nowhere."""
         self._again_s = None if self._again_s is None else -math.inf
-        notices = self.end_chunk()
-        if self._again_s is not None:
-            raise self._refusal("no place has room")
-        if not self._stream.at_its_name:
-            notices += self._replace()
-        notices += self._finish()
-        self._waiter.shutdown()
-        self._rescuer.shutdown()
-        notices += self._rescued()
+        notices = [*self.end_chunk(), *self._ended(LAST_FLUSH_S), *self._rescued()]
+        if self._again_s is None:
+            # What files that were ended meanwhile could not keep has come back.
+            notices += self._write()
+        file = self._file
+        if file is not None and not file.stream.at_its_name:
+            notices += self._replace(file)
+        notices += self._end_last()
+        if self._waiting:
+            notices += self._move(OSError(errno.EIO, "the last flush has failed"))
+            notices += self._end_last()
+        notices += [*self._rescued(LAST_FLUSH_S), *self._tell_left_out(last=True)]
+        wait(self._given_up, GIVE_UP_S)
         gone = [path for path in self.paths if not path.is_file()]
         return [*notices, *(("file_gone", f"{path} was deleted or moved after its end") for path in gone)]
 
-    def _replace(self) -> list[Notice]:
-        """Go on in a new file, since the open one is not under its name any more."""
-        gone, stream, moved = self.paths[-1], self._stream, self._stream.whereabouts()
-        for place in range(self._place, len(self._folders)):
-            made = None
+    def _new(self, place: int) -> OpenFile:
+        """Begin a file in a place; raises OSError when that takes not even its beginning and one chunk."""
+        path, stream = new_log(self._folders[place], self._clock_ns(), self._make)
+        try:
+            writer = LogWriter(stream)
+            self._begin(writer)
+            writer.define(self._open.definitions)
+            made = OpenFile(path, stream, writer, self._steady_s(), stream.size)
+            if self._waiting:
+                self._put_first(made)
+        except OSError:
+            # We have made it, and nothing that was taken is in it alone.
+            discard(path, stream)
+            raise
+        self._place = place
+        self.paths.append(path)
+        return made
+
+    def _write(self) -> list[Notice]:
+        """Write the chunks that wait."""
+        file = self._file
+        while self._waiting and file is not None:
             try:
-                made = path, following = new_log(self._folders[place], self._clock_ns(), self._make)
-                # The one without a name gets its end, too.
-                self._writer, before = self._writer.continued(following), self._writer
-            except OSError:
-                if made is not None:
-                    _discard(*made)
-                continue
-            notices = self._end(before, stream, gone)
-            self._stream, self._place, self._begun_s = following, place, self._steady_s()
-            if moved is None:
-                notices += self._rescue(gone, stream, path.parent)
-            else:
-                _close(stream)
-                self.paths[-1] = moved
-            self.paths.append(path)
-            what = "was deleted" if moved is None else f"was moved to {moved}"
-            notices.append(("file_gone", f"{gone} {what} while it was written, recording goes on in {path}"))
-            try:
-                self._begin(self._writer)
+                self._put_first(file)
             except OSError as failure:
-                notices += self._move(failure)
-            return notices
+                return self._move(failure)
+        return []
+
+    def _put_first(self, file: OpenFile) -> None:
+        file.put(self._waiting[0])
+        self._waiting_bytes -= self._waiting.popleft().size
+
+    def _put_back(self, file: OpenFile) -> None:
+        """Let what the disk has not confirmed of a file wait for being written again."""
+        self._waiting.extendleft(reversed(file.unsafe))
+        self._waiting_bytes += sum(chunk.size for chunk in file.unsafe)
+
+    def _pace(self, file: OpenFile, flushing_s: float, now: float) -> list[Notice]:
+        """Tell when the disk takes too long, and when that is over."""
+        if now < self._slow_due_s:
+            return []
+        if flushing_s > SLOW_S:
+            self._slow, self._slow_due_s = True, now + SLOW_TOLD_S
+            text = f"{file.path}: the disk has confirmed nothing for {flushing_s:.1f} s"
+            return [("disk_slow", f"{text}: a power cut now would cost that and more")]
+        was_slow, self._slow = self._slow, False
+        return [("note", f"{file.path}: the disk keeps up again")] if was_slow else []
+
+    def _rotate(self, file: OpenFile) -> list[Notice]:
+        try:
+            self._file = self._new(self._place)
+        except OSError as failure:
+            return self._move(failure)
+        self._end(file)
+        return [("note", f"recording to {self._file.path}")]
+
+    def _end(self, file: OpenFile) -> None:
+        self._ends.append((file, in_background("end of file", file.end)))
+
+    def _end_last(self) -> list[Notice]:
+        if self._file is None:
+            raise self._refusal("no place can be written")
+        self._end(self._file)
+        self._file = None
+        return self._ended(LAST_FLUSH_S)
+
+    def _ended(self, patience_s: float = 0.0) -> list[Notice]:
+        """Return what became of files that were ended; what a disk has not kept waits to be written again."""
+        notices = []
+        until = time.monotonic() + patience_s
+        for end in list(self._ends):
+            file, ending = end
+            try:
+                failure = ending.exception(max(0.0, until - time.monotonic()))
+            except TimeoutError:
+                if patience_s:
+                    self._ends.remove(end)
+                    text = f"{file.path}: the disk does not answer, what it has not confirmed may be missing"
+                    notices.append(("disk_slow", text))
+                continue
+            self._ends.remove(end)
+            file.close()
+            if failure is not None and not isinstance(failure, OSError):
+                raise failure
+            if failure is not None:
+                self._put_back(file)
+                notices.append(_no_summary(file, failure))
+        return notices
+
+    def _replace(self, file: OpenFile) -> list[Notice]:
+        """Go on in a new file, since the open one is not under its name any more."""
+        gone, moved = file.path, file.stream.whereabouts()
+        for place in range(self._place, len(self._folders)):
+            try:
+                self._file = following = self._new(place)
+            except OSError:
+                continue
+            notices = []
+            try:
+                # The one without a name gets its end, too.
+                file.end()
+            except OSError as failure:
+                notices.append(_no_summary(file, failure))
+            if moved is None:
+                notices += self._rescue(file, following.path.parent)
+            else:
+                file.close()
+                self.paths[self.paths.index(gone)] = moved
+            what = "was deleted" if moved is None else f"was moved to {moved}"
+            text = f"{gone} {what} while it was written, recording goes on in {following.path}"
+            return [*notices, ("file_gone", text)]
         # What has no name can still be written: it is tried again with the next flush.
         return [("file_gone", f"{gone} was deleted or moved, and no new file can be made: look at the disk")]
 
-    def _rescue(self, gone: Path, stream: WholeWrites, folder: Path) -> list[Notice]:
+    def _rescue(self, file: OpenFile, folder: Path) -> list[Notice]:
         """Copy a file that has lost its name to a new one in a thread of its own."""
+        gone = file.path
         names = (gone.name, *(f"{gone.stem}_saved{number}.mcap" for number in range(1, 100)))
         copy, reason = None, "no name is free"
         for name in names:
@@ -316,109 +312,64 @@ class LogFiles:
                 reason = str(failure.strerror or failure)
                 break
         if copy is None:
-            _close(stream)
+            file.close()
             self.paths.remove(gone)
             return [("file_gone", f"{gone} was deleted and cannot be saved ({reason}): it is lost")]
-        self._rescues.append((gone, Path(copy.name), self._rescuer.submit(_copy_back, stream, copy)))
+        target = copy
+        copying = in_background("rescue", lambda: _copy_back(file, target))
+        self._rescues.append((gone, Path(copy.name), copying))
         return []
 
-    def _rescued(self) -> list[Notice]:
+    def _rescued(self, patience_s: float = 0.0) -> list[Notice]:
         """Return what became of the deleted files that were copied back by now."""
         notices = []
-        for rescue in [rescue for rescue in self._rescues if rescue[2].done()]:
-            self._rescues.remove(rescue)
+        for rescue in list(self._rescues):
             gone, copy, copying = rescue
+            try:
+                failure = copying.exception(patience_s)
+            except TimeoutError:
+                continue
+            self._rescues.remove(rescue)
             place = self.paths.index(gone)
-            if (failure := copying.exception()) is None:
+            if failure is None:
                 self.paths[place] = copy
                 notices.append(("note", f"{gone} was deleted, what was in it is saved in {copy}"))
             else:
                 del self.paths[place]
-                notices.append(
-                    ("file_gone", f"{gone} was deleted and cannot be saved ({failure}): it is lost")
-                )
+                text = f"{gone} was deleted and cannot be saved ({failure}): it is lost"
+                notices.append(("file_gone", text))
         return notices
 
-    def _settled(self) -> OSError | None:
-        """Wait for the disk; return why it failed."""
-        running, self._safe = self._safe, None
-        if running is None:
-            return None
-        failure = running.exception()
-        if failure is not None and not isinstance(failure, OSError):
-            raise failure
-        return failure
+    def _move(self, failure: OSError, *, doubtful: bool = False) -> list[Notice]:
+        """Go on in the first place that takes what is not written yet.
 
-    def _finish(self) -> list[Notice]:
-        """End the open file."""
-        try:
-            return self._end(self._writer, self._stream, self.paths[-1])
-        finally:
-            _close(self._stream)
-
-    def _end(self, writer: LogWriter, stream: WholeWrites, path: Path) -> list[Notice]:
-        """Give a file its summary."""
-        try:
-            if (late := self._settled()) is not None:
-                raise late
-            writer.close()
-            stream.make_safe()
-        except OSError as failure:
-            reason = failure.strerror or failure
-            return [("disk_full", f"{path} has no summary ({reason}): acquire recover adds it")]
-        return []
-
-    def _rotate(self) -> list[Notice]:
-        try:
-            path, stream = new_log(self._folders[self._place], self._clock_ns(), self._make)
-        except OSError as failure:
-            return self._move(failure)
-        try:
-            following = self._writer.continued(stream)
-        except OSError as failure:
-            _discard(path, stream)
-            return self._move(failure)
-        notices = self._finish()
-        self._writer, self._stream = following, stream
-        self.paths.append(path)
-        self._begun_s = self._steady_s()
-        try:
-            self._begin(self._writer)
-        except OSError as failure:
-            return notices + self._move(failure)
-        return [*notices, ("note", f"recording to {path}")]
-
-    def _move(self, failure: OSError) -> list[Notice]:
-        """Go on in the first place that takes what is not written yet."""
+        doubtful: whether the disk may not have what was written since the last flush that it has confirmed.
+        """
         reason = failure.strerror or str(failure)
         full = self.paths[-1]
-        self._settled()
-        _close(self._stream)
-        # After waiting, room may have come anywhere.
-        first = 0 if self._again_s is not None else self._place
-        for place in range(first, len(self._folders)):
-            made = None
-            try:
-                made = path, stream = new_log(self._folders[place], self._clock_ns(), self._make)
-                self._writer = self._writer.continued(stream)
-                self._begin(self._writer)
-                self._writer.end_chunk()
-            except OSError:
-                if made is not None:
-                    # We have made it, and nothing that was taken is in it alone.
-                    _discard(*made)
-                continue
-            self._stream, self._place = stream, place
-            self.paths.append(path)
-            self._begun_s = self._steady_s()
-            waited, self._again_s = self._again_s is not None, None
-            if waited:
-                return [("note", f"there is room again, recording goes on in {path}")]
-            text = f"{full} cannot be written any more ({reason}), recording goes on in {path}"
-            return [("disk_full", text)]
-        if self.open_bytes > HELD_BYTES:
-            raise self._refusal(reason) from failure
+        left, self._file = self._file, None
+        if left is not None and doubtful:
+            self._put_back(left)
+            self._doubted.append(left)
+        elif left is not None:
+            self._ends.append((left, in_background("end of file", left.secure)))
         waited = self._again_s is not None
+        # After waiting, room may have come anywhere; a disk that hangs is not tried again before that.
+        first = 0 if waited else self._place + (failure.errno == errno.ETIMEDOUT)
+        for place in range(first, len(self._folders)):
+            try:
+                self._file = following = self._new(place)
+            except OSError:
+                continue
+            self._again_s = None
+            self._given_up += [in_background("give up", file.give_up) for file in self._doubted]
+            self._doubted.clear()
+            if waited:
+                told = [("note", f"there is room again, recording goes on in {following.path}")]
+            else:
+                what = f"{full} cannot be written any more ({reason})"
+                told = [("disk_full", f"{what}, recording goes on in {following.path}")]
+            return [*told, *self._write()]
         self._again_s = self._steady_s() + TRY_AGAIN_S
         if waited:
             return []
@@ -426,39 +377,40 @@ class LogFiles:
         return [("disk_full", text)]
 
     def _try_again(self) -> list[Notice]:
-        """Look for a place when it is time for that, or when too much is held."""
-        soon = self._again_s is not None and self._steady_s() < self._again_s
-        if soon and self.open_bytes <= HELD_BYTES:
+        """Look for a place when it is time for that."""
+        if self._again_s is not None and self._steady_s() < self._again_s:
             return []
         return self._move(OSError(errno.ENOSPC, "no room yet"))
 
+    def _tell_left_out(self, *, last: bool = False) -> list[Notice]:
+        """Tell once what is left out, and how much it was at the end."""
+        if last:
+            return [("disk_full", f"not kept: {n} {what}") for what, n in sorted(self._left_out.items())]
+        new = [what for what in self._left_out if what not in self._told_left_out]
+        self._told_left_out.update(new)
+        return [("disk_full", f"the memory is full: not kept any more: {what}") for what in new]
+
     def _refusal(self, reason: str) -> OutputError:
+        left_out = "".join(f", {number} {what}" for what, number in sorted(self._left_out.items()))
         return OutputError(
-            f"the recording cannot go on ({reason}): {self.open_bytes} bytes lost, what was written is safe",
+            f"the recording cannot go on ({reason}): {self.held_bytes} bytes{left_out} lost, "
+            "what was written is safe",
             "make room or name a spare folder, then acquire recover this file",
             where=self.paths[-1],
         )
 
 
-def _copy_back(stream: WholeWrites, copy: io.FileIO) -> None:
+def _no_summary(file: OpenFile, failure: OSError) -> Notice:
+    reason = failure.strerror or failure
+    return "disk_full", f"{file.path} has no summary ({reason}): acquire recover adds it"
+
+
+def _copy_back(file: OpenFile, copy: io.FileIO) -> None:
     try:
-        stream.copy_to(copy)
+        file.stream.copy_to(copy)
     except OSError:
         with contextlib.suppress(OSError):
             Path(copy.name).unlink(missing_ok=True)
         raise
     finally:
-        _close(stream)
-
-
-def _close(stream: WholeWrites) -> None:
-    # A disk that fails may refuse even that; what it has taken stays.
-    with contextlib.suppress(OSError):
-        stream.close()
-
-
-def _discard(path: Path, stream: WholeWrites) -> None:
-    """Take away a file that we have made in vain."""
-    _close(stream)
-    with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
+        file.close()

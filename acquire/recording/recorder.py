@@ -24,8 +24,9 @@ from acquire.recording.alarms import (
 )
 from acquire.recording.caster_position import CasterPosition, caster_positions
 from acquire.recording.configuration import LinkConfiguration, RecordingConfiguration
-from acquire.recording.files import LogFiles, Notice, RotationLimits, WholeWrites, new_file, unclosed
+from acquire.recording.files import LogFiles, Notice, RotationLimits
 from acquire.recording.link_session import LinkSession, link_sessions
+from acquire.recording.log_file import WholeWrites, new_file, unclosed
 from acquire.recording.outlet import Outlet
 from acquire.recording.reader import Inbox, left_behind, start_readers
 from acquire.transports.ntrip import NtripSource, ntrip_address
@@ -216,7 +217,7 @@ class _Flight:
         )
         if self._files.open_bytes > CHUNK_BYTES:
             self._report(self._files.end_chunk())
-        if now >= self._safe_at:
+        if now >= self._safe_at or self._files.flush_overdue:
             self._safe_at = now + self._recording.flush_s
             self._keep(inboxes)
             self._report(self._files.make_safe())

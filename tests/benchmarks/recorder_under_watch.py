@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from acquire.log.records import Channel, Payloads
 from acquire.recording.configuration import read_configuration
-from acquire.recording.files import LogFiles, Notice, WholeWrites
+from acquire.recording.files import LogFiles, Notice
+from acquire.recording.log_file import WholeWrites
 from acquire.recording.recorder import Host, record
 
 # Delays are counted by the tenth of a millisecond: so the measuring needs no memory.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from acquire.recording.configuration import RecordingConfiguration
-from acquire.recording.files import WholeWrites
+from acquire.recording.log_file import WholeWrites
 from acquire.recording.recorder import Host, record, source_of_link
 from acquire.transports.sources import Source
 from drivers import rtcm3
