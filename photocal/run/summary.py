@@ -26,6 +26,7 @@ from photocal.results.origin import changed_inputs
 from photocal.results.result import Result
 from photocal.run.exposures import FIGURES as EXPOSED
 from photocal.run.exposures import ExposureFigures
+from photocal.run.left_out import LEFT_OUT, settled
 from photocal.run.stage import StageResult, is_stage
 
 # With two thirds of the positions fixed, it is they that carry what is found.
@@ -53,7 +54,7 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
         add_new(listed, found, stage)
         sought = sought or (stage == "georeferencing" and _has_sought(path))
     ppk = work / "ppk" / PPK
-    return causes_first(listed, PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
+    return causes_first(settled(listed), PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
 
 
 def _has_sought(path: Path) -> bool:
@@ -209,6 +210,7 @@ _SOURCES: tuple[tuple[str, str, Callable[[Path], Iterator[Finding]]], ...] = (
     ("ppk", PPK, _stored),
     ("exposures", EXPOSED, _stored),
     ("measurements", "measurement.json", _stored),
+    ("block", LEFT_OUT, _stored),
     ("calibration", RESULT, _of_calibration),
     ("flown", "flown.json", _stored),
     ("georeferencing", "check.json", _stored),
