@@ -17,10 +17,8 @@ from tests.photocal.measurement.site import SIDE, flight, plate_place, texture, 
 
 Floats = NDArray[np.float64]
 SIGMA_PX, POSITION_M, CONTROL_M = 0.3, 0.02, 0.01
-PLATES = {
-    **{"P1": (-8.0, -5.0), "P2": (8.0, -5.0), "P3": (-8.0, 5.0)},
-    **{"P4": (8.0, 5.0), "P5": (0.5, 0.0), "P6": (-4.0, 2.0)},
-}  # fmt: skip
+PLACES = ((-8.0, -5.0), (8.0, -5.0), (-8.0, 5.0), (8.0, 5.0), (0.5, 0.0), (-4.0, 2.0))
+PLATES = {f"P{k + 1}": place for k, place in enumerate(PLACES)}
 ESTIMATED = ("c", "x0", "y0", "K1")
 CHECKS = ("P4", "P6")
 # The mark that lies a plate's half too far right: 12 px are 0.5 m there.
@@ -61,7 +59,7 @@ def small(folder: Path) -> Path:
 
 
 def large(folder: Path, images: int = 581, rays: int = 108_000) -> Path:
-    """Write a project without pictures: strips over a field, 20 megapixels, ties as a matcher spreads them."""
+    """Write a project without pictures: strips over a field, 20 megapixels, ties all over."""
     rng = np.random.default_rng(8)
     size, given = (5472, 3648), {"c": 3650.0, "K1": -6e-10}
     own = camera("p1", "brown-ideal", "px", size, (1.0, 1.0), given, estimate=ESTIMATED)
