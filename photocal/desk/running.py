@@ -86,8 +86,15 @@ def _stages(
             state = "busy" if begun else "waits"
         weight = float(seconds) if seconds else float(_WEIGHTS.get(name, 2))
         stage = {"name": name, "ours": name in STAGES, "state": state}
-        found.append({**stage, "seconds": seconds, "weight": weight})
+        since = _begun(work, said, job) if state == "busy" else None
+        found.append({**stage, "seconds": seconds, "weight": weight, "since": since})
     return found
+
+
+def _begun(work: Path, said: Mapping[str, str], job: Mapping[str, Any]) -> float:
+    """When the stage at work began: with the run, or with the end of what was made last."""
+    records = [made_in(work) / name / RECORD for name in said]
+    return max([float(job["began"]), *(path.stat().st_mtime for path in records if path.is_file())])
 
 
 def told_stages(log: str, names: list[str]) -> dict[str, str]:
