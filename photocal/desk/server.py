@@ -7,10 +7,10 @@ from starlette.applications import Starlette
 from photocal.base.errors import PhotocalError
 from photocal.base.web import folder_of
 from photocal.base.web_answers import refusal, telling
-from photocal.desk import look
+from photocal.desk import certificate, checks, folder, look, running, standing
 from photocal.desk.session import Desk
 
-_STEPS = (look.routes,)
+_STEPS = (folder.routes, checks.routes, running.routes, look.routes, certificate.routes)
 
 
 def application(root: Path, cache: Path) -> Starlette:
@@ -23,7 +23,7 @@ def application(root: Path, cache: Path) -> Starlette:
         routes=[
             *folder_of("photocal.desk", "page"),
             *folder_of("photocal.desk", "vendor", "/vendor/"),
-            telling("/api/desk", desk.shown),
+            telling("/api/desk", lambda: standing.shown(desk)),
             *(route for step in _STEPS for route in step(desk)),
         ],
         exception_handlers={PhotocalError: refusal},

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from photocal.base.errors import InputNotFoundError
+from photocal.desk.jobs import Job
 from photocal.project import NAME, Project, read_project
 
 
@@ -21,6 +22,10 @@ class Desk:
         Folder for tiles of pictures.
     lock
         Held while a file of the project is written.
+    jobs
+        Long commands of this project, by name.
+    preview
+        Certificate of a form that is not kept yet.
     """
 
     def __init__(self, root: Path, cache: Path) -> None:
@@ -28,6 +33,8 @@ class Desk:
         self.folder = self.root
         self.cache = cache
         self.lock = threading.RLock()
+        self.jobs: dict[str, Job] = {}
+        self.preview = ""
         if not self.root.is_dir():
             raise InputNotFoundError("is no folder", "name the folder of a flight", where=root)
 
@@ -39,6 +46,19 @@ class Desk:
     def project(self) -> Project:
         """Read the project as it stands now; errors as of `read_project`."""
         return read_project(self.folder)
+
+    def open(self, path: str) -> None:
+        """Work on a folder beneath the root from now on; raises InputNotFoundError outside of it."""
+        folder = self.inside(path)
+        if not folder.is_dir():
+            raise InputNotFoundError("is no folder", "choose from the list", where=folder)
+        self.folder = folder
+        self.jobs.clear()
+        self.preview = ""
+
+    def job(self, name: str) -> Job:
+        """A long command of the project that is open."""
+        return self.jobs.setdefault(name, Job(self.folder, name))
 
     def inside(self, path: str) -> Path:
         """Give a file or folder by its path from the root; raises InputNotFoundError outside of it."""

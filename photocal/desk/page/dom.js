@@ -8,16 +8,18 @@ export function h(name, attributes = {}, ...children) {
   for (const [key, value] of Object.entries(attributes ?? {})) {
     if (value === null || value === undefined || value === false) continue;
     if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
-    else if (key === "value" || key === "checked" || key === "disabled" || key === "hidden") made[key] = value;
+    else if (["value", "checked", "disabled", "hidden", "selected"].includes(key)) made[key] = value;
     else made.setAttribute(key, value === true ? "" : value);
   }
   made.append(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false));
   return made;
 }
 
-/** Put new children into an element. */
+/** Put new children into an element; what has the focus keeps it, where it has a name. */
 export function fill(element, ...children) {
+  const focused = element.contains(document.activeElement) ? document.activeElement.id : "";
   element.replaceChildren(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false));
+  if (focused) document.getElementById(focused)?.focus();
   return element;
 }
 
@@ -25,6 +27,11 @@ export function fill(element, ...children) {
 export function sign(state, word = "") {
   const signs = { good: "✓", warn: "▲", bad: "✕", busy: "●", none: "○" };
   return h(`span.sign.${state}`, {}, h("span", { "aria-hidden": "true" }, signs[state] ?? "○"), word ? ` ${word}` : "");
+}
+
+/** A sentence in a box of its state: bad, warn or good. */
+export function said(state, ...children) {
+  return h(`div.said.${state}`, {}, ...children);
 }
 
 /** Load a script of a library that is no module, once. */
