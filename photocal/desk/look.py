@@ -22,8 +22,10 @@ from photocal.desk.views import concerns, overview, pictures
 from photocal.desk.views.plots import plots
 from photocal.desk.views.shown import Shown, adjusted_in, read_shown
 from photocal.findings.texts import LANGUAGES, catalogue
-from photocal.measurement.marking.scene import Picture, read_pictures
-from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles
+from photocal.measurement.marking.scene import Picture, read_pictures, scene_of_project
+from photocal.measurement.marking.service import MarkingService
+from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles, coarsest_level
 from photocal.project import LeaveOutKeys
 from photocal.results.folder import RESULT
 from photocal.run.left_out import LEFT_OUT, leave_out, take_back
@@ -73,7 +75,9 @@ class Look:
             **made,
             "origin": self.view("origin", overview.origin).tolist(),
             "pictures": {name: not picture.reason for name, picture in known.items()},
+            "coarsest": {name: coarsest_level(picture.size_px) for name, picture in known.items()},
             "tile_px": TILE_PX,
+            "marking": self._desk.project().control.marks is not None and bool(known),
             "left_out": self.left_out(),
         }
 
@@ -130,6 +134,20 @@ class Look:
             if self._pictures[0] != state:
                 self._pictures = state, read_pictures(folder)
             return self._pictures[1]
+
+    def marking(self) -> MarkingService:
+        """What marks points in the pictures of the project, by the orientation of its last run.
+
+        raises ConfigurationError: when the project names no table of marks.
+        """
+        self.shown()
+        with self._lock:
+            if "marking" not in self._views:
+                project = self._desk.project()
+                scene, marks = scene_of_project(project, adjusted_in(project.output))
+                self._views["marking"] = MarkingService(scene, MarkStore(marks), self._desk.cache)
+            made: MarkingService = self._views["marking"]
+        return made
 
     def left_out(self) -> dict[str, Any]:
         """What is left out by hand, and whether the last run knew it."""
@@ -209,4 +227,8 @@ def routes(desk: Desk) -> list[BaseRoute]:
         telling("/api/look/left-out", look.left_out),
         doing("/api/look/leave-out", look.leave_out),
         doing("/api/look/take-back", look.take_back),
+        finding("/api/look/marks/images", lambda asked: look.marking().images(asked.get("point", ""))),
+        telling("/api/look/marks", lambda: look.marking().state()),
+        doing("/api/look/marks/mark", lambda body: look.marking().mark(body)),
+        doing("/api/look/marks/undo", lambda _: look.marking().undo()),
     ]

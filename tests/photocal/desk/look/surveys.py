@@ -121,7 +121,8 @@ def simulated(
 def _estimating(lens: Camera) -> Camera:
     if lens.estimated.any():
         return lens
-    given = {"c": lens.value("c"), "K1": lens.value("K1")}
+    given = {name: lens.value(name) for name in ("c", "K1")}
+    own = lens.id, lens.model, lens.unit, lens.size_px, lens.pitch
     return camera(
         lens.id, lens.model, lens.unit, lens.size_px, lens.pitch, given, estimate=("c", "x0", "y0", "K1")
     )
