@@ -1,12 +1,13 @@
 """Answers to the step Certificate: particulars, preview, signature, what is sent, and a check of others."""
 
 import datetime as dt
+import json
 import tempfile
 import zipfile
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 from starlette.background import BackgroundTask
@@ -16,24 +17,20 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import BaseRoute, Route
 
 from photocal.base.checked_toml import Table
-from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError, PhotocalError
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
 from photocal.base.web_answers import checked, doing, short_body, telling
 from photocal.desk import particulars, project_file
 from photocal.desk.folder import pictures
 from photocal.desk.jobs import asked, line
 from photocal.desk.session import Desk
-from photocal.findings.document import html
-from photocal.findings.texts import catalogue
-from photocal.measurement.picture_conditions import told_conditions
 from photocal.project import Project
-from photocal.report.certificate import certificate
-from photocal.report.issue import FORMS, read_record
 from photocal.report.keys import own_key
 from photocal.report.signing import SIGNATURE
-from photocal.report.stored_analysis import AnalysedRun, read_run
 from photocal.results.folder import RESULT
 from photocal.run.stage import made_in
-from photocal.run.summary import gather, read_json
+
+if TYPE_CHECKING:
+    from photocal.report.stored_analysis import AnalysedRun
 
 # A document within the page: no script, no network, nothing but itself.
 _FRAMED = (
@@ -41,6 +38,7 @@ _FRAMED = (
     "frame-ancestors 'self'; sandbox"
 )
 _LONGEST_ZIP, _MOST_FILES, _LONGEST_FILES = 400 << 20, 5000, 2 << 30
+_RECORD, _PAGE = "certificate.json", "certificate.html"
 _KEYS = ("client", "operator", "language")
 Short = Annotated[str, Field(max_length=2000)]
 
@@ -95,6 +93,8 @@ def routes(desk: Desk) -> list[BaseRoute]:
 
 def state(desk: Desk) -> dict[str, Any]:
     """The certificate as it lies there, its form, and the key."""
+    from photocal.measurement.picture_conditions import told_conditions
+
     project, key = desk.project(), own_key()
     given = project.contents.certificate
     folder = project.output / "certificate"
@@ -117,11 +117,11 @@ def state(desk: Desk) -> dict[str, Any]:
 def issued_as(folder: Path) -> dict[str, Any] | None:
     """Number, day and verdict of a certificate that lies in a folder, and whether it is signed."""
     try:
-        content, _ = read_record(folder)
-    except PhotocalError:
+        content = json.loads((folder / _RECORD).read_bytes())
+        verdict = {key: content["verdict"].get(key) for key in ("severity", "text", "paragraph")}
+        named = {"number": content["number"], "date": content["date"], "verdict": verdict}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
-    verdict = {key: content["verdict"].get(key) for key in ("severity", "text", "paragraph")}
-    named = {"number": content["number"], "date": content["date"], "verdict": verdict}
     return {**named, "folder": str(folder), "signed": (folder / SIGNATURE).is_file()}
 
 
@@ -152,6 +152,13 @@ def _today() -> dt.date:
 
 def _preview(desk: Desk, form: _Form) -> dict[str, Any]:
     """Make the certificate of a form that is not kept yet, without writing anything of the project."""
+    # What computes is loaded when it is needed: the window is there at once.
+    from photocal.findings.document import html
+    from photocal.findings.texts import catalogue
+    from photocal.measurement.picture_conditions import told_conditions
+    from photocal.report.certificate import certificate
+    from photocal.run.summary import gather, read_json
+
     project = desk.project()
     work, key = made_in(project.output), own_key()
     run = _analysed(work / "analysis")
@@ -173,7 +180,7 @@ def _preview(desk: Desk, form: _Form) -> dict[str, Any]:
     return {"number": document.number}
 
 
-def _analysed(folder: Path) -> AnalysedRun:
+def _analysed(folder: Path) -> "AnalysedRun":
     try:
         return _run(folder, (folder / RESULT).stat().st_mtime_ns)
     except OSError:
@@ -181,13 +188,15 @@ def _analysed(folder: Path) -> AnalysedRun:
 
 
 @lru_cache(maxsize=1)
-def _run(folder: Path, _changed: int) -> AnalysedRun:
+def _run(folder: Path, _changed: int) -> "AnalysedRun":
+    from photocal.report.stored_analysis import read_run
+
     return read_run(folder)
 
 
 def issued(desk: Desk) -> str:
     """The certificate as it was issued last; raises InputNotFoundError without one."""
-    path = desk.project().output / "certificate" / FORMS[0]
+    path = desk.project().output / "certificate" / _PAGE
     if not path.is_file():
         raise InputNotFoundError("no certificate is issued yet", "run the project first", where=desk.folder)
     return path.read_text(encoding="utf-8")
@@ -211,7 +220,9 @@ def _verify_own(desk: Desk) -> dict[str, Any]:
 def pack(desk: Desk) -> tuple[Path, str]:
     """Pack the certificate as it lies there; gives a file that somebody must remove, and its name."""
     folder = desk.project().output / "certificate"
-    record, _ = read_record(folder)
+    record = issued_as(folder)
+    if record is None:
+        raise InputNotFoundError("no certificate is issued yet", "run the project first", where=folder)
     with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in sorted(folder.rglob("*")):
@@ -235,7 +246,7 @@ def verify(octets: bytes) -> dict[str, Any]:
                 _unpack(packed, unpacked)
         except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as refusal:
             raise InputMalformedError(f"is no zip ({refusal})", "drop the zip that was sent") from refusal
-        found = sorted(unpacked.rglob("certificate.json"), key=lambda path: len(path.parts))
+        found = sorted(unpacked.rglob(_RECORD), key=lambda path: len(path.parts))
         if not found:
             raise InputMalformedError("has no certificate.json", "drop the zip of a certificate")
         return verified_folder(found[0].parent)

@@ -10,13 +10,13 @@ from photocal.base.checked_toml import Table
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
 from photocal.base.web_answers import checked, doing, telling
-from photocal.debrief.verdict import FILE
 from photocal.desk.jobs import FOLDER, asked, line
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk
 
 JOB = "debrief"
-_KEPT = "check.json"
+# The second is what `photocal debrief` writes.
+_KEPT, _DEBRIEF = "check.json", "debrief.json"
 
 
 class _Debrief(Table, strict=True):
@@ -83,7 +83,7 @@ def _check(desk: Desk) -> dict[str, Any]:
 def debrief(desk: Desk) -> dict[str, Any] | None:
     """What the debrief has written, as far as it is there."""
     try:
-        content = json.loads((desk.project().output / FILE).read_bytes())
+        content = json.loads((desk.project().output / _DEBRIEF).read_bytes())
         return {
             "verdict": content["verdict"],
             "summary": content["summary"],

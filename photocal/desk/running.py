@@ -16,7 +16,6 @@ from photocal.desk.jobs import line
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk
 from photocal.project import Project
-from photocal.run.campaign import PROGRESS, stages
 from photocal.run.output_place import STAGES
 from photocal.run.stage import RECORD, made_in
 
@@ -42,6 +41,8 @@ def routes(desk: Desk) -> list[BaseRoute]:
 
 def state(desk: Desk) -> dict[str, Any]:
     """Every stage with its time and state, how far the one at work is, and an error with its field."""
+    from photocal.run.campaign import PROGRESS, stages
+
     job = desk.job(JOB).state()
     error = job["error"]
     told: dict[str, Any] = {
