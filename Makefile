@@ -16,7 +16,7 @@ if command -v apt-get >/dev/null && { [ "$$(id -u)" = 0 ] || { command -v sudo >
 else echo "$$lacking is not installed; on Debian run: sudo apt-get install $$lacking"; exit 1; fi; }
 endef
 
-.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual lock lowest audit clean
+.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual lock lowest audit vendor clean
 
 help:
 	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
@@ -31,6 +31,7 @@ help:
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
 	@echo "make lowest  test with the lowest versions that pyproject.toml allows"
 	@echo "make audit   licences, hashes, wheels per platform, bill of materials, two builds of one wheel"
+	@echo "make vendor  fetch the libraries of the desk's page anew, with npm"
 	@echo "make lock    renew requirements.lock from pyproject.toml"
 
 setup: $(READY)
@@ -83,6 +84,9 @@ evidence: $(READY)
 
 manual: $(READY)
 	$(BIN)/python -m tests.docs
+
+vendor: $(READY)
+	$(BIN)/python -m tests.vendor
 
 lock:
 	$(PYTHON) -m venv --clear .lock-venv

@@ -6,6 +6,7 @@ from photocal.commands import (
     calibration,
     check,
     compare,
+    desk,
     doctor,
     export,
     forms,
@@ -24,6 +25,7 @@ app = application("From flight log, images and control points to a calibrated ca
 app.command()(project.new)
 app.command()(project.run)
 app.command()(project.debrief)
+app.command()(desk.desk)
 app.command()(mark.mark)
 app.command()(measure.measure)
 app.command()(mark.targets)

@@ -30,7 +30,8 @@ TOKEN_BYTES = 18
 # Nothing but what this server gives: no other host, no code within the page, no page around it.
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
-    "img-src 'self' data: blob:; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+    "img-src 'self' data: blob:; frame-src 'self'; base-uri 'none'; form-action 'self'; "
+    "frame-ancestors 'none'"
 )
 _HEADERS = {
     "content-security-policy": POLICY,
@@ -44,6 +45,8 @@ _TYPES = {
     "css": "text/css; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
+    "json": "application/json",
+    "txt": "text/plain; charset=utf-8",
 }
 _READING = ("GET", "HEAD")
 # A browser opens six connections; who opens a thousand, or never ends the head of a request, is no browser.
@@ -136,7 +139,9 @@ class Guard:
         async def guarded(message: Message) -> None:
             """Send an answer with the headers that every page has."""
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(_HEADERS)
+                for name, value in _HEADERS.items():
+                    # A document that is shown within the page has a stricter policy of its own.
+                    MutableHeaders(scope=message).setdefault(name, value)
             await send(message)
 
         refusal = self._refusal(scope)
@@ -192,6 +197,20 @@ def _of_another_site(scope: Scope, headers: Headers, host: str) -> bool:
         return True
     opened_by_hand = scope.get("method") in _READING and headers.get("sec-fetch-mode") == "navigate"
     return headers.get("sec-fetch-site") in ("cross-site", "same-site") and not opened_by_hand
+
+
+def folder_of(package: str, folder: str, prefix: str = "/") -> list[Route]:
+    """Return routes to all files of a folder of a package, and of the folders in it, by their paths in it."""
+    files, waiting = dict[str, str](), [""]
+    while waiting:
+        under = waiting.pop()
+        for entry in resources.files(package).joinpath(folder + under).iterdir():
+            path = f"{under}/{entry.name}"
+            if entry.is_dir():
+                waiting.append(path)
+            elif entry.name.rpartition(".")[2] in _TYPES:
+                files[(prefix + path.removeprefix("/")).removesuffix("index.html")] = folder + path
+    return packaged(package, files)
 
 
 def packaged(package: str, files: Mapping[str, str]) -> list[Route]:

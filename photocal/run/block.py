@@ -43,7 +43,6 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
     def make(folder: Path, _: Progress) -> None:
         """Make the files of the stage."""
         from photocal.block.folder import read_block
-        from photocal.block.writer import write_block
         from photocal.measurement.block_files import RECORD
         from photocal.run.project_checks import check_rays
 
@@ -58,13 +57,13 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
         if exposures is not None:
             block = _flown(block, exposures, project.rig.mounting(), project.crs)
             check_rays(block, project.control.points)
-        write_block(folder, block)
-        if findings:
-            Findings(tuple(findings)).write(folder / FINDINGS)
+        block, by_hand = _chosen(block, project)
+        _write(folder, block, (*findings, *by_hand))
         if (measurements / RECORD).exists():
             shutil.copyfile(measurements / RECORD, folder / RECORD)
 
     chosen: dict[str, Any] = {} if bent is None else {"refraction": bent}
+    chosen |= _left_out(project)
     inputs = {} if distances is None else {"distances": distances}
     if exposures is None:
         return Stage("block", "the block", make, inputs, chosen, (measurements,))
@@ -176,8 +175,30 @@ def _refuse(bad: Flags, what: str, names: list[str], remedy: str) -> None:
         raise InputMalformedError(f"the {what} of image {name} has no standard deviation", remedy)
 
 
-def given_block_stage(source: Path) -> Stage:
-    """Describe the stage that takes a ready block folder over."""
+def _left_out(project: Project) -> dict[str, Any]:
+    """What a person leaves out, as settings of the stage."""
+    chosen = project.contents.leave_out
+    return {"leave_out": [entry.model_dump(mode="json") for entry in chosen]} if chosen else {}
+
+
+def _chosen(block: Block, project: Project) -> tuple[Block, tuple[Finding, ...]]:
+    """The block without what a person leaves out, and what is told of that."""
+    from photocal.run.left_out import left_out
+
+    return left_out(block, project.contents.leave_out) if project.contents.leave_out else (block, ())
+
+
+def _write(folder: Path, block: Block, findings: tuple[Finding, ...]) -> None:
+    """Write a block, and beside it what is to be said of how it was joined."""
+    from photocal.block.writer import write_block
+
+    write_block(folder, block)
+    if findings:
+        Findings(findings).write(folder / FINDINGS)
+
+
+def given_block_stage(project: Project, source: Path) -> Stage:
+    """Describe the stage that takes a ready block folder over, but for what a person leaves out."""
 
     def make(folder: Path, _: Progress) -> None:
         """Make the files of the stage."""
@@ -185,6 +206,11 @@ def given_block_stage(source: Path) -> Stage:
             raise InputNotFoundError(
                 "has no block.toml", "name a block folder in [measurements]", where=source
             )
-        shutil.copytree(source, folder, dirs_exist_ok=True)
+        if not project.contents.leave_out:
+            shutil.copytree(source, folder, dirs_exist_ok=True)
+            return
+        from photocal.block.folder import read_block
 
-    return Stage("block", "the block", make, {"block": source})
+        _write(folder, *_chosen(read_block(source), project))
+
+    return Stage("block", "the block", make, {"block": source}, _left_out(project))

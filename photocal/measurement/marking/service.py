@@ -1,15 +1,14 @@
 """What the page for marking asks and does."""
 
 import math
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat
 from starlette.applications import Starlette
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
@@ -21,6 +20,7 @@ from photocal.base.arrays import Floats
 from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
 from photocal.base.web import packaged
+from photocal.base.web_answers import checked, doing, refusal, telling
 from photocal.block.model import ROLES
 from photocal.exchange.parts import Mark
 from photocal.measurement.image_file import Grey, read_grey
@@ -39,7 +39,6 @@ FARTHEST_REACH_PX = 60.0
 _DECIMALS = 4
 # A name has something to see and nothing that breaks a line.
 _NAME = r"^[^\x00-\x1f\x7f]*[^\x00-\x20\x7f][^\x00-\x1f\x7f]*$"
-Question = TypeVar("Question", bound=Table)
 _FILES = {
     "/": "marking.html",
     "/marking.css": "marking.css",
@@ -47,7 +46,6 @@ _FILES = {
     "/view.js": "view.js",
     "/tiles.js": "tiles.js",
 }
-_LONGEST_REQUEST = 10_000
 
 
 class _Place(Table, strict=True):
@@ -176,7 +174,7 @@ class MarkingService:
 
     def mark(self, body: bytes) -> dict[str, Any]:
         """Set a mark, on the centre of the target there if one is wanted and found."""
-        click = _checked(_Click, body)
+        click = checked(_Click, body)
         path = self._picture(click.image).path
         width, height = self._scene.pictures[click.image].size_px
         if not (-0.5 <= click.x <= width - 0.5 and -0.5 <= click.y <= height - 0.5):
@@ -218,7 +216,7 @@ class MarkingService:
 
     def remove(self, body: bytes) -> dict[str, Any]:
         """Take a mark away."""
-        place = _checked(_Place, body)
+        place = checked(_Place, body)
         self._store.remove((place.image, place.point))
         return self.state()
 
@@ -255,15 +253,6 @@ class MarkingService:
         return picture
 
 
-def _checked(kind: type[Question], body: bytes) -> Question:
-    try:
-        return kind.model_validate_json(body)
-    except ValidationError as failure:
-        first = failure.errors()[0]
-        what = ": ".join((".".join(map(str, first["loc"])), first["msg"])).lstrip(": ")
-        raise ConfigurationError(what, "use the page", where="request") from failure
-
-
 @lru_cache(maxsize=2)
 def _grey(path: Path, _changed: int, _size: int) -> Grey:
     return measurable(read_grey(path))
@@ -272,24 +261,6 @@ def _grey(path: Path, _changed: int, _size: int) -> Grey:
 def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
     """Return the page and what answers it."""
     service = MarkingService(scene, store, cache)
-
-    def telling(path: str, tell: Callable[[], dict[str, Any]]) -> Route:
-        """Return a route that answers with what a function tells."""
-
-        async def give(_: Request) -> Response:
-            """Answer as JSON."""
-            return JSONResponse(await run_in_threadpool(tell))
-
-        return Route(path, give)
-
-    def doing(path: str, do: Callable[[bytes], dict[str, Any]]) -> Route:
-        """Return a route that hands the body of a request to a function."""
-
-        async def give(request: Request) -> Response:
-            """Answer as JSON."""
-            return JSONResponse(await run_in_threadpool(do, await _body(request)))
-
-        return Route(path, give, methods=["POST"])
 
     async def images(request: Request) -> Response:
         """Answer with the images that may show a point."""
@@ -316,22 +287,5 @@ def application(scene: Scene, store: MarkStore, cache: Path) -> Starlette:
             doing("/redo", lambda _: service.redo()),
             doing("/adjust", lambda _: service.adjust()),
         ],
-        exception_handlers={PhotocalError: _refusal},
+        exception_handlers={PhotocalError: refusal},
     )
-
-
-async def _body(request: Request) -> bytes:
-    # A form of another site cannot have this type.
-    if request.headers.get("content-type") != "application/json":
-        raise ConfigurationError("the request is no JSON", "use the page")
-    body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > _LONGEST_REQUEST:
-            raise ConfigurationError("the request is too long", "use the page")
-    return body
-
-
-async def _refusal(_: Request, refusal: Exception) -> Response:
-    status = 404 if isinstance(refusal, InputNotFoundError) else 422
-    return JSONResponse({"error": str(refusal)}, status)

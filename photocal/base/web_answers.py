@@ -1,0 +1,81 @@
+"""Questions of a local page, checked, and their answers in JSON."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from photocal.base.checked_toml import Table
+from photocal.base.errors import ConfigurationError, InputNotFoundError
+
+Question = TypeVar("Question", bound=Table)
+_LONGEST_REQUEST = 10_000
+
+
+def telling(path: str, tell: Callable[[], Any]) -> Route:
+    """Return a route that answers with what a function tells."""
+
+    async def give(_: Request) -> Response:
+        """Answer as JSON."""
+        return JSONResponse(await run_in_threadpool(tell))
+
+    return Route(path, give)
+
+
+def finding(path: str, find: Callable[[dict[str, str]], Any]) -> Route:
+    """Return a route that answers what stands in its path and query, by their names."""
+
+    async def give(request: Request) -> Response:
+        """Answer as JSON."""
+        asked = {**request.query_params, **request.path_params}
+        return JSONResponse(await run_in_threadpool(find, asked))
+
+    return Route(path, give)
+
+
+def doing(path: str, do: Callable[[bytes], Any]) -> Route:
+    """Return a route that hands the body of a request to a function."""
+
+    async def give(request: Request) -> Response:
+        """Answer as JSON."""
+        return JSONResponse(await run_in_threadpool(do, await json_body(request)))
+
+    return Route(path, give, methods=["POST"])
+
+
+def checked(kind: type[Question], body: bytes) -> Question:
+    """Read a question; raises ConfigurationError when it is none of this kind."""
+    try:
+        return kind.model_validate_json(body)
+    except ValidationError as failure:
+        first = failure.errors()[0]
+        what = ": ".join((".".join(map(str, first["loc"])), first["msg"])).lstrip(": ")
+        raise ConfigurationError(what, "use the page", where="request") from failure
+
+
+async def json_body(request: Request) -> bytes:
+    """Read the body of a request; raises ConfigurationError when it is too long or no JSON."""
+    # A form of another site cannot have this type.
+    if request.headers.get("content-type") != "application/json":
+        raise ConfigurationError("the request is no JSON", "use the page")
+    return await short_body(request, _LONGEST_REQUEST)
+
+
+async def short_body(request: Request, longest: int) -> bytes:
+    """Read the body of a request; raises ConfigurationError when it is longer than that many bytes."""
+    body = bytearray()
+    async for part in request.stream():
+        body += part
+        if len(body) > longest:
+            raise ConfigurationError("the request is too long", "use the page")
+    return bytes(body)
+
+
+async def refusal(_: Request, failure: Exception) -> Response:
+    """Answer with a failure that we know, in the words of the command line."""
+    status = 404 if isinstance(failure, InputNotFoundError) else 422
+    return JSONResponse({"error": str(failure)}, status)

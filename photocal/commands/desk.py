@@ -1,0 +1,30 @@
+"""`photocal desk`: one window from the folder to the signed certificate."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from photocal.base.console import Address, argument, option
+
+
+def desk(
+    folder: Annotated[Path, argument("Folder of a flight, or a folder that has such folders.")],
+    address: Address = "127.0.0.1:8760",
+    cache: Annotated[Path | None, option("Folder for tiles; ~/.cache/photocal when not given.")] = None,
+) -> None:
+    """Open a window on a folder: choose, check, run, look, certify, on a local web page.
+
+    Everything that it does is done by commands, and it shows each of them.
+
+    Example: `photocal desk flight`
+    """
+    from photocal.base.operating_system import cache_folder, stopped_by_signals
+    from photocal.base.web import read_address, serving
+    from photocal.desk.server import application
+
+    stop = stopped_by_signals()
+    page = application(folder, cache or cache_folder())
+    with serving(page, read_address(address)) as url:
+        typer.echo(f"open {url} (Ctrl-C ends)")
+        stop.wait()

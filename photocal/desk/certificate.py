@@ -1,0 +1,271 @@
+"""Answers to the step Certificate: particulars, preview, signature, what is sent, and a check of others."""
+
+import datetime as dt
+import json
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field
+from starlette.background import BackgroundTask
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from starlette.routing import BaseRoute, Route
+
+from photocal.base.checked_toml import Table
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.web_answers import checked, doing, short_body, telling
+from photocal.desk import particulars, project_file
+from photocal.desk.folder import pictures
+from photocal.desk.jobs import asked, line
+from photocal.desk.session import Desk
+from photocal.project import Project
+from photocal.report.keys import own_key
+from photocal.report.signing import SIGNATURE
+from photocal.results.folder import RESULT
+from photocal.run.stage import made_in
+
+if TYPE_CHECKING:
+    from photocal.report.stored_analysis import AnalysedRun
+
+# A document within the page: no script, no network, nothing but itself.
+_FRAMED = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'self'; sandbox"
+)
+_LONGEST_ZIP, _MOST_FILES, _LONGEST_FILES = 400 << 20, 5000, 2 << 30
+_RECORD, _PAGE = "certificate.json", "certificate.html"
+_KEYS = ("client", "operator", "language")
+Short = Annotated[str, Field(max_length=2000)]
+
+
+class _Form(Table, strict=True):
+    values: Annotated[dict[str, Short], Field(default_factory=dict)]
+    client: Short = ""
+    operator: Short = ""
+    language: str = "en"
+
+
+class _Sign(Table, strict=True):
+    passphrase: Short = ""
+
+
+class _Key(Table, strict=True):
+    name: Annotated[str, Field(min_length=1, max_length=100)]
+    passphrase: Short = ""
+
+
+def routes(desk: Desk) -> list[BaseRoute]:
+    """Return what answers for the step Certificate."""
+
+    async def framed(_: Request) -> Response:
+        """Answer with the document that was previewed last, or with the one that was issued."""
+        text = await run_in_threadpool(lambda: desk.preview or issued(desk))
+        return HTMLResponse(text, headers={"content-security-policy": _FRAMED})
+
+    async def packed(_: Request) -> Response:
+        """Answer with the whole certificate in one file."""
+        path, name = await run_in_threadpool(pack, desk)
+        return FileResponse(path, filename=name, background=BackgroundTask(path.unlink, missing_ok=True))
+
+    async def verified(request: Request) -> Response:
+        """Answer what another certificate is worth."""
+        if request.headers.get("content-type") != "application/zip":
+            raise ConfigurationError("is no zip of a certificate", "drop the zip that was sent")
+        return JSONResponse(await run_in_threadpool(verify, await short_body(request, _LONGEST_ZIP)))
+
+    return [
+        telling("/api/certificate", lambda: state(desk)),
+        doing("/api/certificate/set", lambda body: _set(desk, checked(_Form, body))),
+        doing("/api/certificate/preview", lambda body: _preview(desk, checked(_Form, body))),
+        doing("/api/certificate/sign", lambda body: _sign(desk, checked(_Sign, body))),
+        doing("/api/certificate/key", lambda body: _key(desk, checked(_Key, body))),
+        doing("/api/certificate/verify", lambda _: _verify_own(desk)),
+        Route("/certificate/preview", framed),
+        Route("/certificate/zip", packed),
+        Route("/api/verify", verified, methods=["POST"]),
+    ]
+
+
+def state(desk: Desk) -> dict[str, Any]:
+    """The certificate as it lies there, its form, and the key."""
+    from photocal.measurement.picture_conditions import told_conditions
+
+    project, key = desk.project(), own_key()
+    given = project.contents.certificate
+    folder = project.output / "certificate"
+    return {
+        "ready": (made_in(project.output) / "analysis" / RESULT).is_file(),
+        "fields": particulars.fields(given.particulars, told_conditions(pictures(desk))),
+        "file": desk.named(_file(desk, project)),
+        **given.model_dump(include={*_KEYS}),
+        "key": None if key is None else {"name": key.name, "fingerprint": key.fingerprint},
+        "issued": issued_as(folder),
+        "lines": {
+            "issue": line(["run", desk.folder]),
+            "sign": line(["sign", folder]),
+            "key": line(["keys", "--new", "NAME"]),
+            "verify": line(["verify", folder]),
+        },
+    }
+
+
+def issued_as(folder: Path) -> dict[str, Any] | None:
+    """Number, day and verdict of a certificate that lies in a folder, and whether it is signed."""
+    try:
+        content = json.loads((folder / _RECORD).read_bytes())
+        verdict = {key: content["verdict"].get(key) for key in ("severity", "text", "paragraph")}
+        named = {"number": content["number"], "date": content["date"], "verdict": verdict}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    return {**named, "folder": str(folder), "signed": (folder / SIGNATURE).is_file()}
+
+
+def _file(desk: Desk, project: Project) -> Path:
+    return project.contents.certificate.particulars or desk.folder / particulars.NAME
+
+
+def _set(desk: Desk, form: _Form) -> dict[str, Any]:
+    """Write the form into the particulars and the project."""
+    with desk.lock:
+        project = desk.project()
+        path = _file(desk, project)
+        text = particulars.written(path, form.values)
+        if text.strip() or path.is_file():
+            particulars.write(path, text, _today())
+            if project.contents.certificate.particulars is None:
+                project_file.put(desk.file, "certificate.particulars", particulars.NAME)
+        for key in _KEYS:
+            value, known = getattr(form, key), getattr(project.contents.certificate, key)
+            if value != known:
+                project_file.put(desk.file, f"certificate.{key}", value)
+    return state(desk)
+
+
+def _today() -> dt.date:
+    return dt.datetime.now().astimezone().date()
+
+
+def _preview(desk: Desk, form: _Form) -> dict[str, Any]:
+    """Make the certificate of a form that is not kept yet, without writing anything of the project."""
+    # What computes is loaded when it is needed: the window is there at once.
+    from photocal.findings.document import html
+    from photocal.findings.texts import catalogue
+    from photocal.measurement.picture_conditions import told_conditions
+    from photocal.report.certificate import certificate
+    from photocal.run.summary import gather, read_json
+
+    project = desk.project()
+    work, key = made_in(project.output), own_key()
+    run = _analysed(work / "analysis")
+    text = particulars.written(_file(desk, project), form.values)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / particulars.NAME
+        path.write_text(text or "# nothing was typed\n", encoding="utf-8")
+        given = particulars.read(
+            path,
+            _today(),
+            client=form.client,
+            operator=form.operator,
+            key="" if key is None else key.fingerprint,
+            pictures=told_conditions(pictures(desk)),
+            flown=read_json(work / "flown" / "flown.json"),
+        )
+    document = certificate(run, given, catalogue(form.language), gather(work))
+    desk.preview = html(document)
+    return {"number": document.number}
+
+
+def _analysed(folder: Path) -> "AnalysedRun":
+    try:
+        return _run(folder, (folder / RESULT).stat().st_mtime_ns)
+    except OSError:
+        raise InputNotFoundError("there is no result yet", "run the project first", where=folder) from None
+
+
+@lru_cache(maxsize=1)
+def _run(folder: Path, _changed: int) -> "AnalysedRun":
+    from photocal.report.stored_analysis import read_run
+
+    return read_run(folder)
+
+
+def issued(desk: Desk) -> str:
+    """The certificate as it was issued last; raises InputNotFoundError without one."""
+    path = desk.project().output / "certificate" / _PAGE
+    if not path.is_file():
+        raise InputNotFoundError("no certificate is issued yet", "run the project first", where=desk.folder)
+    return path.read_text(encoding="utf-8")
+
+
+def _sign(desk: Desk, told: _Sign) -> dict[str, Any]:
+    # What is secret stands in no list of processes.
+    asked(["sign", desk.project().output / "certificate"], {"PHOTOCAL_PASSPHRASE": told.passphrase})
+    return state(desk)
+
+
+def _key(desk: Desk, told: _Key) -> dict[str, Any]:
+    asked(["keys", "--new", told.name], {"PHOTOCAL_PASSPHRASE": told.passphrase})
+    return state(desk)
+
+
+def _verify_own(desk: Desk) -> dict[str, Any]:
+    return verified_folder(desk.project().output / "certificate")
+
+
+def pack(desk: Desk) -> tuple[Path, str]:
+    """Pack the certificate as it lies there; gives a file that somebody must remove, and its name."""
+    folder = desk.project().output / "certificate"
+    record = issued_as(folder)
+    if record is None:
+        raise InputNotFoundError("no certificate is issued yet", "run the project first", where=folder)
+    with tempfile.NamedTemporaryFile(suffix=".zip", delete=False) as file:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in sorted(folder.rglob("*")):
+                if path.is_file() and not path.is_symlink():
+                    archive.write(path, path.relative_to(folder).as_posix())
+        name = "".join(c if c.isalnum() or c in "-_." else "-" for c in str(record["number"]))
+        return Path(file.name), f"certificate-{name}.zip"
+
+
+def verify(octets: bytes) -> dict[str, Any]:
+    """Unpack a certificate aside and verify it; nothing of it stays.
+
+    raises InputMalformedError: for what is no zip of a certificate, or unpacks to more than any is.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        archive = Path(folder) / "sent.zip"
+        archive.write_bytes(octets)
+        unpacked = Path(folder) / "certificate"
+        try:
+            with zipfile.ZipFile(archive) as packed:
+                _unpack(packed, unpacked)
+        except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as refusal:
+            raise InputMalformedError(f"is no zip ({refusal})", "drop the zip that was sent") from refusal
+        found = sorted(unpacked.rglob(_RECORD), key=lambda path: len(path.parts))
+        if not found:
+            raise InputMalformedError("has no certificate.json", "drop the zip of a certificate")
+        return verified_folder(found[0].parent)
+
+
+def _unpack(packed: zipfile.ZipFile, folder: Path) -> None:
+    """Unpack files with names that stay inside, no more of them and no longer than a certificate has."""
+    members = [member for member in packed.infolist() if not member.is_dir()]
+    if len(members) > _MOST_FILES or sum(member.file_size for member in members) > _LONGEST_FILES:
+        raise InputMalformedError("unpacks to more than a certificate is", "ask the issuer for it")
+    for member in members:
+        path = PurePosixPath(member.filename)
+        if path.is_absolute() or ".." in path.parts or "\\" in member.filename or ":" in member.filename:
+            raise InputMalformedError("has a file outside of its folder", "ask the issuer for it")
+        packed.extract(member, folder)
+
+
+def verified_folder(folder: Path) -> dict[str, Any]:
+    """What `photocal verify` says of a folder."""
+    told: Mapping[str, Any] = asked(["verify", folder])
+    keys = ("number", "verified", "reproducible", "authentic", "signature", "problems", "not_told")
+    return {**{key: told.get(key) for key in keys}, "verdict": told.get("verdict")}

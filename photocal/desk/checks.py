@@ -1,0 +1,107 @@
+"""Answers to the step Check: the machine, what contradicts in the project, and the debrief of the flight."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from starlette.routing import BaseRoute
+
+from photocal.base.checked_toml import Table
+from photocal.base.errors import PhotocalError
+from photocal.base.files import output_file
+from photocal.base.web_answers import checked, doing, telling
+from photocal.desk.jobs import FOLDER, asked, line
+from photocal.desk.project_file import field_of
+from photocal.desk.session import Desk
+
+JOB = "debrief"
+# The second is what `photocal debrief` writes.
+_KEPT, _DEBRIEF = "check.json", "debrief.json"
+
+
+class _Debrief(Table, strict=True):
+    live: bool = False
+    language: str = "en"
+
+
+def routes(desk: Desk) -> list[BaseRoute]:
+    """Return what answers for the step Check."""
+    return [
+        telling("/api/check", lambda: state(desk)),
+        doing("/api/check/start", lambda _: _check(desk)),
+        doing("/api/debrief/start", lambda body: _debrief(desk, checked(_Debrief, body))),
+        doing("/api/debrief/stop", lambda _: _stop(desk)),
+    ]
+
+
+def state(desk: Desk) -> dict[str, Any]:
+    """What the last check has found, and the debrief as it stands."""
+    job = desk.job(JOB).state()
+    error = {"text": job["error"], "field": field_of(job["error"])} if job["error"] else None
+    return {
+        "checked": kept(desk),
+        "debrief": debrief(desk),
+        "job": job,
+        "error": error,
+        "lines": {"doctor": line(_doctor(desk)), "debrief": line(["debrief", desk.folder])},
+    }
+
+
+def kept(desk: Desk) -> dict[str, Any] | None:
+    """What the last check has found."""
+    try:
+        content = json.loads((desk.folder / FOLDER / _KEPT).read_bytes())
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def _doctor(desk: Desk) -> list[str | Path]:
+    try:
+        crs = desk.project().crs
+    except (PhotocalError, OSError):
+        crs = "local"
+    return ["doctor", desk.folder, *(["--crs", crs] if crs != "local" else [])]
+
+
+def _check(desk: Desk) -> dict[str, Any]:
+    """Ask the machine, and hold the inputs of the project against each other."""
+    from photocal.run.project_checks import check_project
+
+    content: dict[str, Any] = {"machine": asked(_doctor(desk)), "problem": None}
+    try:
+        check_project(desk.project())
+    except PhotocalError as refusal:
+        text = str(refusal).removeprefix(f"{desk.file}: ")
+        content["problem"] = {"text": text, "field": field_of(text)}
+    (desk.folder / FOLDER).mkdir(exist_ok=True)
+    with desk.lock, output_file(desk.folder / FOLDER / _KEPT) as aside:
+        aside.write_text(json.dumps(content), encoding="utf-8")
+    return state(desk)
+
+
+def debrief(desk: Desk) -> dict[str, Any] | None:
+    """What the debrief has written, as far as it is there."""
+    try:
+        content = json.loads((desk.project().output / _DEBRIEF).read_bytes())
+        return {
+            "verdict": content["verdict"],
+            "summary": content["summary"],
+            "findings": [one for one in content["findings"] if one["severity"] not in ("passed", "untested")],
+            "exposures": content["exposures"],
+            "coverage": content["coverage"],
+            "pictures": len(content["pictures"]),
+        }
+    except (PhotocalError, OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+def _debrief(desk: Desk, told: _Debrief) -> dict[str, Any]:
+    live: list[str | Path] = ["--live"] if told.live else []
+    desk.job(JOB).start(["debrief", desk.folder, "--language", told.language, *live])
+    return state(desk)
+
+
+def _stop(desk: Desk) -> dict[str, Any]:
+    desk.job(JOB).stop()
+    return state(desk)

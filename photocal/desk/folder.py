@@ -1,0 +1,247 @@
+"""Answers to the step Folder: what lies there, what is asked, and the project file as a form."""
+
+import json
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, FiniteFloat
+from starlette.routing import BaseRoute
+
+from photocal.base.checked_toml import Table, read_tables
+from photocal.base.errors import PhotocalError
+from photocal.base.files import output_file
+from photocal.base.web_answers import checked, doing, finding, telling
+from photocal.block.folder import read_points
+from photocal.block.model import NO_POINTS, ROLES
+from photocal.desk import project_file
+from photocal.desk.jobs import FOLDER, asked, line
+from photocal.desk.session import Desk
+from photocal.measurement.image_facts import ImageFacts, read_facts
+from photocal.measurement.image_file import SUFFIXES, list_images
+from photocal.project import NAME
+
+# What `photocal new` has said, kept for a window that is opened again.
+_SAID = "new.json"
+_MOST_FOLDERS, _MOST_FILES = 300, 20_000
+_MOST_SYSTEMS = 8
+_LOGS = (".mcap", ".tlog", ".bin", ".ulg", ".ubx")
+Short = Annotated[str, Field(max_length=300)]
+
+
+class _Opened(Table, strict=True):
+    path: Annotated[str, Field(max_length=4000)]
+
+
+class _New(Table, strict=True):
+    crs: Short = ""
+    height: Short = ""
+    marks: Short = ""
+
+
+class _Value(Table):
+    key: Short
+    value: Short | Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] | None
+
+
+class _Role(Table, strict=True):
+    point: Short
+    role: Short
+
+
+def routes(desk: Desk) -> list[BaseRoute]:
+    """Return what answers for the step Folder."""
+    return [
+        finding("/api/folders", lambda given: folders(desk, given.get("path", ""))),
+        doing("/api/open", lambda body: _open(desk, checked(_Opened, body).path)),
+        telling("/api/project", lambda: project(desk)),
+        doing("/api/new", lambda body: _new(desk, checked(_New, body))),
+        finding("/api/systems", lambda given: systems(desk, given.get("text", ""))),
+        telling("/api/places", lambda: places(desk)),
+        telling("/api/heights", lambda: heights(desk)),
+        doing("/api/set", lambda body: _set(desk, checked(_Value, body))),
+        doing("/api/role", lambda body: _role(desk, checked(_Role, body))),
+    ]
+
+
+def folders(desk: Desk, path: str) -> dict[str, Any]:
+    """A folder beneath the root and those in it, each with what it holds at first sight."""
+    here = desk.inside(path)
+    inner = sorted(entry for entry in here.iterdir() if entry.is_dir() and not entry.name.startswith("."))
+    # A link may lead out: what it leads to is not shown.
+    inside = [entry for entry in inner if entry.resolve().is_relative_to(desk.root)]
+    up = None if here == desk.root else desk.named(here.parent)
+    return {
+        "path": desk.named(here),
+        "up": up,
+        "here": _holds(desk, here),
+        "folders": [_holds(desk, entry) for entry in inside[:_MOST_FOLDERS]],
+        "more": max(0, len(inside) - _MOST_FOLDERS),
+    }
+
+
+def _holds(desk: Desk, folder: Path) -> dict[str, Any]:
+    pictures = logs = 0
+    try:
+        for k, entry in enumerate(folder.iterdir()):
+            suffix = entry.suffix.lower()
+            pictures, logs = pictures + (suffix in SUFFIXES), logs + (suffix in _LOGS)
+            if k > _MOST_FILES:
+                break
+    except OSError:
+        pictures = 0
+    project_there = (folder / NAME).is_file()
+    counted = {"pictures": pictures, "logs": logs, "project": project_there}
+    return {"name": folder.name, "path": desk.named(folder), **counted}
+
+
+def _open(desk: Desk, path: str) -> dict[str, Any]:
+    desk.open(path)
+    return desk.shown()
+
+
+def project(desk: Desk) -> dict[str, Any]:
+    """What is known of the folder that is open: its project file as a form, and what `new` has said."""
+    holds = _holds(desk, desk.folder)
+    form = project_file.shown(desk.file) if desk.file.is_file() else None
+    return {"holds": holds, "form": form, "said": said(desk), "line": line(["new", desk.folder])}
+
+
+def said(desk: Desk) -> dict[str, Any] | None:
+    """What `photocal new` has said last."""
+    try:
+        told = json.loads((desk.folder / FOLDER / _SAID).read_bytes())
+    except (OSError, ValueError):
+        return None
+    return told if isinstance(told, dict) else None
+
+
+def places(desk: Desk) -> dict[str, Any]:
+    """Control points, and the places that pictures state, for the small map; as far as they can be read."""
+    facts, control, crs = pictures(desk), NO_POINTS, ""
+    try:
+        tables = read_tables(desk.file)
+        crs = str(tables["project"]["crs"])
+        control = read_points(desk.folder / str(tables["control"]["points"]))
+    except (PhotocalError, OSError, LookupError, TypeError):
+        control = NO_POINTS
+    rows = zip(control.names, control.values.tolist(), control.role.tolist(), strict=True)
+    points = [*rows][: project_file.MOST_POINTS]
+    degrees = _in_degrees(crs, np.array([value for _, value, _ in points]).reshape(-1, 3))
+    return {
+        "points": [
+            {"name": name, "role": ROLES[role], "xyz": value, "place_deg": place}
+            for (name, value, role), place in zip(points, degrees, strict=True)
+        ],
+        "pictures": [
+            {"name": one.name, "place_deg": [one.longitude_deg, one.latitude_deg]}
+            for one in facts
+            if one.has_position
+        ],
+    }
+
+
+def pictures(desk: Desk) -> tuple[ImageFacts, ...]:
+    """What the pictures of the project say of themselves; none where its folder is not known."""
+    try:
+        folder = desk.folder / str(read_tables(desk.file)["images"]["folder"])
+        listed = list_images(folder)
+        return _facts(tuple((path, path.stat().st_mtime_ns) for path in listed))
+    except (PhotocalError, OSError, LookupError, TypeError):
+        return ()
+
+
+@lru_cache(maxsize=2)
+def _facts(paths: tuple[tuple[Path, int], ...]) -> tuple[ImageFacts, ...]:
+    read = []
+    for path, _ in paths:
+        with suppress(PhotocalError):
+            read.append(read_facts(path))
+    return tuple(read)
+
+
+def _in_degrees(crs: str, places: Any) -> list[list[float] | None]:
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    try:
+        way = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    except ProjError:
+        return [None] * len(places)
+    moved = np.column_stack(way.transform(places[:, 0], places[:, 1]))
+    return [place if np.isfinite(place).all() else None for place in moved.tolist()]
+
+
+def _new(desk: Desk, told: _New) -> dict[str, Any]:
+    arguments: list[str | Path] = ["new", desk.folder]
+    for name, value in (("--crs", told.crs), ("--height", told.height), ("--marks", told.marks)):
+        arguments += [name, value] if value else []
+    arguments += ["--again"] if desk.file.is_file() else []
+    with desk.lock:
+        answer = asked(arguments)
+        (desk.folder / FOLDER).mkdir(exist_ok=True)
+        with output_file(desk.folder / FOLDER / _SAID) as aside:
+            aside.write_text(json.dumps({**answer, "line": line(arguments)}), encoding="utf-8")
+    return project(desk)
+
+
+def systems(desk: Desk, text: str) -> dict[str, Any]:
+    """Map systems that a text may mean, and those of the place where the pictures are."""
+    from photocal.geometry.systems import called
+
+    found = called(text, None, _MOST_SYSTEMS) if text.strip() else ()
+    exact = _by_code(text)
+    listed = [{"code": one.code, "name": one.name, "area": one.area} for one in found]
+    listed = [*exact, *(one for one in listed if one["code"] not in {entry["code"] for entry in exact})]
+    return {"text": text, "systems": listed or [*_here(desk)]}
+
+
+def _by_code(text: str) -> list[dict[str, str]]:
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    code = f"EPSG:{text.strip()}" if text.strip().isdecimal() else text.strip()
+    if ":" not in code:
+        return []
+    try:
+        system = CRS.from_user_input(code)
+    except CRSError:
+        return []
+    area = system.area_of_use
+    return [{"code": code.upper(), "name": system.name, "area": "" if area is None else area.name}]
+
+
+def _here(desk: Desk) -> Iterator[dict[str, str]]:
+    """The zone of the pictures, as long as nothing was typed."""
+    from photocal.run.new_control import zone_of
+
+    placed = [one for one in pictures(desk) if one.has_position]
+    if placed:
+        yield from _by_code(zone_of(placed))
+
+
+def heights(desk: Desk) -> list[dict[str, str]]:
+    """Systems of heights of the place of the pictures."""
+    from photocal.geometry.systems import heights_at
+
+    placed = [(one.latitude_deg, one.longitude_deg) for one in pictures(desk) if one.has_position]
+    if not placed:
+        return []
+    latitude, longitude = np.median(np.array(placed), axis=0)
+    return [{"code": code, "name": name} for code, name in heights_at(float(latitude), float(longitude))]
+
+
+def _set(desk: Desk, told: _Value) -> dict[str, Any]:
+    with desk.lock:
+        project_file.put(desk.file, told.key, told.value)
+    return project(desk)
+
+
+def _role(desk: Desk, told: _Role) -> dict[str, Any]:
+    with desk.lock:
+        points = read_tables(desk.file).get("control", {}).get("points", "")
+        project_file.put_role(desk.inside(desk.named(desk.folder / str(points))), told.point, told.role)
+    return places(desk)

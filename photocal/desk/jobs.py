@@ -1,0 +1,197 @@
+"""Commands of the program as processes of their own: short ones are asked, long ones go on by themselves.
+
+What the window does is done by the very commands that it shows. A long one writes into files of the project
+(`.desk`): it outlives the window, and a window that is opened again finds it.
+"""
+
+import contextlib
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from photocal.base.errors import ConfigurationError
+from photocal.base.files import output_file
+from photocal.base.operating_system import CHILD_FLAGS
+
+FOLDER = ".desk"
+_PROGRAM = (sys.executable, "-P", "-m", "photocal")
+# Short commands answer within this time.
+_PATIENCE_S = 600.0
+# What is asked to stop may clean up so long.
+_GRACE_S = 15.0
+_LONGEST_LOG = 200_000
+_ERROR = "error: "
+
+
+def line(arguments: Sequence[str | Path]) -> str:
+    """Command line as a person types it."""
+    return shlex.join(["photocal", *map(str, arguments)])
+
+
+def asked(arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> Any:
+    """Run a short command and give its JSON; what it refuses is refused in its words.
+
+    raises ConfigurationError: when it fails without an answer.
+    """
+    done = subprocess.run(  # noqa: S603
+        [*_PROGRAM, *map(str, arguments), "--json"],
+        capture_output=True,
+        text=True,
+        timeout=_PATIENCE_S,
+        stdin=subprocess.DEVNULL,
+        env={**os.environ, **(environment or {})},
+        check=False,
+    )
+    with contextlib.suppress(ValueError):
+        return json.loads(done.stdout)
+    raise ConfigurationError(error_of(done.stderr) or f"photocal {arguments[0]} ended with {done.returncode}")
+
+
+def error_of(log: str) -> str:
+    """Last error that a command has said."""
+    lines = log.splitlines()
+    last = [k for k, said in enumerate(lines) if said.startswith(_ERROR)][-1:]
+    if last:
+        details = [said.strip() for said in lines[last[0] + 1 :] if said.startswith("  ")]
+        return "\n".join([lines[last[0]].removeprefix(_ERROR), *details])
+    if "Traceback (most recent call last)" in log:
+        return lines[-1]
+    return ""
+
+
+class Job:
+    """A long command of a project: one at a time of each name."""
+
+    def __init__(self, project: Path, name: str) -> None:
+        self._folder, self._name = project / FOLDER, name
+        self._process: subprocess.Popen[bytes] | None = None
+        self._guard = threading.Lock()
+
+    def start(self, arguments: Sequence[str | Path]) -> None:
+        """Begin it; raises ConfigurationError while it is at work."""
+        with self._guard:
+            if self._alive():
+                raise ConfigurationError(
+                    "is at work already", "wait for its end, or stop it", where=self._name
+                )
+            self._folder.mkdir(exist_ok=True)
+            command = [*_PROGRAM, *map(str, arguments), "--json"]
+            with self._file("out").open("wb") as out, self._file("log").open("wb") as log:
+                process = subprocess.Popen(  # noqa: S603
+                    command,
+                    stdout=out,
+                    stderr=log,
+                    stdin=subprocess.DEVNULL,
+                    start_new_session=True,
+                    creationflags=CHILD_FLAGS,
+                )
+            self._process = process
+            born = _born(process.pid)
+            self._note({"pid": process.pid, "born": born, "began": time.time(), "line": line(arguments)})
+
+    def stop(self) -> None:
+        """Ask it to end, with all that it has started; end it where it does not."""
+        with self._guard:
+            told = self._told()
+            if not self._alive():
+                return
+            self._note({**told, "stopped": time.time()})
+            for number in (signal.SIGINT, signal.SIGKILL):
+                _send(told["pid"], number)
+                until = time.monotonic() + _GRACE_S
+                while self._alive() and time.monotonic() < until:
+                    time.sleep(0.05)
+                if not self._alive():
+                    return
+
+    def state(self) -> dict[str, Any]:
+        """How it stands: none, busy, done, failed or stopped; with the error that it said."""
+        told = self._told()
+        if not told:
+            return {"state": "none", "line": "", "error": "", "began": None}
+        if self._alive():
+            return {"state": "busy", "line": told["line"], "error": "", "began": told["began"]}
+        error = error_of(self.log())
+        # What was asked to stop may complain of it.
+        failed = bool(error) and "stopped" not in told
+        state = "failed" if failed else "done" if self.answer() is not None else "stopped"
+        return {
+            "state": state,
+            "line": told["line"],
+            "error": error if failed else "",
+            "began": told["began"],
+        }
+
+    def answer(self) -> Any:
+        """JSON that it has printed; None as long as there is none."""
+        try:
+            return json.loads(self._file("out").read_bytes())
+        except (OSError, ValueError):
+            return None
+
+    def log(self) -> str:
+        """What it has said, the last part of it."""
+        try:
+            return self._file("log").read_bytes()[-_LONGEST_LOG:].decode("utf-8", "replace")
+        except OSError:
+            return ""
+
+    def _file(self, kind: str) -> Path:
+        return self._folder / f"{self._name}.{kind}"
+
+    def _told(self) -> dict[str, Any]:
+        try:
+            told = json.loads(self._file("json").read_bytes())
+        except (OSError, ValueError):
+            return {}
+        return told if isinstance(told, dict) and {"pid", "began", "line"} <= told.keys() else {}
+
+    def _note(self, told: Mapping[str, Any]) -> None:
+        with output_file(self._file("json")) as aside:
+            aside.write_text(json.dumps(told), encoding="utf-8")
+
+    def _alive(self) -> bool:
+        if self._process is not None:
+            return self._process.poll() is None
+        told = self._told()
+        # Its number may be that of another process by now: then it was born at another time.
+        born = _born(told["pid"]) if told and isinstance(told["pid"], int) else ""
+        return bool(born) and born == told.get("born")
+
+
+def _born(pid: int) -> str:
+    """When a process was born, in a word that no other with its number has; empty when there is none."""
+    try:
+        told = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return _there(pid)
+    fields = told.rpartition(")")[2].split()
+    # A process that has ended and that nobody has waited for is none any more.
+    return "" if fields[0] in "ZX" else fields[19]
+
+
+def _there(pid: int) -> str:
+    """Whether a process is there, where the system does not tell more."""
+    if sys.platform == "win32" or Path("/proc/self/stat").exists():
+        return ""
+    try:
+        os.kill(pid, 0)
+    except OSError:
+        return ""
+    return "there"
+
+
+def _send(pid: int, number: int) -> None:
+    with contextlib.suppress(OSError):
+        if sys.platform == "win32":
+            os.kill(pid, signal.CTRL_BREAK_EVENT if number == signal.SIGINT else signal.SIGTERM)
+        else:
+            os.killpg(pid, number)

@@ -1,0 +1,176 @@
+// The window: rail of steps, routes in the hash, texts in two languages, and the command line of each action.
+
+import { fill, h, sign } from "./dom.js";
+
+// Each step is a module with mount(element, context); it may return { leave() } and { route(parts) }.
+const STEPS = ["folder", "check", "run", "look", "certificate", "record"];
+const MODULES = Object.fromEntries(STEPS.map((name) => [name, `./steps/${name}.js`]));
+MODULES.look = "./look/look.js";
+const LANGUAGES = ["en", "pt-BR"];
+
+const texts = {};
+let language = chosenLanguage();
+let state = { steps: {} };
+let shown = { name: "", mounted: null };
+
+function chosenLanguage() {
+  const kept = localStorage.getItem("language");
+  const wanted = kept ?? navigator.language ?? "en";
+  return wanted.toLowerCase().startsWith("pt") ? "pt-BR" : "en";
+}
+
+/** Text of the catalogue with its values put in; a key that is not there shows itself. */
+export function say(key, values = {}) {
+  const text = texts[key]?.[LANGUAGES.indexOf(language)] ?? key;
+  return text.replace(/\{(\w+)\}/g, (whole, name) => values[name] ?? whole);
+}
+
+/** A refusal of the server, in the words of the command line. */
+export class Refusal extends Error {}
+
+async function answered(asked) {
+  let answer;
+  try {
+    answer = await asked;
+  } catch {
+    offline(true);
+    throw new Refusal(say("desk.gone"));
+  }
+  offline(false);
+  const value = (answer.headers.get("content-type") ?? "").startsWith("application/json") ? await answer.json() : {};
+  if (!answer.ok) throw new Refusal(value.error ?? `${answer.status}`);
+  return value;
+}
+
+const context = {
+  say,
+  /** Ask the server; the answer as JSON. Throws Refusal. */
+  get: (path) => answered(fetch(path)),
+  /** Have the server do something; the answer as JSON. Throws Refusal. */
+  post: (path, value = {}) =>
+    answered(fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(value) })),
+  /** Go to another place, as "#/look/point/P1". */
+  go(hash) {
+    location.hash = hash;
+  },
+  /** Show the command line that does the same. */
+  command(line) {
+    fill(
+      document.getElementById("command"),
+      h("span.label", {}, say("desk.command")),
+      h("code", {}, line),
+      h("button.small", { type: "button", onclick: () => copy(line) }, say("desk.copy")),
+    );
+  },
+  /** Tell readers of the screen. */
+  announce(text) {
+    document.getElementById("announced").textContent = text;
+  },
+  /** Ask anew how the steps stand. */
+  async renew() {
+    state = await context.get("/api/desk");
+    rail();
+    return state;
+  },
+  get language() {
+    return language;
+  },
+  get state() {
+    return state;
+  },
+};
+
+async function copy(line) {
+  try {
+    await navigator.clipboard.writeText(line);
+    context.announce(say("desk.copied"));
+  } catch {
+    const range = document.createRange();
+    range.selectNodeContents(document.querySelector("#command code"));
+    getSelection().removeAllRanges();
+    getSelection().addRange(range);
+  }
+}
+
+function offline(gone) {
+  document.body.classList.toggle("gone", gone);
+}
+
+function rail() {
+  const here = place().name;
+  document.documentElement.lang = language;
+  document.title = state.folder ? `${state.title ?? ""} · photocal` : "photocal";
+  document.getElementById("skip").textContent = say("desk.skip");
+  const link = (name, number) => {
+    const stands = state.steps?.[name] ?? { state: "none", word: "" };
+    return h(
+      "a.step",
+      { href: `#/${name}`, "aria-current": name === here ? "step" : null },
+      h("span.number", { "aria-hidden": "true" }, number),
+      h("span.name", {}, say(`step.${name}`)),
+      sign(stands.state, stands.word ? say(stands.word) : ""),
+    );
+  };
+  const rail = document.getElementById("rail");
+  rail.setAttribute("aria-label", say("desk.steps"));
+  fill(
+    rail,
+    h("div.title", {}, h("b", {}, "photocal"), h("span", { title: state.root }, state.title ?? "")),
+    STEPS.slice(0, 5).map((name, k) => link(name, `${k + 1}`)),
+    h("div.rest", {}, link("record", "●")),
+    h(
+      "button.small.language",
+      { type: "button", lang: language === "en" ? "pt-BR" : "en", onclick: otherLanguage },
+      language === "en" ? "Português" : "English",
+    ),
+  );
+}
+
+function otherLanguage() {
+  language = language === "en" ? "pt-BR" : "en";
+  localStorage.setItem("language", language);
+  rail();
+  route(true);
+}
+
+function place() {
+  const [name, ...parts] = location.hash.replace(/^#\//, "").split("/").map(decodeURIComponent);
+  return { name: STEPS.includes(name) ? name : "", parts };
+}
+
+async function route(anew = false) {
+  const { name, parts } = place();
+  if (!name) {
+    location.replace(`#/${state.next ?? "folder"}`);
+    return;
+  }
+  if (!anew && name === shown.name && shown.mounted?.route) {
+    shown.mounted.route(parts);
+    return;
+  }
+  shown.mounted?.leave?.();
+  rail();
+  fill(document.getElementById("command"));
+  const element = document.getElementById("step");
+  element.className = name;
+  fill(element);
+  shown = { name, mounted: null };
+  const mine = shown;
+  const module = await import(MODULES[name]);
+  if (shown !== mine) return;
+  context.parts = parts;
+  mine.mounted = (await module.mount(element, context)) ?? null;
+}
+
+async function start() {
+  for (const path of ["/texts.json", "/look/texts.json"]) Object.assign(texts, await (await fetch(path)).json());
+  await context.renew();
+  addEventListener("hashchange", () => route());
+  document.getElementById("skip").addEventListener("click", (event) => {
+    event.preventDefault();
+    document.getElementById("step").focus();
+  });
+  await route();
+}
+
+start();

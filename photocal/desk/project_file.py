@@ -1,0 +1,187 @@
+"""The project file as a form: its fields, what is still asked, and one value changed, all comments kept."""
+
+import csv
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from photocal.base.checked_toml import checked_tables, parse_toml
+from photocal.base.errors import ConfigurationError, InputMalformedError, InputNotFoundError
+from photocal.base.files import output_file
+from photocal.block.model import ROLES
+from photocal.project import ASKED, Contents
+
+_NUMBERS = 3
+# Tables of points that are no larger than this are shown point by point.
+MOST_POINTS = 2000
+
+
+@dataclass(frozen=True)
+class Field:
+    """One key of the project file in the form.
+
+    kind: text, system, choice, or triple of numbers.
+    """
+
+    key: str
+    kind: str
+    choices: tuple[str, ...] = ()
+
+
+FIELDS = (
+    Field("project.name", "text"),
+    Field("project.crs", "system"),
+    Field("project.height", "height", ("ellipsoidal", "orthometric", "local")),
+    Field("images.lens", "choice", ("unknown", "given")),
+    Field("images.position_sigma_m", "triple"),
+    Field("rig.camera_to_antenna_m", "triple"),
+    Field("flight.base_position", "triple"),
+    Field("certificate.client", "text"),
+    Field("certificate.operator", "text"),
+    Field("certificate.language", "choice", ("en", "pt-BR")),
+)
+# Which words of an error belong to which field, the surer ones first.
+_MENDS = (
+    ("project.height", r"\bheight =|heights? (?:are|is|of the kind)|\bheight\b.*(?:filled in|ellipsoidal)"),
+    ("project.crs", r"\bcrs\b|\bgrid\b|fetch-grids|\bzone\b|coordinate system|reference system|EPSG"),
+    ("rig.camera_to_antenna_m", r"camera_to_antenna"),
+    ("images.position_sigma_m", r"position_sigma_m"),
+    ("flight.base_position", r"base_position|base station"),
+    ("points", r"control point|check point|\bcontrol\b|\[control\]"),
+    ("certificate.particulars", r"particulars"),
+)
+
+
+def field_of(error: str) -> str:
+    """Field that an error speaks of; empty where it is none of the form."""
+    return next((key for key, words in _MENDS if re.search(words, error)), "")
+
+
+def shown(path: Path) -> dict[str, Any]:
+    """Fields of a project file with their values and comments, and what is wrong with it."""
+    document = _parsed(path)
+    problem = ""
+    try:
+        _check(tomlkit.dumps(document), path)
+    except (ConfigurationError, InputNotFoundError) as refusal:
+        problem = str(refusal).removeprefix(f"{path}: ")
+    return {
+        "fields": [*_fields(document)],
+        "problem": {"text": problem, "field": field_of(problem)} if problem else None,
+        "text": tomlkit.dumps(document),
+    }
+
+
+def _fields(document: Any) -> Iterator[dict[str, Any]]:
+    for field in FIELDS:
+        section, key = field.key.split(".")
+        if section not in document and section != "certificate":
+            continue
+        item = document.get(section, {}).get(key)
+        value = None if item is None else item.unwrap() if hasattr(item, "unwrap") else item
+        comment = "" if item is None or not hasattr(item, "trivia") else item.trivia.comment.lstrip("# ")
+        yield {
+            "key": field.key,
+            "kind": field.kind,
+            "choices": list(field.choices),
+            "value": "" if value == ASKED else value,
+            "asked": value == ASKED,
+            "comment": comment,
+        }
+
+
+def put(path: Path, key: str, value: Any) -> None:
+    """Set one key, or remove it (None); comments stay, and an impossible value is not written.
+
+    raises ConfigurationError: for a key that is none of the form, and for an impossible value.
+    """
+    field = next((one for one in FIELDS if one.key == key), None)
+    if field is None and key != "certificate.particulars":
+        raise ConfigurationError(f"{key} is no field of the form", "edit the file", where=path)
+    document, (section, name) = _parsed(path), key.split(".")
+    if section not in document:
+        document[section] = tomlkit.table()
+    table: Any = document[section]
+    if value is None or value == "":
+        table.pop(name, None)
+    elif name in table:
+        table[name] = value
+    else:
+        table.append(name, value)
+    _with_local(table, name, value)
+    text = tomlkit.dumps(document)
+    _refuse(text, path, name)
+    with output_file(path) as aside:
+        aside.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _with_local(table: Any, name: str, value: Any) -> None:
+    """A local system has local heights, and no other: one answer is enough."""
+    pair = {"crs": "height", "height": "crs"}.get(name)
+    if pair is not None and ("local" in (value, table.get(pair)) and value != table.get(pair)):
+        table[pair] = "local" if value == "local" else ASKED
+
+
+def _refuse(text: str, path: Path, name: str) -> None:
+    """Complain of the value that was given, not of what others still lack."""
+    if name == "crs":
+        _refuse_system(tomlkit.parse(text)["project"].get("crs"), path)
+    try:
+        _check(text, path)
+    except ConfigurationError as refusal:
+        if re.search(rf"\b{name}\b", refusal.what) and "still to be filled in" not in refusal.what:
+            raise
+
+
+def _refuse_system(crs: Any, path: Path) -> None:
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    if crs in ("local", ASKED):
+        return
+    try:
+        CRS.from_user_input(str(crs))
+    except CRSError as refusal:
+        raise ConfigurationError(
+            f"crs = {str(crs)!r} is no system of the register", "search it by name or country", where=path
+        ) from refusal
+
+
+def _check(text: str, path: Path) -> None:
+    checked_tables(parse_toml(text), Contents, path, {"folder": path.parent})
+
+
+def _parsed(path: Path) -> tomlkit.TOMLDocument:
+    try:
+        return tomlkit.parse(path.read_text(encoding="utf-8-sig"))
+    except OSError as refusal:
+        raise InputNotFoundError("cannot be read", "look at the folder first", where=path) from refusal
+    except (TOMLKitError, UnicodeDecodeError) as refusal:
+        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
+
+
+def put_role(path: Path, point: str, role: str) -> None:
+    """Make a point of a table of control a control or a check point; all else in it stays.
+
+    raises ConfigurationError: for an unknown role. raises InputNotFoundError: for an unknown point.
+    """
+    if role not in ROLES[:2]:
+        raise ConfigurationError(f"{role!r} is no role", f"take {ROLES[0]} or {ROLES[1]}", where=path)
+    text = path.read_text(encoding="utf-8-sig")
+    rows = list(csv.reader(io.StringIO(text)))
+    if not rows or not {"point", "role"} <= set(rows[0]):
+        raise InputMalformedError("has no columns point and role", "add them", where=path)
+    name, kind = rows[0].index("point"), rows[0].index("role")
+    found = [row for row in rows[1:] if len(row) == len(rows[0]) and row[name] == point]
+    if not found:
+        raise InputNotFoundError(f"has no point {point}", "choose one of the list", where=path)
+    for row in found:
+        row[kind] = role
+    with output_file(path) as aside, aside.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)

@@ -1,0 +1,132 @@
+"""Answers to the step Run: the stages with their times, one command at work, and what it says."""
+
+import datetime as dt
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+from starlette.routing import BaseRoute
+
+from photocal.base.checked_toml import Table
+from photocal.base.errors import PhotocalError
+from photocal.base.web_answers import checked, doing, telling
+from photocal.desk.jobs import line
+from photocal.desk.project_file import field_of
+from photocal.desk.session import Desk
+from photocal.project import Project
+from photocal.run.output_place import STAGES
+from photocal.run.stage import RECORD, made_in
+
+JOB = "run"
+# Of the whole time, what each stage takes in ordinary flights, where none was ever made: in parts.
+_WEIGHTS = {"ppk": 8, "exposures": 2, "measurements": 60, "block": 2, "calibration": 6, "flown": 2}
+_WEIGHTS |= {"georeferencing": 30, "analysis": 50, "certificate": 2}
+
+
+class _Again(Table, strict=True):
+    again: Annotated[str, Field(max_length=50)] = ""
+
+
+def routes(desk: Desk) -> list[BaseRoute]:
+    """Return what answers for the step Run."""
+    return [
+        telling("/api/run", lambda: state(desk)),
+        doing("/api/run/start", lambda body: _start(desk, checked(_Again, body).again)),
+        doing("/api/run/stop", lambda _: _stop(desk)),
+        telling("/api/run/log", lambda: {"log": desk.job(JOB).log()}),
+    ]
+
+
+def state(desk: Desk) -> dict[str, Any]:
+    """Every stage with its time and state, how far the one at work is, and an error with its field."""
+    from photocal.run.campaign import PROGRESS, stages
+
+    job = desk.job(JOB).state()
+    error = job["error"]
+    told: dict[str, Any] = {
+        "job": job,
+        "error": {"text": error, "field": field_of(error)} if error else None,
+        "line": line(["run", desk.folder]),
+        "stages": [],
+        "progress": None,
+        "verdict": None,
+    }
+    try:
+        project = desk.project()
+        listed = stages(project, dt.datetime.now().astimezone().date())
+    except (PhotocalError, OSError) as refusal:
+        return {**told, "error": told["error"] or {"text": str(refusal), "field": field_of(str(refusal))}}
+    work = project.output
+    progress = _kept(work / PROGRESS) if job["state"] == "busy" else {}
+    names = [stage.name for stage in listed]
+    said = told_stages(desk.job(JOB).log(), names) if job["state"] != "none" else {}
+    answer = desk.job(JOB).answer()
+    return {
+        **told,
+        "stages": [*_stages(work, names, said, job)],
+        "progress": {key: progress.get(key) for key in ("title", "share", "left_s", "elapsed_s")} or None,
+        "verdict": answer.get("verdict") if isinstance(answer, dict) and job["state"] == "done" else None,
+        "warnings": answer.get("warnings", [])[:50] if isinstance(answer, dict) else [],
+    }
+
+
+def _stages(
+    work: Path, names: list[str], said: Mapping[str, str], job: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Each stage: made, kept, at work or to come; its time by the record, and its part of the whole."""
+    found = []
+    for name in names:
+        record = _kept(made_in(work) / name / RECORD)
+        seconds = record.get("seconds")
+        now = said.get(name, "")
+        state = now or ("there" if record else "none")
+        if job["state"] == "busy" and not now:
+            begun = all(before in said for before in names[: names.index(name)])
+            state = "busy" if begun else "waits"
+        weight = float(seconds) if seconds else float(_WEIGHTS.get(name, 2))
+        stage = {"name": name, "ours": name in STAGES, "state": state}
+        since = _begun(work, said, job) if state == "busy" else None
+        found.append({**stage, "seconds": seconds, "weight": weight, "since": since})
+    return found
+
+
+def _begun(work: Path, said: Mapping[str, str], job: Mapping[str, Any]) -> float:
+    """When the stage at work began: with the run, or with the end of what was made last."""
+    records = [made_in(work) / name / RECORD for name in said]
+    return max([float(job["began"]), *(path.stat().st_mtime for path in records if path.is_file())])
+
+
+def told_stages(log: str, names: list[str]) -> dict[str, str]:
+    """Stages that a run has named in its lines: made or kept."""
+    found = {}
+    for said in log.splitlines():
+        parts = said.rsplit(": ", 2)
+        if len(parts) == 3 and parts[1] in names:
+            found[parts[1]] = "kept" if parts[2] == "kept" else "made"
+    return found
+
+
+def _start(desk: Desk, again: str) -> dict[str, Any]:
+    arguments: list[str | Path] = ["run", desk.folder]
+    desk.job(JOB).start([*arguments, "--again", again] if again else arguments)
+    return state(desk)
+
+
+def _stop(desk: Desk) -> dict[str, Any]:
+    desk.job(JOB).stop()
+    return state(desk)
+
+
+def _kept(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def made_stages(project: Project) -> list[str]:
+    """Stages of ours that lie in the work folder, whether they are up to date or not."""
+    return [name for name in STAGES if (made_in(project.output) / name / RECORD).is_file()]

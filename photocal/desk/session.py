@@ -1,0 +1,83 @@
+"""What the window is open on: the folder that was given, and the one within it that is worked on."""
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from photocal.base.errors import InputNotFoundError
+from photocal.desk.jobs import Job
+from photocal.project import NAME, Project, read_project
+
+
+class Desk:
+    """The folder that was given, and the one within it that is worked on; nothing else is ever opened.
+
+    Attributes
+    ----------
+    root
+        Folder that was given; what lies outside of it is not shown.
+    folder
+        That of the project, the root or beneath it.
+    cache
+        Folder for tiles of pictures.
+    lock
+        Held while a file of the project is written.
+    jobs
+        Long commands of this project, by name.
+    preview
+        Certificate of a form that is not kept yet.
+    """
+
+    def __init__(self, root: Path, cache: Path) -> None:
+        self.root = root.resolve()
+        self.folder = self.root
+        self.cache = cache
+        self.lock = threading.RLock()
+        self.jobs: dict[str, Job] = {}
+        self.preview = ""
+        if not self.root.is_dir():
+            raise InputNotFoundError("is no folder", "name the folder of a flight", where=root)
+
+    @property
+    def file(self) -> Path:
+        """Project file, there or not."""
+        return self.folder / NAME
+
+    def project(self) -> Project:
+        """Read the project as it stands now; errors as of `read_project`."""
+        return read_project(self.folder)
+
+    def open(self, path: str) -> None:
+        """Work on a folder beneath the root from now on; raises InputNotFoundError outside of it."""
+        folder = self.inside(path)
+        if not folder.is_dir():
+            raise InputNotFoundError("is no folder", "choose from the list", where=folder)
+        self.folder = folder
+        self.jobs.clear()
+        self.preview = ""
+
+    def job(self, name: str) -> Job:
+        """A long command of the project that is open."""
+        return self.jobs.setdefault(name, Job(self.folder, name))
+
+    def inside(self, path: str) -> Path:
+        """Give a file or folder by its path from the root; raises InputNotFoundError outside of it."""
+        missing = InputNotFoundError.at(self.root)
+        if "\0" in path:
+            raise missing("holds no such path", "choose from the list")
+        # Links are followed before it is judged where they lead.
+        found = (self.root / path).resolve()
+        if not found.is_relative_to(self.root) or not found.exists():
+            raise missing("holds no such path", "choose from the list")
+        return found
+
+    def named(self, path: Path) -> str:
+        """Name a path from the root, as the page shows it."""
+        resolved = path.resolve()
+        if not resolved.is_relative_to(self.root):
+            return str(path)
+        return resolved.relative_to(self.root).as_posix()
+
+    def shown(self) -> dict[str, Any]:
+        """What the page says of itself."""
+        return {"root": str(self.root), "folder": self.named(self.folder), "file": self.file.is_file()}

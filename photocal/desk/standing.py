@@ -1,0 +1,67 @@
+"""How each step stands: a state for its sign and colour, and the key of its word."""
+
+from typing import Any
+
+from photocal.base.errors import PhotocalError
+from photocal.desk import certificate, checks, running
+from photocal.desk.jobs import line
+from photocal.desk.session import Desk
+from photocal.project import Project
+
+Stands = dict[str, str]
+
+
+def shown(desk: Desk) -> dict[str, Any]:
+    """What the rail of the page shows."""
+    steps = standing(desk)
+    names = ("folder", "check", "run", "look", "certificate")
+    following = next((name for name in names if steps[name]["state"] in ("none", "bad")), "certificate")
+    title = desk.folder.name or str(desk.folder)
+    return {
+        **desk.shown(),
+        "title": title,
+        "steps": steps,
+        "next": following,
+        "line": line(["desk", desk.root]),
+    }
+
+
+def standing(desk: Desk) -> dict[str, Stands]:
+    """How the steps of the project stand."""
+    none = _as("none", "")
+    steps = dict.fromkeys(("folder", "check", "run", "look", "certificate", "record"), none)
+    if not desk.file.is_file():
+        return {**steps, "folder": _as("none", "stands.choose")}
+    checked = checks.kept(desk)
+    if checked is not None:
+        bad = checked.get("problem") or any(one["state"] == "bad" for one in checked["machine"])
+        steps["check"] = _as("bad", "stands.problem") if bad else _as("good", "stands.checked")
+    try:
+        project = desk.project()
+    except (PhotocalError, OSError) as refusal:
+        asked = "still to be filled in" in str(refusal)
+        return {**steps, "folder": _as("warn", "stands.asked") if asked else _as("bad", "stands.problem")}
+    steps["folder"] = _as("good", "stands.chosen")
+    return {**steps, **_processed(desk, project)}
+
+
+def _processed(desk: Desk, project: Project) -> dict[str, Stands]:
+    job = desk.job(running.JOB).state()["state"]
+    made = running.made_stages(project)
+    issued = certificate.issued_as(project.output / "certificate")
+    steps = {}
+    if job in ("busy", "failed", "stopped"):
+        signs = {"busy": "busy", "failed": "bad", "stopped": "warn"}
+        steps["run"] = _as(signs[job], f"stands.{job}")
+    elif "analysis" in made:
+        steps["run"] = _as("good", "stands.run")
+    if issued is not None:
+        signs = {"passed": "good", "note": "good", "doubtful": "warn"}
+        steps["look"] = _as(signs.get(issued["verdict"]["severity"] or "", "bad"), "stands.found")
+        signed = issued["signed"]
+        steps["certificate"] = _as("good", "stands.signed") if signed else _as("warn", "stands.unsigned")
+    return steps
+
+
+def _as(state: str, word: str) -> Stands:
+    return {"state": state, "word": word}
