@@ -117,7 +117,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " if category(c) == "Zs" else "·" for c in text)
 
 
-def run(app: typer.Typer) -> None:
+def run(app: Callable[..., Any]) -> None:
     """Run an application; failures that we know become one line and their exit code."""
     # At its end the interpreter would look at every object for half a second; nothing is left to be freed.
     atexit.register(gc.freeze)
