@@ -101,8 +101,8 @@ def survey(
 
     plan = read_toml(setup, SurveySetup)
     with tempfile.TemporaryDirectory() as scratch:
-        solution, *told = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
-    figures = survey_figures(solution, *told)
+        solution, sessions, frames = run_survey(Survey(plan, setup.parent, Rtklib(), Path(scratch)))
+    figures = survey_figures(solution, sessions, frames)
     with output_folder(output) as folder:
         figures["points_csv"] = write_points(folder / "points.csv", solution, plan.crs)
         write_json(folder / "survey.json", figures, 2)

@@ -96,7 +96,7 @@ class Localisation:
         plan = np.einsum("nij,jk,nik->ni", design, self.plan.covariance, design)
         slope = np.column_stack([np.ones(len(offset)), offset])
         height = np.einsum("ni,ij,nj->n", slope, self.height.covariance, slope)
-        return np.sqrt(np.column_stack([plan, height]))
+        return np.asarray(np.sqrt(np.column_stack([plan, height])))
 
     def _above(self, offset: Floats) -> Floats:
         shift, *slopes = self.height.parameters
@@ -111,7 +111,7 @@ def localise(points: CommonPoints, scale: float | None = None, *, tilt: bool = T
         shift is fitted.
     raises IllPosedError: for fewer than two points in plan, or none with a height.
     """
-    in_plan = np.isfinite(points.map_m[:, :2] + points.local_m[:, :2]).all(axis=1)
+    in_plan = np.asarray(np.isfinite(points.map_m[:, :2] + points.local_m[:, :2]).all(axis=1))
     high = in_plan & np.isfinite(points.map_m[:, 2] + points.local_m[:, 2])
     if in_plan.sum() < 2 or not high.any():
         raise IllPosedError(
@@ -186,7 +186,7 @@ def _fitted(
         if np.abs(design @ step).max(initial=0.0) < 1e-9:
             break
     residual = (model(parameters).reshape(given.shape)[used] - given[used]).ravel()
-    cofactor = np.linalg.pinv((design * weight[:, None] ** 2).T @ design)
+    cofactor = np.asarray(np.linalg.pinv((design * weight[:, None] ** 2).T @ design), np.float64)
     redundancy = len(residual) - int(free.sum())
     squares = float(np.sum((residual * weight) ** 2))
     factor = float(np.sqrt(squares / redundancy)) if redundancy > 0 else np.nan

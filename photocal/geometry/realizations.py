@@ -195,7 +195,7 @@ def frame_shift(place_m: Floats, source: Realization, target: Realization) -> Fr
         return None
     place, variance, ways = between
     if first != last:
-        place = np.array(_plate_motion(plate or "", first).transform(*place, last)[:3])
+        place = np.array(_plate_motion(plate or "", first).transform(place[0], place[1], place[2], last)[:3])
         variance += (PLATE_SIGMA_M_A * (last - first)) ** 2
         ways += (f"the plate model of {_PLATES}, {plate}, over {abs(last - first):.1f} years",)
     between = _between_frames(_HUB, _of_itrf(end.frame), place, last)
@@ -218,7 +218,7 @@ def _between_frames(
     way = _way(one, other)
     if way is None:
         return None
-    moved = np.array(way.transform(*place, epoch)[:3])
+    moved = np.array(way.transform(place[0], place[1], place[2], epoch)[:3])
     # Which of several ways is taken shows after its use.
     accuracy = way.get_last_used_operation().accuracy if way.accuracy < 0 else way.accuracy
     return moved, (accuracy if accuracy > 0 else _WAY_SIGMA_M) ** 2, (f"{one} to {other}",)

@@ -3,6 +3,7 @@
 import datetime as dt
 import math
 import struct
+import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -40,6 +41,8 @@ _ELLIPSOIDAL = ("rtkalt", "gpsfusionalt")
 # Whose heights are above the geoid of 1996 (Parrot: ANAFI 4K, Thermal, USA; Skydio).
 _EGM96 = ("parrot", "skydio")
 FIXED, FLOATS, SINGLE = 50, range(32, 50), 16
+# A file that changes twice within the clock's step keeps its times: so young ones are read again.
+_YOUNG_NS, _MOST_KNOWN = 2_000_000_000, 20_000
 
 
 @dataclass(frozen=True)
@@ -138,11 +141,35 @@ class ImageFacts:
         return "EGM96" if geoid and not kind else ""
 
 
+# What was read, by path, size, times and number of each file.
+_KNOWN: dict[tuple[str, int, int, int, int], ImageFacts] = {}
+
+
 def read_facts(path: Path) -> ImageFacts:
     """Read what an image says of itself, without decoding its pixels.
 
+    Every stage of a run asks: what was read of a file is kept as long as the file is the same.
+
     raises InputNotFoundError, InputMalformedError: when the file is no readable image.
     """
+    try:
+        state = path.stat()
+    except OSError:
+        return _read(path)
+    # The time of the change of its entry cannot be set back; a file that is just being written is not kept.
+    same = (str(path), state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino)
+    known = _KNOWN.get(same)
+    if known is not None:
+        return known
+    facts = _read(path)
+    if time.time_ns() - max(state.st_mtime_ns, state.st_ctime_ns) > _YOUNG_NS:
+        if len(_KNOWN) >= _MOST_KNOWN:
+            _KNOWN.clear()
+        _KNOWN[same] = facts
+    return facts
+
+
+def _read(path: Path) -> ImageFacts:
     with opened(path) as image:
         notes = noted(image)
         exif, gps = _tags(notes)

@@ -224,8 +224,13 @@ def principal_distance_px(facts: ImageFacts) -> tuple[float, str]:
     if math.isfinite(facts.c_px):
         return facts.c_px, "given"
     equivalent = _equivalents_px(facts)[0]
-    width = _sensor_widths_mm().get(facts.model.strip().lower(), math.nan)
+    model = facts.model.strip().lower()
+    width = _sensor_table("width_mm").get(model, math.nan)
+    thermal = _sensor_table("thermal_pitch_mm").get(
+        f"{model} {facts.size_px[0]}x{facts.size_px[1]}", math.nan
+    )
     for c, source in (
+        (facts.focal_mm / thermal, "EXIF focal length and the known pitch of the thermal sensor"),
         (facts.focal_mm / facts.pitch_mm, "EXIF focal length and FocalPlane tags"),
         (facts.focal_mm / width * longer, "EXIF focal length and the known width of the sensor"),
     ):
@@ -244,11 +249,11 @@ def _equivalents_px(facts: ImageFacts) -> tuple[float, float]:
 
 
 @cache
-def _sensor_widths_mm() -> dict[str, float]:
-    """Widths of known sensors by EXIF model in lower case."""
-    table = resources.files("photocal.block").joinpath("sensors.toml").read_text("utf-8")
-    widths: dict[str, float] = tomllib.loads(table)["width_mm"]
-    return widths
+def _sensor_table(name: str) -> dict[str, float]:
+    """A table of known sensors by EXIF model in lower case."""
+    text = resources.files("photocal.block").joinpath("sensors.toml").read_text("utf-8")
+    table: dict[str, float] = tomllib.loads(text)[name]
+    return table
 
 
 def start_camera(name: str, facts: ImageFacts, c: float, estimate: tuple[str, ...]) -> Camera:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from photocal.measurement.image_facts import read_facts
+from photocal.measurement.image_file import opened
 
 XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
 <rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/"
@@ -106,3 +108,26 @@ def test_height_above_the_take_off_point_where_no_other_is_stated(tmp_path: Path
     assert (facts.altitude_m, facts.altitude_kind) == (30.5, "above take-off")
     facts = read_facts(_with_gps(tmp_path / "image.jpg", 48.0, 2.0, 110.0))
     assert (facts.altitude_m, facts.altitude_kind) == (110.0, "")
+
+
+@pytest.mark.shared
+def test_a_picture_is_read_once_and_again_when_it_changes(
+    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = next((shared / "data/dji-xmp").rglob("*.JPG"))
+    reads: list[Path] = []
+
+    def counted(path: Path) -> AbstractContextManager[Image.Image]:
+        reads.append(path)
+        return opened(path)
+
+    monkeypatch.setattr("photocal.measurement.image_facts.opened", counted)
+    first = read_facts(source)
+    assert read_facts(source) is first
+    assert len(reads) <= 1
+    # A file that has just been written may change without its times telling it.
+    young = tmp_path / source.name
+    young.write_bytes(source.read_bytes())
+    assert read_facts(young).size_px == first.size_px
+    Image.new("RGB", (64, 48)).save(young)
+    assert read_facts(young).size_px == (64, 48)
