@@ -5,6 +5,7 @@ the model that has it passes. Not every sigma is right, so that v'Pv alone does 
 larger than stated are scatter where neighbours on an image, or in time, do not share them.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,6 +118,19 @@ class Memory:
     def likely(self) -> bool:
         """Whether that is likely enough not to call their errors independent."""
         return self.correlation > 0.0 and self.p_value < policy.REPEAT_SIGNIFICANCE
+
+    @property
+    def surely(self) -> float:
+        """The least factor by which what they have in common is less sure than independent errors make it.
+
+        By the 95 % limit of the correlation, whose variance is (1 - rho^2) / n (Bartlett 1946), and by the
+        errors as large as the residuals show them: whoever states sigmas with caution has room for it.
+        """
+        rho = min(max(self.correlation, 0.0), 0.99)
+        least = max(
+            rho - special.ndtri(policy.CONFIDENCE) * math.sqrt((1.0 - rho**2) / (3.0 * self.pairs)), 0.0
+        )
+        return float(self.size * math.sqrt((1.0 + least) / (1.0 - least)))
 
     @property
     def inflation(self) -> float:
