@@ -100,7 +100,7 @@ def _together(method: Method, check: Differences) -> list[Finding]:
         ratio = math.sqrt(joint.chi_squared / joint.degrees_of_freedom)
         figures = {"method": method, "ratio": ratio, "p": joint.p_value}
         # Of direct georeferencing another method takes the place; single points may be wrong themselves.
-        harmful = method != "direct" and ratio > 1.0 + FACTOR and not _by_single_points(check)
+        harmful = method != "direct" and ratio > 1.0 + FACTOR and not by_single_points(check)
         severity: Severity = "grave" if harmful else "doubtful"
         listed.append(Finding("prediction-too-good", severity, method, figures))
     if joint.biased:
@@ -110,7 +110,7 @@ def _together(method: Method, check: Differences) -> list[Finding]:
     return listed
 
 
-def _by_single_points(check: Differences) -> bool:
+def by_single_points(check: Differences) -> bool:
     """Whether few points that stand out, a third at most, make up what the others together do not contradict.
 
     Which points stand out is Holm's test over all of them, and whether the others agree the joint test of

@@ -101,7 +101,7 @@ class Memory:
 
     correlation: of one exposure and the next in its strip, all axes together.
     p_value: of so large a one where errors are independent.
-    size: root of the mean square of the residuals, in stated standard deviations.
+    size: by residuals and redundancy, in stated standard deviations.
     """
 
     correlation: float
@@ -120,17 +120,12 @@ class Memory:
         return self.correlation > 0.0 and self.p_value < policy.REPEAT_SIGNIFICANCE
 
     @property
-    def surely(self) -> float:
-        """The least factor by which what they have in common is less sure than independent errors make it.
+    def exceeds(self) -> bool:
+        """Whether what they have in common is larger than independent errors as stated would make it.
 
-        By the 95 % limit of the correlation, whose variance is (1 - rho^2) / n (Bartlett 1946), and by the
-        errors as large as the residuals show them: whoever states sigmas with caution has room for it.
+        Whoever states sigmas with caution has room for what positions share.
         """
-        rho = min(max(self.correlation, 0.0), 0.99)
-        least = max(
-            rho - special.ndtri(policy.CONFIDENCE) * math.sqrt((1.0 - rho**2) / (3.0 * self.pairs)), 0.0
-        )
-        return float(self.size * math.sqrt((1.0 + least) / (1.0 - least)))
+        return self.size * math.sqrt(self.inflation) > 1.0 + policy.WRONG_SIGMA
 
     @property
     def inflation(self) -> float:
@@ -159,7 +154,10 @@ def memory_of(adjusted: AdjustedNetwork) -> Memory | None:
     square = np.mean(residual**2, axis=0)
     scaled = residual / np.sqrt(np.where(square > 0.0, square, 1.0))
     correlation = float(np.mean((scaled[1:] * scaled[:-1])[together]))
-    p_value, size = float(stats.norm.sf(correlation * np.sqrt(3.0 * pairs))), float(np.sqrt(square.mean()))
+    # Without correlation its variance is one over the number of products (Bartlett 1946).
+    p_value = float(stats.norm.sf(correlation * np.sqrt(3.0 * pairs)))
+    group = next(group for group in adjusted.solution.groups if group.name == "position")
+    size = math.sqrt(max(group.chi_squared, 0.0) / max(group.redundancy, 1.0))
     return Memory(correlation, p_value, pairs, size)
 
 

@@ -492,7 +492,7 @@ def _of_memory(found: SystematicErrors) -> list[Finding]:
         "factor": float(np.sqrt(memory.inflation)),
         "p": memory.p_value,
     }
-    severity: Severity = "doubtful" if memory.surely > policy.WORTH_A_WORD else "note"
+    severity: Severity = "doubtful" if memory.exceeds else "note"
     return [
         Finding("positions-share-errors", severity, "positions", figures, size=Size(memory.correlation, "1"))
     ]
