@@ -108,6 +108,9 @@ ONE_ANGLE = 0.99
 FEWEST_REDUNDANT = 2.0
 # With fewer control points a contradiction cannot be laid at the door of one of them.
 FEWEST_CONTROL_TO_BLAME = 4
+# Check points that stand out one by one are mistakes of single points up to this share of all: of more nobody
+# knows which ones are wrong, they or the block.
+SINGLE_POINTS = 1.0 / 3.0
 # So many control points orient a block; a block that has them and cannot be oriented has something wrong.
 FEWEST_CONTROL = 3
 # Three points orient an image in up to four ways, and nothing checks them.

@@ -1,7 +1,7 @@
 """Differences at ground points with the standard deviations that the method predicts for them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -74,6 +74,7 @@ class Differences:
         singular.
     ellipses: of the computed position, in the X, Y plane.
     joint: all check points together; None where their covariance is not known.
+    rest: the same of those that are not suspected, where some are, and others are left.
     """
 
     role: Role
@@ -87,6 +88,7 @@ class Differences:
     distance: Floats
     ellipses: Ellipses
     joint: JointTest | None = None
+    rest: JointTest | None = None
 
     def discrepancies(self) -> Discrepancies:
         """Give them to the statistics and the standards."""
@@ -176,20 +178,16 @@ def differences(block: Block, result: Georeferenced, role: Role) -> Differences:
             distance[k] = float(d[k] @ np.linalg.solve(covariance[k], d[k]))
     names = tuple(block.points.names[j] for j in index)
     sigma = np.sqrt(np.diagonal(product, axis1=1, axis2=2))
-    joint = None
+    told = Differences(
+        *(role, names, d, surveyed, sigma, stated, covariance, w, distance),
+        ellipses(product, policy.CONFIDENCE),
+    )
     if role == "check" and result.joint is not None and len(result.joint) == d.size:
         # Their survey is independent from point to point.
-        joint = joint_test(d, result.joint + block_diag(*survey))
-    return Differences(
-        role,
-        names,
-        d,
-        surveyed,
-        sigma,
-        stated,
-        covariance,
-        w,
-        distance,
-        ellipses(product, policy.CONFIDENCE),
-        joint,
-    )
+        whole = result.joint + block_diag(*survey)
+        told = replace(told, joint=joint_test(d, whole))
+        good = ~np.isin(names, told.suspected)
+        if good.any() and not good.all():
+            of_good = np.repeat(good, 3)
+            told = replace(told, rest=joint_test(d[good], whole[np.ix_(of_good, of_good)]))
+    return told

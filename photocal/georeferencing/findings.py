@@ -100,7 +100,7 @@ def _together(method: Method, check: Differences) -> list[Finding]:
         ratio = math.sqrt(joint.chi_squared / joint.degrees_of_freedom)
         figures = {"method": method, "ratio": ratio, "p": joint.p_value}
         # Of direct georeferencing another method takes the place; single points may be wrong themselves.
-        harmful = method != "direct" and ratio > 1.0 + FACTOR and not _by_single_points(check)
+        harmful = method != "direct" and ratio > 1.0 + FACTOR and not by_single_points(check)
         severity: Severity = "grave" if harmful else "doubtful"
         listed.append(Finding("prediction-too-good", severity, method, figures))
     if joint.biased:
@@ -110,12 +110,16 @@ def _together(method: Method, check: Differences) -> list[Finding]:
     return listed
 
 
-def _by_single_points(check: Differences) -> bool:
-    """Whether few points that stand out, a tenth at most, make up what the others do not contradict."""
-    suspected = set(check.suspected)
-    rest = [d for name, d in zip(check.names, check.distance, strict=True) if name not in suspected]
-    few = 0 < len(suspected) <= max(1, len(check.names) // 10)
-    return few and bool(rest) and math.sqrt(float(np.nanmean(rest)) / 3.0) <= policy.WORTH_A_WORD
+def by_single_points(check: Differences) -> bool:
+    """Whether few points that stand out, a third at most, make up what the others together do not contradict.
+
+    Which points stand out is Holm's test over all of them, and whether the others agree the joint test of
+    these at 95 %: an error of the block is in its points alike, by their covariance.
+    """
+    few, rest = 0 < len(check.suspected) <= policy.SINGLE_POINTS * len(check.names), check.rest
+    if not few or rest is None:
+        return False
+    return rest.p_value >= 1.0 - policy.CONFIDENCE or rest.chi_squared <= rest.degrees_of_freedom
 
 
 def separation_findings(separation: Separation) -> tuple[Finding, ...]:

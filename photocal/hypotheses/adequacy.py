@@ -5,6 +5,7 @@ the model that has it passes. Not every sigma is right, so that v'Pv alone does 
 larger than stated are scatter where neighbours on an image, or in time, do not share them.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,7 +101,7 @@ class Memory:
 
     correlation: of one exposure and the next in its strip, all axes together.
     p_value: of so large a one where errors are independent.
-    size: root of the mean square of the residuals, in stated standard deviations.
+    size: by residuals and redundancy, in stated standard deviations.
     """
 
     correlation: float
@@ -117,6 +118,14 @@ class Memory:
     def likely(self) -> bool:
         """Whether that is likely enough not to call their errors independent."""
         return self.correlation > 0.0 and self.p_value < policy.REPEAT_SIGNIFICANCE
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether what they have in common is larger than independent errors as stated would make it.
+
+        Whoever states sigmas with caution has room for what positions share.
+        """
+        return self.size * math.sqrt(self.inflation) > 1.0 + policy.WRONG_SIGMA
 
     @property
     def inflation(self) -> float:
@@ -145,7 +154,10 @@ def memory_of(adjusted: AdjustedNetwork) -> Memory | None:
     square = np.mean(residual**2, axis=0)
     scaled = residual / np.sqrt(np.where(square > 0.0, square, 1.0))
     correlation = float(np.mean((scaled[1:] * scaled[:-1])[together]))
-    p_value, size = float(stats.norm.sf(correlation * np.sqrt(3.0 * pairs))), float(np.sqrt(square.mean()))
+    # Without correlation its variance is one over the number of products (Bartlett 1946).
+    p_value = float(stats.norm.sf(correlation * np.sqrt(3.0 * pairs)))
+    group = next(group for group in adjusted.solution.groups if group.name == "position")
+    size = math.sqrt(max(group.chi_squared, 0.0) / max(group.redundancy, 1.0))
     return Memory(correlation, p_value, pairs, size)
 
 

@@ -25,6 +25,9 @@ LOOSE_C, LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
 _HARDLY = 1e4
 # Of up to so many subsets all are tried, beyond them the best of one point fewer and each other point.
 _ALL_SUBSETS = 4000
+# Coordinates of a point that a mistake concerns: its height, its place in plane, or all of them.
+_ALL_AXES = (0, 1, 2)
+_WRONG = ((2,), (0, 1), _ALL_AXES)
 # Factors by which the sigmas of a survey may be too small.
 _FACTORS = np.geomspace(1.2, 60.0, 24)
 # Random errors that are drawn to see how often a slip fits by chance.
@@ -56,6 +59,7 @@ class Contradiction:
 
     members: rows of the prediction; two of them for an exchange.
     exchanged: whether the two have changed places.
+    as_scale: whether standard deviations of the survey that are wrong by a factor explain it as well.
     error (m, 3), sigma (m, 3): computed from the others less given, and its standard deviation, m.
     detectable (m, 3): error along an axis that would be found with 80 % power (Baarda 1968), m.
     choices: subsets of that kind that there are.
@@ -68,11 +72,17 @@ class Contradiction:
     w: Floats
     detectable: Floats
     choices: int
+    as_scale: bool = False
 
 
 @dataclass(frozen=True)
 class WrongSigmas:
-    """No point stands apart: the sigmas of the survey are wrong by a factor."""
+    """No point stands apart: the sigmas of the survey are wrong by a factor.
+
+    as_points: whether some points that are wrong explain it as well.
+    """
+
+    as_points: bool = False
 
 
 def control_points(network: Network) -> Integers:
@@ -152,28 +162,29 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     pair = _exchange(seen)
     if pair is not None:
         return pair
-    removed = contradicting(seen.d, seen.covariance, seen.common)
+    removed, axes = _chosen(seen.d, seen.covariance, seen.common)
     if not removed:
         return None
-    if _scale_is_likelier(seen, removed):
-        return WrongSigmas()
+    likelier = _scale_beside_points(seen, removed, axes)
+    if likelier > 0.0:
+        return WrongSigmas(as_points=likelier <= policy.AS_GOOD)
     error, spread = zip(
         *(_beside_others(seen.d, seen.covariance, seen.common, removed, k) for k in removed), strict=True
     )
     sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
-    return _contradiction(seen, removed, np.array(error), sigma)
+    found = _contradiction(seen, removed, np.array(error), sigma)
+    return replace(found, as_scale=-likelier <= policy.AS_GOOD)
 
 
-def _scale_is_likelier(seen: Predicted, removed: tuple[int, ...]) -> bool:
-    """Whether sigmas of the survey that are wrong by a factor explain the differences better.
+def _scale_beside_points(seen: Predicted, removed: tuple[int, ...], axes: tuple[int, ...]) -> float:
+    """By how much sigmas of the survey that are wrong by a factor explain the differences better than points.
 
     Both by their likelihood, less the logarithm of the coordinates for each unknown (Schwarz 1978): errors of
     some points leave the others as they were stated, a factor of an axis belongs to all of them.
     """
     count = math.log(seen.d.size)
     now = misfit(seen.d, seen.covariance, seen.common, ())
-    least = misfit(seen.d, seen.covariance, seen.common, removed)
-    of_points = now - least - 3 * len(removed) * count - 2 * math.log(math.comb(len(seen.d), len(removed)))
+    of_points = now - _cost(seen.d, seen.covariance, seen.common, removed, axes)
     covariance, of_scales = seen.covariance, 0.0
     for axis in range(3):
         survey = np.zeros_like(covariance)
@@ -185,7 +196,7 @@ def _scale_is_likelier(seen: Predicted, removed: tuple[int, ...]) -> bool:
         gain = before - _likelihood(seen, best) - count
         if gain > 0.0:
             covariance, of_scales = best, of_scales + gain
-    return of_scales > of_points
+    return of_scales - of_points
 
 
 def _likelihood(seen: Predicted, covariance: Floats) -> float:
@@ -230,30 +241,54 @@ def _exchange(seen: Predicted) -> Contradiction | None:
 
 
 def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
-    """Choose the fewest points without which the differences agree; none where that is not clear.
+    """Choose the points without which the differences agree; none where that is not clear.
 
     One, two, up to a third of them: all subsets are tried together, for two that err alike hide each other.
     """
-    n, removed = len(d), tuple[int, ...]()
-    chi_squared = misfit(d, covariance, common, removed)
-    for size in range(max(n // 3, 1) + 1):
-        freedom = 3 * (n - size) - common.shape[1]
-        if size:
-            tried = sorted((misfit(d, covariance, common, rows), rows) for rows in _subsets(n, removed, size))
-            chi_squared, removed = tried[0]
-        if freedom > 0 and chi_squared <= stats.chi2.isf(policy.SIGNIFICANCE, freedom):
-            if size and len(tried) > 1 and tried[1][0] - chi_squared < _apart(freedom):
-                # Of points that disagree nobody knows which one is wrong.
-                return ()
-            return removed
-        if freedom - 3 < 1:
-            return ()
-    return _scaled(d, covariance, common)
+    return _chosen(d, covariance, common)[0]
 
 
-def _apart(freedom: int) -> float:
-    """By how much worse another subset must fit to be out of the question."""
-    return float(stats.chi2.isf(policy.SIGNIFICANCE, 3)) if freedom else np.inf
+def _chosen(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Points that contradict the others, and which of their coordinates: the height, the plane, or all.
+
+    Of each kind as few as make the others agree, and more where each of these gains what chance does not
+    (0.1 %, divided by the choices); of the kinds the most probable (Schwarz 1978).
+    """
+    n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES)
+    if freedom < 1 or misfit(d, covariance, common, ()) <= stats.chi2.isf(policy.SIGNIFICANCE, freedom):
+        return nobody
+    options = []
+    for axes in _WRONG:
+        best, agreed = tuple[int, ...](), math.inf
+        for size in range(1, max(n // 3, 1) + 1):
+            left = freedom - len(axes) * size
+            if left < 1:
+                break
+            subsets = _subsets(n, best, size)
+            tried = sorted((misfit(d, covariance, common, rows, axes), rows) for rows in subsets)
+            least, best = tried[0]
+            chance = stats.chi2.isf(policy.SIGNIFICANCE / (n - size + 1), len(axes))
+            if least > stats.chi2.isf(policy.SIGNIFICANCE, left) or agreed - least < chance:
+                continue
+            agreed = least
+            # Of points that disagree nobody knows which one is wrong.
+            apart = stats.chi2.isf(policy.SIGNIFICANCE, len(axes))
+            clear = len(tried) == 1 or tried[1][0] - least >= apart
+            chosen = (_cost(d, covariance, common, best, axes), best, axes, clear)
+            options = [one for one in options if one[2] != axes] + [chosen]
+    if not options:
+        return _scaled(d, covariance, common), _ALL_AXES
+    _, removed, axes, clear = min(options)
+    return (removed, axes) if clear else nobody
+
+
+def _cost(
+    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...], axes: tuple[int, ...]
+) -> float:
+    """What is left of the misfit, and what unknowns and choices cost (Schwarz 1978; Chen and Chen 2008)."""
+    chosen = math.log(math.comb(len(d), len(removed)) * len(_WRONG))
+    unknowns = len(axes) * len(removed) * math.log(d.size)
+    return misfit(d, covariance, common, removed, axes) + unknowns + 2.0 * chosen
 
 
 def _subsets(n: int, best: tuple[int, ...], size: int) -> Iterable[tuple[int, ...]]:
@@ -284,17 +319,23 @@ def _scaled(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
 
 
 def _equations(
-    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]
+    d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...], axes: tuple[int, ...]
 ) -> tuple[Floats, Floats]:
     """Equations of unit weight for the errors of points left out and the common part."""
-    of_errors = np.eye(d.size).reshape(d.size, -1, 3)[:, list(removed)].reshape(d.size, -1)
+    of_errors = np.eye(d.size).reshape(d.size, -1, 3)[:, list(removed)][:, :, list(axes)].reshape(d.size, -1)
     root = np.linalg.cholesky(covariance)
     return np.linalg.solve(root, np.hstack([of_errors, common])), np.linalg.solve(root, d.ravel())
 
 
-def misfit(d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...]) -> float:
-    """Least d' C^-1 d with the common part free and some points left out."""
-    a, y = _equations(d, covariance, common, removed)
+def misfit(
+    d: Floats,
+    covariance: Floats,
+    common: Floats,
+    removed: tuple[int, ...],
+    axes: tuple[int, ...] = _ALL_AXES,
+) -> float:
+    """Least d' C^-1 d with the common part free and coordinates of some points left out."""
+    a, y = _equations(d, covariance, common, removed, axes)
     return float(np.sum((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2))
 
 
@@ -302,7 +343,7 @@ def _beside_others(
     d: Floats, covariance: Floats, common: Floats, removed: tuple[int, ...], k: int
 ) -> tuple[Floats, Floats]:
     """Error of a point that was left out, by the others, and its covariance."""
-    a, y = _equations(d, covariance, common, removed)
+    a, y = _equations(d, covariance, common, removed, _ALL_AXES)
     normal = np.linalg.pinv(a.T @ a, hermitian=True)
     columns = slice(3 * removed.index(k), 3 * removed.index(k) + 3)
     return np.asarray((normal @ a.T @ y)[columns]), np.asarray(normal[columns, columns])

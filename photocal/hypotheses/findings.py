@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from photocal.adjustment.adjusted import AdjustedNetwork
-from photocal.adjustment.groups import GroupTest
+from photocal.adjustment.groups import CONTROL, GroupTest
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.findings.digits import with_sigma
@@ -58,7 +58,7 @@ def cause_findings(
     """
     listed = list[Finding]()
     if found.adequate:
-        listed += [stated_sigma(group) for group in found.sigmas]
+        listed += [_beside_points(stated_sigma(group), found) for group in found.sigmas]
         listed += named(found, slips)
     else:
         listed += [_of_model(found, error) for error in found.errors if _is_field(error)]
@@ -85,6 +85,14 @@ def stated_sigma(group: GroupTest) -> Finding:
         severity: Severity = "doubtful" if group.factor > policy.SMALL_RATIO else "note"
         return Finding("sigmas-too-small", severity, group.name, figures, size=size)
     return Finding("sigmas-too-large", "note", group.name, figures, size=size)
+
+
+def _beside_points(sigma: Finding, found: SystematicErrors) -> Finding:
+    """Sigmas of control that points which are wrong explain as well."""
+    if not found.undecided or sigma.subject not in CONTROL:
+        return sigma
+    figures = {**sigma.figures, "same": ("control-mistyped",)}
+    return replace(sigma, figures=figures, clauses=(*sigma.clauses, "same"))
 
 
 def named(found: SystematicErrors, slips: Slips = no_slips) -> list[Finding]:
@@ -146,7 +154,7 @@ def _named(found: SystematicErrors, error: SystematicError, slips: Slips) -> lis
     if cause is not None and cause.fault.each == "pair":
         return [_exchanged(found, cause)]
     if cause is not None and cause.fault.each == "point":
-        return _mistyped(error, cause, slips)
+        return _mistyped(error, cause, slips, ("sigmas-too-small",) * found.undecided)
     if cause is not None and cause.trend is not None:
         return [_scale(error, cause.trend, slips.combined_factor)]
     if tested.name == "strip-position":
@@ -290,7 +298,7 @@ def _strip(found: SystematicErrors, error: SystematicError) -> Finding:
     return Finding(tested.name, "doubtful", tested.subject, figures, _rivals(error), _largest(axes))
 
 
-def _mistyped(error: SystematicError, cause: Cause, slips: Slips) -> list[Finding]:
+def _mistyped(error: SystematicError, cause: Cause, slips: Slips, rivals: tuple[str, ...]) -> list[Finding]:
     """Name each control point that contradicts the others: with w, and what would have been detected."""
     away = stats.norm.isf(policy.SIGNIFICANCE / 2) + stats.norm.isf(1.0 - policy.POWER)
     listed = []
@@ -306,12 +314,18 @@ def _mistyped(error: SystematicError, cause: Cause, slips: Slips) -> list[Findin
             "w": float(np.max(np.abs(d) / sigma)),
             "detectable_m": float(away * sigma.max()),
             "together": float(len(cause.members)),
+            "same": rivals,
         }
         worst = int(np.argmax(np.abs(d)))
         size = Size(float(d[worst]), "m", float(sigma[worst]))
         remedy, because = ("", "slip") if told else ("look-at-point", "")
         listed.append(
-            Finding("control-mistyped", "grave", point, figures, cause=because, remedy=remedy, size=size)
+            Finding(
+                *("control-mistyped", "grave", point, figures, ("same",) * bool(rivals)),
+                size=size,
+                cause=because,
+                remedy=remedy,
+            )
         )
     return listed
 
@@ -478,9 +492,7 @@ def _of_memory(found: SystematicErrors) -> list[Finding]:
         "factor": float(np.sqrt(memory.inflation)),
         "p": memory.p_value,
     }
-    # Whoever states sigmas with caution has room for what the positions share.
-    less_sure = np.sqrt(memory.inflation) * min(memory.size, 1.0)
-    severity: Severity = "doubtful" if less_sure > policy.WORTH_A_WORD else "note"
+    severity: Severity = "doubtful" if memory.exceeds else "note"
     return [
         Finding("positions-share-errors", severity, "positions", figures, size=Size(memory.correlation, "1"))
     ]

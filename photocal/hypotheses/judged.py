@@ -14,6 +14,7 @@ from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.causes import Candidates, Cause, columns_of, common_columns, of_camera
+from photocal.hypotheses.control import control_points
 
 _AXES = "XYZ"
 
@@ -110,7 +111,10 @@ def judge(
     level = limit_of(cause, families)
     critical = float(special.fdtri(unknowns, freedom, 1.0 - level))
     p_value = min(1.0, float(special.fdtrc(unknowns, freedom, f)) * families * cause.choices)
-    cost = unknowns * math.log(solution.observations) + 2.0 * math.log(cause.choices)
+    # Of a control point nothing tells but control: a block of more rays makes it no less likely.
+    of_control = cause.fault.each in ("point", "pair")
+    telling = 3 * len(control_points(these.network)) if of_control else solution.observations
+    cost = unknowns * math.log(telling) + 2.0 * math.log(cause.choices)
     empty = Hypothesis(
         cause.fault.code, gain, factor, cause.unknowns, f, critical, f > critical, (), 0.0, 0.0,
         cause.subject, p_value, gain / max(scale, 1e-300) - cost,

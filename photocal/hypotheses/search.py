@@ -70,6 +70,7 @@ class SystematicErrors:
     explained: share of what v'Pv was too large by that is explained; NaN where it was not too large.
     memory: what neighbouring positions share.
     shared: equations of what images share, with all free that a cause may free.
+    undecided: whether wrong control points and wrong sigmas of all control explain it equally well.
     """
 
     tested: tuple[Hypothesis, ...]
@@ -85,6 +86,7 @@ class SystematicErrors:
     explained: float
     memory: Memory | None
     shared: Condensed
+    undecided: bool = False
 
     @property
     def adequate(self) -> bool:
@@ -122,10 +124,12 @@ def systematic_errors(
     given, gross = without_gross_rays(straight)
     done()
     start, sigmas, against = given, list[GroupTest](), None if at_once else _contradicted(given)
-    scaled = isinstance(against, WrongSigmas)
+    scaled, undecided = None if against is None else isinstance(against, WrongSigmas), False
     if isinstance(against, WrongSigmas):
         # What one factor explains is laid at no point's door.
+        undecided = against.as_points
         against, table = None, tuple(entry for entry in table if entry.each not in ("point", "pair"))
+    undecided |= isinstance(against, Contradiction) and against.as_scale
     stated: Stated | None = None
     steps = dict[str, list[float]]()
     for _ in range(_SETTLING + 1):
@@ -196,6 +200,7 @@ def systematic_errors(
         explained,
         memory,
         shared,
+        undecided,
     )
 
 
@@ -268,9 +273,16 @@ def _contradicted(given: AdjustedNetwork) -> Contradiction | WrongSigmas | None:
 
 
 def _wrong_sigma(
-    given: AdjustedNetwork, tries: dict[Cause, Hypothesis], steps: dict[str, list[float]], *, scaled: bool
+    given: AdjustedNetwork,
+    tries: dict[Cause, Hypothesis],
+    steps: dict[str, list[float]],
+    *,
+    scaled: bool | None,
 ) -> GroupTest | None:
     """Choose the group whose stated sigmas are wrong, rather than a cause.
+
+    scaled: whether those of control are, as its differences say; False where these say that points are
+        wrong, None where they say neither.
 
     A factor is one unknown, and gains likelihood where all residuals of a group are too large or too small;
     an error competes with it (Schwarz 1978). Too small residuals no error explains, and those of positions
@@ -290,6 +302,8 @@ def _wrong_sigma(
                 return test
             continue
         if test.p_value >= policy.SIGNIFICANCE or abs(test.factor - 1.0) < policy.WRONG_SIGMA:
+            continue
+        if scaled is False and test.name in CONTROL:
             continue
         too_large = test.chi_squared - test.redundancy
         preferred = scaled and test.name in CONTROL

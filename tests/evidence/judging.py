@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -74,7 +74,7 @@ def judged(kind: str, name: str, design: Design, errors: Errors, seed: int, at: 
         content.get("verdict", {}).get("code", "refused"),
         "refused" if outcome is None else judge(listed).outcome.code,
         told_by_check(content),
-        cell(Told(one.code, one.severity, one.subject, one.cause) for one in listed),
+        cell(Told(one.code, one.severity, one.subject, one.cause, rivals(one.figures)) for one in listed),
         *(at_checks or (np.nan, np.nan, np.nan, 0)),
         np.nan if result is None else float(result.sigma0_squared or np.nan),
         in_analysis,
@@ -88,9 +88,18 @@ def judged(kind: str, name: str, design: Design, errors: Errors, seed: int, at: 
 def told_by_check(content: dict[str, Any]) -> str:
     """Give the findings of `check --json` as a cell."""
     return cell(
-        Told(one["code"], one["severity"], one.get("subject") or "", one.get("cause") or "")
+        Told(
+            *(one["code"], one["severity"], one.get("subject") or "", one.get("cause") or ""),
+            rivals(one.get("figures") or {}),
+        )
         for one in content.get("findings", [])
     )
+
+
+def rivals(figures: Mapping[str, Any]) -> str:
+    """Codes of what a flight cannot tell from a finding, separated by commas."""
+    said = (*(figures.get("same") or ()), *(figures.get("alike") or ()))
+    return ",".join(str(one).partition(" ")[0] for one in said)
 
 
 def by_command(folder: Path) -> tuple[str, str, str]:

@@ -40,6 +40,9 @@ UNUSUAL = (
     replace(BASE, name="rays 1.5 times worse", rays_worse=1.5),
     replace(BASE, name="positions 1.5 times worse", gnss_worse=1.5),
 )
+# Kilometres above ground, with a lens that is known but for c and its principal point.
+HIGH = replace(BASE, name="10 km high", height_m=10_000.0, images=80, estimate=("c", "x0", "y0"))
+LARGE = replace(TEN, name="200 images", height_m=200.0, images=200, per_image=60)
 ROLLING = replace(BASE, name="shutter unknown", shutter="unknown")
 # Steps from image to image that a shutter of 15 ms makes.
 ESTIMATED = replace(ROLLING, name="15 ms, estimated", readout_s=0.015)
@@ -156,6 +159,11 @@ def table() -> tuple[Fault, ...]:
             ("IMG_0012",),
         ),
         Fault("positions' scale 400 ppm", Errors(plane_scale=4e-4), ("positions-scale", "scale"), (), TEN),
+        Fault(
+            "control 400 ppm, ground for grid", Errors(control_scale=4e-4), ("positions-scale",), (), LARGE
+        ),
+        Fault("curved earth, 10 km high", Errors(curved=True), ("earth-curvature",), (), HIGH),
+        Fault("refraction 0.17, 10 km high", Errors(refraction=0.17), ("refraction",), (), HIGH),
         Fault("GNSS 5 cm low", Errors(datum_m=(0.0, 0.0, -0.05)), ()),
         Fault("datum 5 cm low, no control", Errors(datum_m=(0.0, 0.0, -0.05)), (), (), NO_CONTROL),
         Fault("2 % of rays 20 times worse", Errors(gross=0.02), worse),

@@ -24,12 +24,13 @@ HARSH = RANK[:3]
 
 @dataclass(frozen=True)
 class Told:
-    """A finding: its code, severity, subject and cause."""
+    """A finding: its code, severity, subject and cause, and what the flight cannot tell from it."""
 
     code: str
     severity: str
     subject: str = ""
     cause: str = ""
+    rivals: str = ""
 
     @property
     def is_cause(self) -> bool:
@@ -78,7 +79,8 @@ def cell(told: Iterable[Told]) -> str:
     """Write findings into one cell."""
     clean = ([text.replace(" ", "~").replace("|", "/") for text in astuple(one)] for one in told)
     return "|".join(
-        " ".join((severity, code, subject or "-", cause or "-")) for code, severity, subject, cause in clean
+        " ".join((severity, code, subject or "-", cause or "-", *[rivals] * bool(rivals)))
+        for code, severity, subject, cause, rivals in clean
     )
 
 
@@ -108,6 +110,14 @@ def read_rows(path: Path) -> list[Row]:
     with path.open(encoding="utf-8", newline="") as file:
         table = list(csv.DictReader(file))
     return [Row(**{f.name: kinds[str(f.type)](row[f.name]) for f in fields(Row)}) for row in table]
+
+
+def named_or_rival(fault: Fault, row: Row, command: str) -> bool:
+    """Whether the first cause is the fault, or says that the flight cannot tell it from the fault."""
+    named = row.causes(command)
+    return named_first(fault, row, command) or bool(
+        named and set(fault.names) & set(named[0].rivals.split(","))
+    )
 
 
 def named_first(fault: Fault, row: Row, command: str) -> bool:

@@ -23,7 +23,7 @@ from tests.independent.detectable import noncentrality
 from tests.independent.faults import BASE, CLEAN, NO_CONTROL, TEN, Fault, table
 from tests.independent.flights import Design, Errors, expected, world
 from tests.independent.folder import Placement, write_folder
-from tests.independent.rows import accused, named_first
+from tests.independent.rows import HARSH, accused, named_first
 
 FAULTS = {fault.name: fault for fault in table()}
 
@@ -133,6 +133,29 @@ def test_points_are_suspected_by_holm(tmp_path: Path) -> None:
     ):
         distance = stats.chi2(3).isf(np.array(shares))
         assert len(replace(check, distance=distance).suspected) == expected_number
+
+
+@pytest.mark.parametrize("name", [None, "one of 6 control points, 30 cm in plane"], ids=str)
+def test_the_same_flight_otherwise_has_the_same_verdict(name: str | None) -> None:
+    """Turned, moved to map coordinates, renamed, and taken by two cameras in turn."""
+    errors = Errors() if name is None else FAULTS[name].errors
+    said = {}
+    for place, at in {
+        "as flown": Placement(),
+        "turned": Placement(turn_deg=37.0),
+        "moved": Placement(shift_m=(512_000.0, 7_100_000.0, 310.0)),
+        "renamed": Placement(prefix="a-"),
+        "by two cameras": Placement(cameras=2),
+    }.items():
+        row = judged("placed", place, BASE, errors, 0, at)
+        causes = [
+            (one.code, one.severity, one.subject.removeprefix("a-"))
+            for command in ("check", "analyse")
+            for one in row.causes(command)
+            if one.severity in HARSH
+        ]
+        said[place] = row.check_verdict, row.analyse_verdict, causes
+    assert [place for place in said if said[place] != said["as flown"]] == []
 
 
 @pytest.mark.parametrize(

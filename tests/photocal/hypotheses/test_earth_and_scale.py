@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,10 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text
 from photocal.georeferencing.findings import block_findings
 from tests.evidence.judging import AS_FLOWN, fly
-from tests.independent.faults import BASE, TEN
+from tests.independent.faults import BASE, HIGH, LARGE
 from tests.independent.flights import Design, Errors
 from tests.independent.folder import Placement
 
-# High enough for the earth to be round, with a lens that is known but for c and its principal point.
-HIGH = replace(BASE, name="high", height_m=10_000.0, images=80, estimate=("c", "x0", "y0"))
-LARGE = replace(TEN, name="large", height_m=200.0, images=200, per_image=60)
 # On the central meridian of the zone, where UTM is 0.9996 of the ellipsoid.
 UTM = Placement(frame="EPSG:31982", origin=(-51.0, -25.0))
 UTM_SCALE = 0.9996
