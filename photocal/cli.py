@@ -16,6 +16,7 @@ from photocal.commands import (
     products,
     project,
     radiometry,
+    rover,
     study,
     verify,
 )
@@ -44,6 +45,7 @@ app.command()(radiometry.radiometry)
 app.command()(navigation.ppk)
 app.command()(navigation.exposures)
 app.command()(navigation.survey)
+app.command("rover-test")(rover.rover_test)
 app.command()(project.adopt)
 app.command()(export.export)
 app.command()(products.volume)
