@@ -17,6 +17,7 @@ from photocal.commands import (
     products,
     project,
     radiometry,
+    rover,
     study,
     verify,
 )
@@ -47,6 +48,7 @@ app.command()(navigation.ppk)
 app.command()(navigation.exposures)
 app.command()(navigation.survey)
 app.command()(navigation.localise)
+app.command("rover-test")(rover.rover_test)
 app.command()(project.adopt)
 app.command()(export.export)
 app.command()(products.volume)

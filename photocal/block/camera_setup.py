@@ -4,6 +4,7 @@ import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from importlib import resources
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from photocal.base.arrays import Flags, Floats
 from photocal.base.checked_toml import Table
 from photocal.base.codec import as_degrees
 from photocal.base.errors import ConfigurationError
+from photocal.block.camera_prior import prior_keys, read_prior
 from photocal.geometry.camera import (
     MM,
     MODELS,
@@ -92,6 +94,8 @@ class CameraKeys(Table):
     """One `[[camera]]`, of a block or of a file of calibrations.
 
     prior_correlation: between the parameters with a prior sigma.
+    prior_from: result.json or certificate.json of another calibration, or its folder, relative to this file:
+        its values, standard deviations and all its correlations are the prior.
     shake_rad: sigmas of the turns of an image during its readout, by their degree from 1 on.
     sigma, correlation: of values that were adjusted; `given`: what those were before.
     """
@@ -101,7 +105,7 @@ class CameraKeys(Table):
     unit: Literal["mm", "px"]
     size_px: tuple[Side, Side]
     pitch_mm: PositiveFloat | tuple[PositiveFloat, PositiveFloat] | None = None
-    parameters: dict[str, FiniteFloat]
+    parameters: dict[str, FiniteFloat] = Field(default={})
     estimate: tuple[str, ...] = ()
     prior_sigma: dict[str, NonNegative] = Field(default={})
     R0: NonNegative = Field(default=0.0, validation_alias=AliasChoices("R0", "reference_radius"))
@@ -117,6 +121,7 @@ class CameraKeys(Table):
     guessed: bool = False
     stated_by: str = ""
     prior_correlation: CorrelationKeys | None = None
+    prior_from: str = ""
     shake_rad: tuple[NonNegative, ...] = ()
     sigma: dict[str, PositiveFloat] | None = None
     correlation: CorrelationKeys | None = None
@@ -129,6 +134,7 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
     raises ConfigurationError: for unknown parameters, a missing pitch or principal distance, or sigmas that
         do not fit.
     """
+    keys = with_prior(keys, where)
     made = camera_of(keys, where)
     wrong = ConfigurationError.at(f"{where}, camera {keys.id}")
     weighted = [name for name, sigma in keys.prior_sigma.items() if sigma > 0]
@@ -151,6 +157,32 @@ def make_camera(keys: CameraKeys, where: object) -> Camera:
             'add "readout" (s) to one of them, or give shutter = "unknown" to have it tested',
         )
     return made
+
+
+def with_prior(keys: CameraKeys, where: object) -> CameraKeys:
+    """Take the prior of a camera from the calibration that it names; errors as of `make_camera`."""
+    if not keys.prior_from:
+        return keys
+    wrong = ConfigurationError.at(f"{where}, camera {keys.id}")
+    twice = [name for name in ("parameters", "prior_sigma", "prior_correlation") if getattr(keys, name)]
+    if twice:
+        raise wrong(f"prior_from stands beside {twice[0]}", "remove one of them")
+    folder = Path(where).parent if isinstance(where, Path) else Path()
+    prior = read_prior(folder / keys.prior_from, keys.id)
+    for what in ("model", "unit", "size_px"):
+        theirs, own = getattr(prior, what), getattr(keys, what)
+        if theirs != own:
+            raise wrong(f"{what} is {own}, that of prior_from {theirs}", "name a calibration of this camera")
+    taken = prior_keys(prior)
+    if keys.estimate:
+        held = [name for name in taken["estimate"] if name not in keys.estimate]
+        if held:
+            raise wrong(
+                f"estimate lacks {held[0]}, whose errors those of the others depend on",
+                "estimate all that prior_from knows, or leave estimate out",
+            )
+        taken["estimate"] = keys.estimate
+    return CameraKeys.model_validate({**keys.model_dump(by_alias=False), **taken, "prior_from": ""})
 
 
 def _require(keys: CameraKeys, wrong: Callable[..., ConfigurationError]) -> None:

@@ -9,6 +9,7 @@ from photocal.adjustment.network import ANGLES, NO_RELATIONS, RELATIONS, Relatio
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import read_toml
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, InputNotFoundError
+from photocal.block.camera_prior import RESULT_FILES
 from photocal.block.camera_setup import make_camera
 from photocal.block.model import (
     ROLES,
@@ -163,7 +164,7 @@ def read_block(folder: Path) -> Block:
     named = (*RELATIONS, "position", "attitude")
     optional = (*(f"{name}s.csv" for name in named), CHECK_DISTANCES, *([] if readings else [FIDUCIAL_FITS]))
     present = [name for name in optional if (folder / name).exists()]
-    tables = [SETUP, "images.csv", "points.csv", table.name, *present]
+    tables = [SETUP, "images.csv", "points.csv", table.name, *present, *_priors(folder, setup)]
     tables += [MARKS, READINGS] if readings is not None else []
     positions = read_positions(
         folder / "positions.csv", images.names, setup.mounting.height_scale_from_m or 0.0
@@ -194,6 +195,24 @@ def read_block(folder: Path) -> Block:
         refraction=setup.block.refraction,
         curvature=setup.block.curvature,
     )
+
+
+def _priors(folder: Path, setup: Setup) -> list[str]:
+    """Files of the calibrations that cameras take their prior from: they go along with the block."""
+    names = []
+    for keys in setup.camera:
+        if not keys.prior_from:
+            continue
+        path = folder / keys.prior_from
+        path = next((path / name for name in RESULT_FILES if (path / name).is_file()), path)
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise ConfigurationError(
+                f"prior_from of camera {keys.id} lies outside of the block folder",
+                "copy that result.json into the folder, so that it goes along with the block",
+                where=folder / SETUP,
+            )
+        names.append(path.resolve().relative_to(folder.resolve()).as_posix())
+    return list(dict.fromkeys(names))
 
 
 def read_fits(path: Path, images: tuple[str, ...]) -> tuple[FiducialFit, ...]:

@@ -8,7 +8,7 @@ from photocal.base.console import answer, option
 
 def forms(
     output: Annotated[Path, option("PDF to write.", "-o", "--output")],
-    kinds: Annotated[str, option("station, flight, targets, laboratory, with commas between.")] = (
+    kinds: Annotated[str, option("station, flight, targets, laboratory, rover, with commas between.")] = (
         "station,flight,targets"
     ),
     plan: Annotated[
@@ -18,7 +18,7 @@ def forms(
     language: Annotated[str, option("Language: en or pt-BR.")] = "en",
     as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
-    """Write sheets to print: GNSS stations, flight log, targets, observations of a laboratory.
+    """Write sheets to print: GNSS stations, flight log, targets, laboratory, test of a rover.
 
     Example: `photocal forms -o forms.pdf --plan plan/plan.geojson --language pt-BR`
     """

@@ -24,7 +24,7 @@ from photocal.measurement.features import Arrays, cached, combined_key
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, read_grey
 from photocal.measurement.maker_camera import GivenLens, group_cameras, principal_distance_px, start_camera
-from photocal.measurement.markers import VERSION, dictionary, find_markers
+from photocal.measurement.markers import COMMON_PX, VERSION, dictionary, find_markers
 
 ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2", "B1")
 # Of fewer pictures of a board, or of fewer pictures or targets of a field, no camera is calibrated.
@@ -244,18 +244,15 @@ def plane_principal_distance(flat: Sequence[Floats], planes: Sequence[Floats]) -
 def without_gross_corners(block: Block) -> tuple[Block, list[dict[str, str]]]:
     """Leave out corners that a neighbour covers or a plate's edge shifts, by data snooping.
 
-    Nobody knows the sigmas yet: Pope's tau goes by those that the residuals tell.
+    The grey values tell how much surer the corner of a large target is; what they cannot know is not known
+    yet: Pope's tau goes by what the residuals tell.
     """
-    level = np.sqrt((block.observations.sigma**2).mean())
     seen = block.observations
-    equal = replace(block, observations=replace(seen, sigma=np.full_like(seen.sigma, level)))
-    assembly = assemble(equal)
+    assembly = assemble(replace(block, observations=replace(seen, sigma=np.hypot(seen.sigma, COMMON_PX))))
     accepted = assembly.rays[snoop(assembly.network, "tau").accepted]
     out = np.setdiff1d(np.arange(len(seen.image)), accepted)
-    names = [
-        {"image": block.images.names[seen.image[row]], "point": block.points.names[seen.point[row]]}
-        for row in out
-    ]
+    images, points = block.images.names, block.points.names
+    names = [{"image": images[seen.image[row]], "point": points[seen.point[row]]} for row in out]
     return replace(block, observations=seen.rows(np.sort(accepted))), names
 
 

@@ -18,7 +18,7 @@ from photocal.findings.document import (
 from photocal.findings.texts import Catalogue
 
 # Sheets by what they are for; their words stand in the catalogue under forms.NAME, lines with bars between.
-FORMS = ("station", "flight", "targets", "laboratory")
+FORMS = ("station", "flight", "targets", "laboratory", "rover")
 # Empty rows of each table of a sheet; those of places and of pictures come from the plan.
 ROWS = {"station.table": 3, "flight.table": 9, "targets.table": 20, "laboratory.distances": 10}
 ROLLS_DEG = (0, 90, 180, 270)
@@ -100,6 +100,11 @@ def _sheet(
         rolls: list[Cells] = [(f"{k}", f"{roll}°") for k in range(1, stations + 1) for roll in ROLLS_DEG]
         pieces.append(_table("laboratory.pictures", rolls, say))
         pieces.append(_table("laboratory.distances", [], say))
+    elif name == "rover":
+        rows: list[Cells] = [
+            (series, str(k), point) for series in "123" for k in range(1, 6) for point in "12"
+        ]
+        pieces.append(_table("rover.sets", rows, say))
     else:
         pieces.append(_table(f"{name}.table", places if name == "targets" else [], say))
     if place:

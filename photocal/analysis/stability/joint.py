@@ -156,10 +156,8 @@ def joint_text(joint: JointComparison, level: float) -> str:
         pair = f"{one.first}-{one.second}"
         rows.append((pair, *_cells(one.vector, level), *_cells(one.image, level), moved))
     heads = ("", "chi2", "of", "p", "in the image", "of", "p", "px")
-    note = (
-        "left: the parameters as one vector; right: what they do in the image when the bundle may turn, and "
-    )
-    note += "its root mean square; * not the same camera"
+    note = "left: the parameters as one vector; right: what they do in the image when the bundle may turn, "
+    note += "and its root mean square; * not the same camera"
     made = [text([Section("", (table("equal as parameter vectors", heads, rows, note),))])] if rows else []
     if joint.together is not None:
         chi, of, p = _cells(joint.together, level)

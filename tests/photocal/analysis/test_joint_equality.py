@@ -1,4 +1,4 @@
-"""Two calibrations equal as parameter vectors: the level is kept, a difference is found, the study's sets differ."""
+"""Two calibrations equal as parameter vectors: the level is kept, differences are found."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def picture(
 ) -> NDArray[np.uint8]:
     """Trace the rays of every pixel back to the targets' planes; blur and noise as of a camera.
 
-    covered: targets over one corner of which a plate lies, on a quarter of two sides.
+    covered: targets over one corner of which a plate lies, on an eighth of two sides.
     margin: of a target's side, between it and the picture's border; nearer ones are not there.
     """
     width, height = SIZE
@@ -110,7 +110,7 @@ def picture(
         high = np.minimum(seen.max(axis=0) + 0.3 * side, np.array(SIZE) - 1.0)
         if code in covered:
             at, before, after = seen[0], seen[3] - seen[0], seen[1] - seen[0]
-            plates.append([at + 0.25 * before, at - 0.2 * (before + after), at + 0.25 * after])
+            plates.append([at + 0.13 * before, at - 0.2 * (before + after), at + 0.13 * after])
         # Where the rays meet the sheet, every fourth pixel, linear between: to some thousandths of one.
         first = np.floor(low).astype(int)
         count = np.ceil((high - first) / _STEP).astype(int)

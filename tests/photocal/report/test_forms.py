@@ -38,7 +38,7 @@ def plan(tmp_path: Path) -> Path:
 def test_a_station_sheet_for_each_point_and_a_row_in_the_list(plan: Path, language: str) -> None:
     say = catalogue(language)
     sheets = field_forms(FORMS, planned_places(plan), say).sections
-    assert len(sheets) == 2 + 3
+    assert len(sheets) == 2 + 4
     assert sheets[0].title.endswith("CO01")
     known = next(piece for piece in sheets[0].pieces if isinstance(piece, KeyValues)).rows
     assert [value for _, value in known[:4]][1:] == [
