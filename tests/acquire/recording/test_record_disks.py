@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import os
 import threading
 import time
 from pathlib import Path
@@ -25,15 +26,17 @@ from tests.acquire.scripted import messages
 
 
 class _SmallDisk(WholeWrites):
-    """A disk with little room, shared by all files in a folder; the last write is cut in the middle."""
+    """A disk with little room, shared by all files in a folder; it refuses what is too much."""
 
-    def __init__(self, file: io.FileIO, room: dict[Path, int], folder: Path) -> None:
+    def __init__(
+        self, file: io.FileIO, room: dict[Path, int], folder: Path, code: int = errno.ENOSPC
+    ) -> None:
         super().__init__(file)
-        self._room, self._folder = room, folder
+        self._room, self._folder, self._code = room, folder, code
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
         if self._room.get(self._folder, 1 << 40) < len(data):
-            raise OSError(errno.ENOSPC, "No space left on device")
+            raise OSError(self._code, os.strerror(self._code))
         self._room[self._folder] = self._room.get(self._folder, 1 << 40) - len(data)
         return super().write(data)
 
@@ -69,12 +72,14 @@ def _nothing(writer: LogWriter) -> None:
     writer.metadata("site", {"operator": "A. Surveyor"})
 
 
-def test_a_full_disk_sends_the_recording_to_the_spare_folder(tmp_path: Path) -> None:
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENODEV])
+def test_a_full_disk_sends_the_recording_to_the_spare_folder(code: int, tmp_path: Path) -> None:
+    """Also one over a quota, one that became read-only, one that fails and one that was pulled."""
     first, spare = tmp_path / "first", tmp_path / "spare"
     room = {first: 5000}
 
     def make(path: Path) -> WholeWrites:
-        return _SmallDisk(io.FileIO(path, "xb"), room, path.parent)
+        return _SmallDisk(io.FileIO(path, "xb"), room, path.parent, code)
 
     files = LogFiles([first, spare], _nothing, RotationLimits(), time.time_ns, make)
     sent = _fill(files, 40)
