@@ -124,7 +124,7 @@ def _one_thread_each() -> Iterator[None]:
 
 def protected(address: str) -> str:
     """Return the address of a scheduler that may be joined; raises ConfigurationError for one open to all."""
-    scheme, separator, place = address.partition("://")
+    scheme, _, place = (address if "://" in address else f"tcp://{address}").partition("://")
     if scheme.startswith(_UNPROTECTED):
         return f"{scheme.removeprefix(_UNPROTECTED)}://{place}"
     host = place.rpartition(":")[0].strip("[]") or place
@@ -134,11 +134,10 @@ def protected(address: str) -> str:
         here = False
     if scheme == "tls" or here:
         return address
-    plain = f"tcp://{place}" if separator else f"tcp://{address}"
     raise ConfigurationError(
         "the scheduler is on another computer and the connection is not protected: it, and who listens, "
         "may run what they like",
-        f"start it with TLS and name tls://HOST:PORT, or say {_UNPROTECTED}{plain} where you trust the network",
+        f"start it with TLS (tls://HOST:PORT), or say {_UNPROTECTED}tcp://{place} in a network you trust",
         where=address,
     )
 
