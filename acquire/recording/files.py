@@ -83,8 +83,8 @@ class LogFiles:
         self._ends: list[tuple[OpenFile, Future[None]]] = []
         self._doubted: list[OpenFile] = []
         self._given_up: list[Future[None]] = []
-        # Deleted files that are being copied back, each with its name and that of its copy.
-        self._rescues: list[tuple[Path, Path, Future[None]]] = []
+        # Deleted files that are being copied back, each with the name of its copy.
+        self._rescues: list[tuple[OpenFile, Path, Future[None]]] = []
         self.paths: list[Path] = []
         try:
             self._file: OpenFile | None = self._new(0)
@@ -167,18 +167,19 @@ class LogFiles:
     def close(self) -> list[Notice]:
         """Write what is left and the summary; raises OutputError when what is held can be written nowhere."""
         self._again_s = None if self._again_s is None else -math.inf
-        notices = [*self.end_chunk(), *self._ended(LAST_FLUSH_S), *self._rescued()]
-        if self._again_s is None:
-            # What files that were ended meanwhile could not keep has come back.
-            notices += self._write()
+        notices = [*self.end_chunk(), *self._ended(LAST_FLUSH_S)]
         file = self._file
         if file is not None and not file.stream.at_its_name:
             notices += self._replace(file)
+        notices += self._rescued(LAST_FLUSH_S)
+        if self._again_s is None:
+            # What files that were ended meanwhile could not keep has come back.
+            notices += self._write()
         notices += self._end_last()
         if self._waiting:
             notices += self._move(OSError(errno.EIO, "the last flush has failed"))
             notices += self._end_last()
-        notices += [*self._rescued(LAST_FLUSH_S), *self._tell_left_out(last=True)]
+        notices += self._tell_left_out(last=True)
         wait(self._given_up, GIVE_UP_S)
         gone = [path for path in self.paths if not path.is_file()]
         return [*notices, *(("file_gone", f"{path} was deleted or moved after its end") for path in gone)]
@@ -313,18 +314,20 @@ class LogFiles:
                 break
         if copy is None:
             file.close()
+            self._put_back(file)
             self.paths.remove(gone)
             return [("file_gone", f"{gone} was deleted and cannot be saved ({reason}): it is lost")]
         target = copy
         copying = in_background("rescue", lambda: _copy_back(file, target))
-        self._rescues.append((gone, Path(copy.name), copying))
+        self._rescues.append((file, Path(copy.name), copying))
         return []
 
     def _rescued(self, patience_s: float = 0.0) -> list[Notice]:
         """Return what became of the deleted files that were copied back by now."""
         notices = []
         for rescue in list(self._rescues):
-            gone, copy, copying = rescue
+            file, copy, copying = rescue
+            gone = file.path
             try:
                 failure = copying.exception(patience_s)
             except TimeoutError:
@@ -336,6 +339,7 @@ class LogFiles:
                 notices.append(("note", f"{gone} was deleted, what was in it is saved in {copy}"))
             else:
                 del self.paths[place]
+                self._put_back(file)
                 text = f"{gone} was deleted and cannot be saved ({failure}): it is lost"
                 notices.append(("file_gone", text))
         return notices

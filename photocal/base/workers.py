@@ -9,6 +9,7 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from ipaddress import ip_address
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,6 +22,7 @@ Result = TypeVar("Result")
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _CREW: ContextVar[dict[int, ProcessPoolExecutor] | None] = ContextVar("crew", default=None)
 _TIMEOUT_S = 10
+_UNPROTECTED = "unprotected+"
 # So many tasks wait for each thread of a worker: none is idle, and few results are held.
 _AHEAD = 2
 
@@ -120,9 +122,33 @@ def _one_thread_each() -> Iterator[None]:
         os.environ.update(before)
 
 
+def protected(address: str) -> str:
+    """Return the address of a scheduler that may be joined; raises ConfigurationError for one open to all."""
+    scheme, _, place = (address if "://" in address else f"tcp://{address}").partition("://")
+    if scheme.startswith(_UNPROTECTED):
+        return f"{scheme.removeprefix(_UNPROTECTED)}://{place}"
+    host = place.rpartition(":")[0].strip("[]") or place
+    try:
+        here = host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        here = False
+    if scheme == "tls" or here:
+        return address
+    raise ConfigurationError(
+        "the scheduler is on another computer and the connection is not protected: it, and who listens, "
+        "may run what they like",
+        f"start it with TLS (tls://HOST:PORT), or say {_UNPROTECTED}tcp://{place} in a network you trust",
+        where=address,
+    )
+
+
 @dataclass(frozen=True)
 class Cluster:
-    """A Dask scheduler; `address`: such as ``tcp://10.0.0.5:8786``."""
+    """A Dask scheduler; `address`: such as ``tls://10.0.0.5:8786``.
+
+    A scheduler runs what anybody in its network sends: one on another computer is joined by TLS only, or
+    where the address says ``unprotected+tcp://HOST:PORT``.
+    """
 
     address: str
 
@@ -169,8 +195,9 @@ class Cluster:
             raise ProgramMissingError(
                 "dask.distributed is not installed", "install photocal[cluster]"
             ) from refusal
+        address = protected(self.address)
         try:
-            client = distributed.Client(self.address, timeout=f"{_TIMEOUT_S}s", set_as_default=False)
+            client = distributed.Client(address, timeout=f"{_TIMEOUT_S}s", set_as_default=False)
         except (OSError, ValueError) as refusal:
             raise DeviceError(
                 "no scheduler answers there",

@@ -78,7 +78,7 @@ def run(
         bool, option("Read all files again, whatever their size and times say.", "--rehash")
     ] = False,
     workers: Annotated[int, option("Projects at a time.", min=1)] = 1,
-    cluster: Annotated[str | None, option("Dask scheduler that runs the projects: tcp://HOST:PORT.")] = None,
+    cluster: Annotated[str | None, option("Dask scheduler that runs the projects: tls://HOST:PORT.")] = None,
     details: Details = False,
     as_json: AsJson = False,
 ) -> None:

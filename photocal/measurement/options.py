@@ -43,7 +43,7 @@ class MeasureOptions(Options):
     focal_mm: Annotated[float, Option("Focal length, mm, in place of what the pictures state.")] = 0.0
     workers: Annotated[int, Option("Processes; 0 for one on each core.")] = 0
     cluster: Annotated[
-        str, Option("Dask scheduler whose workers share images and cache, such as tcp://HOST:8786.")
+        str, Option("Dask scheduler whose workers share images and cache, such as tls://HOST:8786.")
     ] = ""
     cache: Annotated[
         Path | None, Option("Folder for features and matches; ~/.cache/photocal when not given.")

@@ -93,6 +93,11 @@ class ForgetfulDisk:
             left[offset + first * SECTOR : offset + last * SECTOR] = data[first * SECTOR : last * SECTOR]
         return bytes(left)
 
+    def content(self) -> bytes:
+        """Return all that was written."""
+        with self._lock:
+            return bytes(self._content)
+
     def read(self, offset: int, size: int) -> bytes:
         """Give what was written."""
         with self._lock:

@@ -25,6 +25,7 @@ from acquire.log.records import MAGIC
 from drivers import rtcm3
 from tests.acquire.live import Process, frames_in, free_port, is_bound, until
 from tests.acquire.recording.undisturbed import GoodLink, configured, kept_in, recording, stopped
+from tests.evidence.neighbours import heard_under
 
 # What waits for an output waits each time; a machine that is busy with other tests is slow now and then.
 STOP_S, ATTEMPTS = 0.5, 3
@@ -305,3 +306,8 @@ def test_two_senders_at_one_port_are_told_once_and_cost_nothing(tmp_path: Path) 
     assert len(moves) == 1
     # It was 12 MB a second.
     assert grown_mb < 20
+
+
+@pytest.mark.parametrize("attack", ["half_open", "websocket_flood"])
+def test_an_attack_on_the_pages_costs_the_recording_nothing(attack: str) -> None:
+    assert heard_under(attack, 4.0).lost == 0

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import ConfigurationError, DeviceError, InputNotFoundError, ProgramMissingError
-from photocal.base.workers import Cluster, Workers, run_tasks
+from photocal.base.workers import Cluster, Workers, protected, run_tasks
 from photocal.measurement.features import FeatureSettings
 from photocal.measurement.image_file import read_grey
 from photocal.measurement.match_images import MatchingPlan, detect_all, match_all
@@ -155,3 +155,22 @@ def test_the_command_says_what_is_wrong_with_a_cluster(
     )
     assert (told.code, "--workers and --cluster are both given" in told.err) == (5, True)
     assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize(
+    "address", ["tls://10.0.0.5:8786", "tcp://127.0.0.1:8786", "tcp://[::1]:8786", "localhost:8786"]
+)
+def test_a_protected_scheduler_may_be_joined(address: str) -> None:
+    assert protected(address) == address
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["tcp://10.0.0.5:8786", "tcp://localhost.example:8786", "10.0.0.5:8786", "ucx://[fe80::1]:8786"],
+)
+def test_an_unprotected_scheduler_elsewhere_needs_a_word(address: str) -> None:
+    with pytest.raises(ConfigurationError, match="not protected"):
+        protected(address)
+    with pytest.raises(ConfigurationError, match="not protected"):
+        list(run_tasks(len, ["a"], Cluster(address)))
+    assert protected("unprotected+tcp://10.0.0.5:8786") == "tcp://10.0.0.5:8786"
