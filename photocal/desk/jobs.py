@@ -31,9 +31,9 @@ _LONGEST_LOG = 200_000
 _ERROR = "error: "
 
 
-def line(arguments: Sequence[str | Path]) -> str:
+def line(arguments: Sequence[str | Path], program: str = "photocal") -> str:
     """Command line as a person types it."""
-    return shlex.join(["photocal", *map(str, arguments)])
+    return shlex.join([program, *map(str, arguments)])
 
 
 def asked(arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> Any:
