@@ -94,6 +94,8 @@ class Job:
                     creationflags=CHILD_FLAGS,
                 )
             self._process = process
+            # It is waited for, whoever forgets it here.
+            threading.Thread(target=process.wait, daemon=True).start()
             born = _born(process.pid)
             self._note({"pid": process.pid, "born": born, "began": time.time(), "line": line(arguments)})
 

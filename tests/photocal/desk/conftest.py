@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from photocal.base.progress import quiet
+from photocal.project import read_project
+from photocal.run.campaign import run_project
+from photocal.run.new_project import new_project
 from tests.conftest import Once
 from tests.photocal.desk.client import Client, opened
 from tests.photocal.run.typed_site import site_folder
@@ -30,6 +35,18 @@ def fresh(once: Once, folder: Path, name: str, **choices: object) -> Path:
 def own_settings(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keys of tests are nobody's keys."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("settings")))
+
+
+@pytest.fixture(scope="session")
+def finished(once: Once) -> Path:
+    """The same flight after a run; to be copied, not changed."""
+
+    def fill(where: Path) -> None:
+        site = fresh(once, where / "site", "desk-site", positions=True)
+        made = new_project(site, height="orthometric")
+        run_project(read_project(made.path), dt.date(2026, 5, 1), quiet)
+
+    return once("desk-finished", fill) / "site"
 
 
 @pytest.fixture
