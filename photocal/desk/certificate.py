@@ -118,7 +118,7 @@ def issued_as(folder: Path) -> dict[str, Any] | None:
     """Number, day and verdict of a certificate that lies in a folder, and whether it is signed."""
     try:
         content = json.loads((folder / _RECORD).read_bytes())
-        verdict = {key: content["verdict"].get(key) for key in ("severity", "text", "paragraph")}
+        verdict = {key: content["verdict"].get(key) for key in ("severity", "text", "paragraph", "said")}
         named = {"number": content["number"], "date": content["date"], "verdict": verdict}
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
