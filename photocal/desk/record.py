@@ -15,7 +15,6 @@ from photocal.base.checked_toml import read_tables
 from photocal.base.errors import PhotocalError
 from photocal.base.web import POLICY
 from photocal.base.web_answers import telling
-from photocal.desk.jobs import line
 from photocal.desk.session import Desk
 
 _DEPTH, _MOST = 3, 5000
@@ -82,8 +81,10 @@ def state(desk: Desk, watch: Watch) -> dict[str, Any]:
         "file": None if newest is None else desk.named(newest),
         "plan": None if plan is None else desk.named(plan),
         "configurations": [desk.named(path) for path in settings],
-        "line": line([*shown, *(["--plan", plan] if plan is not None else [])], "acquire"),
-        "begin": [line([step, path], "acquire") for path in settings[:1] for step in ("check", "record")],
+        "line": desk.line([*shown, *(["--plan", plan] if plan is not None else [])], "acquire"),
+        "begin": [
+            desk.line([step, path], "acquire") for path in settings[:1] for step in ("check", "record")
+        ],
     }
 
 

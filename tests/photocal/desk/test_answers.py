@@ -213,7 +213,7 @@ def test_a_job_outlives_the_window_and_is_not_begun_twice(tmp_path: Path) -> Non
     assert job.state()["state"] == "none"
     site = tmp_path / "images"
     site.mkdir()
-    job.start(["debrief", tmp_path, "--live"])
+    job.start(["debrief", tmp_path, "--live"], "photocal debrief . --live")
     other = Job(tmp_path, "run")
     told = json.loads((tmp_path / FOLDER / "run.json").read_text())
     # It fails, for there is no project: the error is that of the command, for both.
