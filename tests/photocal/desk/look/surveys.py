@@ -113,9 +113,16 @@ def simulated(
     start[:, :3] += rng.normal(0, 2e-3, (len(start), 3))
     own = (_estimating(views.cameras[0]),)
     return Block(
-        "site", "local", "local", "control", own, Images(views.names, views.camera, start), points, observations,
+        name="site",
+        frame="local",
+        height="local",
+        datum="control",
+        cameras=own,
+        images=Images(views.names, views.camera, start),
+        points=points,
+        observations=observations,
         positions=_antennas(views.station, rng),
-    )  # fmt: skip
+    )
 
 
 def _estimating(lens: Camera) -> Camera:
@@ -123,9 +130,7 @@ def _estimating(lens: Camera) -> Camera:
         return lens
     given = {name: lens.value(name) for name in ("c", "K1")}
     own = lens.id, lens.model, lens.unit, lens.size_px, lens.pitch
-    return camera(
-        lens.id, lens.model, lens.unit, lens.size_px, lens.pitch, given, estimate=("c", "x0", "y0", "K1")
-    )
+    return camera(*own, given, estimate=ESTIMATED)
 
 
 def _antennas(centre: Floats, rng: np.random.Generator) -> Positions:
