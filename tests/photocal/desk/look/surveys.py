@@ -137,8 +137,8 @@ def _antennas(centre: Floats, rng: np.random.Generator) -> Positions:
     n = len(centre)
     covariance = np.tile(np.eye(3) * POSITION_M**2, (n, 1, 1))
     observed = centre + rng.normal(0, POSITION_M, centre.shape)
-    along = np.r_[np.diff(centre[:, 0]), 0.0]
-    strip = np.cumsum(np.r_[0, np.sign(along[1:-1]) != np.sign(along[:-2]), 0] > 0) if n > 3 else np.zeros(n)
+    # A strip ends where the next image lies beside it.
+    strip = np.cumsum(np.r_[0, np.abs(np.diff(centre[:, 1])) > 3.0])
     return Positions(
         np.arange(n), observed, covariance, np.zeros((n, 3)), strip.astype(np.int64), np.zeros(n), np.zeros(n)
     )
