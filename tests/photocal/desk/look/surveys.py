@@ -157,3 +157,15 @@ def _seen(views: OrientedImages, truth: Floats) -> tuple[NDArray[np.int64], NDAr
         points.append(near[inside])
         pixels.append(pixel[inside])
     return np.concatenate(images), np.concatenate(points), np.vstack(pixels)
+
+
+def with_pictures(folder: Path, jpeg: bytes) -> Path:
+    """Give a project pictures that look alike, in files that a remark makes different."""
+    (folder / "images").mkdir()
+    for name in Block.read(folder / "block").images.names:
+        remark = name.encode()
+        segment = b"\xff\xfe" + (len(remark) + 2).to_bytes(2, "big") + remark
+        (folder / "images" / name).write_bytes(jpeg[:2] + segment + jpeg[2:])
+    with (folder / "project.toml").open("a", encoding="utf-8") as text:
+        text.write('\n[images]\nfolder = "images"\n')
+    return folder
