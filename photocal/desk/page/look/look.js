@@ -49,7 +49,7 @@ function show(element, context, block, again) {
   shared.leaving = leaving(shared);
   const views = {};
   const panes = Object.fromEntries(
-    Object.keys(VIEWS).map((name) => [name, h(`div.view.${name}`, { id: `view-${name}`, role: "tabpanel", "aria-labelledby": `tab-${name}`, hidden: true })]),
+    Object.keys(VIEWS).map((name) => [name, h(`div.view.${name}`, { id: `view-${name}`, role: "tabpanel", tabindex: 0, "aria-labelledby": `tab-${name}`, hidden: true })]),
   );
   const tabs = Object.keys(VIEWS).map((name, k) =>
     h("button.tab", { type: "button", role: "tab", id: `tab-${name}`, "aria-controls": `view-${name}`, title: `${say(`look.view.${name}`)} (${k + 1})`, onclick: () => open(name) }, say(`look.view.${name}`)),

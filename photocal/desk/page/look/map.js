@@ -36,7 +36,7 @@ export async function blockMap(target, shared) {
     keyboardEventTarget: holder,
     controls: ol.control.defaults.defaults({ attribution: false, rotate: false, zoomOptions: { zoomInTipLabel: say("look.zoom-in"), zoomOutTipLabel: say("look.zoom-out") } }).extend([new ol.control.ScaleLine({ minWidth: 70 })]),
   });
-  const whole = () => view.fit(extent, { padding: [24, 24, 24, 24] });
+  const whole = () => view.fit(extent, { padding: [24, 24 + legend.offsetWidth, 24, 48] });
   let fitted = false;
   drawLegend();
   show(selection.now);
@@ -68,7 +68,7 @@ export async function blockMap(target, shared) {
       footprints: drawn(images.footprint.map((ring, k) => (ring[0][0] === null ? null : feature(new ol.geom.Polygon([[...ring, ring[0]]]), images.names[k]))), line("#33424d99", 1)),
       strips: drawn(strips(), line("#33424d", 1.5, [6, 4])),
       ties: new ol.layer.Image({}),
-      ellipses: drawn([...images.ellipse.map((e, k) => ellipse(at[k], e)), ...points.ellipse.map((e, k) => ellipse(marked[k], e))], line("#009e73", 1.75)),
+      ellipses: drawn([...images.ellipse.map((e, k) => ellipse(at[k], e)), ...points.ellipse.map((e, k) => ellipse(marked[k], e))], ellipseStyle()),
       vectors: drawn([...arrows(at, images.position_m, "tie"), ...arrows(marked, points.difference_m, (k) => points.role[k])], arrowStyle),
       points: drawn([...marked.map((place, k) => feature(new ol.geom.Point(place), points.names[k], { role: points.role[k] })), ...points.unseen.place.map((place, k) => feature(new ol.geom.Point(place.slice(0, 2)), points.unseen.names[k], { role: "unseen" }))], pointStyle(), true),
       stations: drawn(at.map((place, k) => feature(new ol.geom.Point(place), images.names[k], { k })), stationStyle()),
@@ -95,6 +95,12 @@ export async function blockMap(target, shared) {
 
   function line(color, width, lineDash) {
     return new ol.style.Style({ stroke: new ol.style.Stroke({ color, width, lineDash }) });
+  }
+
+  /** Thin where they are small. */
+  function ellipseStyle() {
+    const [thin, usual] = [line("#009e73", 0.9), line("#009e73", 1.75)];
+    return (one, resolution) => (ol.extent.getWidth(one.getGeometry().getExtent()) / resolution < 14 ? thin : usual);
   }
 
   function strips() {

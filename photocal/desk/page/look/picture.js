@@ -115,7 +115,7 @@ export function picturePane(shared) {
     return h(
       "div.crop",
       { role: "listitem", class: off > FAR ? "crop far" : "crop" },
-      h("button.open", { type: "button", title, "aria-label": title, onclick: () => selection.observation(image, point.name) }, drawn, h("span.name", {}, image), h("span.size", {}, away[0] === null ? say("look.unused") : `${number(Math.hypot(...away), language)} px · ${number(off, language)} σ`)),
+      h("button.open", { type: "button", title, onclick: () => selection.observation(image, point.name) }, drawn, h("span.name", {}, image), h("span.size", {}, away[0] === null ? say("look.unused") : `${number(Math.hypot(...away), language)} px · ${number(off, language)} σ`)),
       out ? h("span.out", {}, say("look.is-out")) : h("button.small", { type: "button", "aria-label": say("look.leave.mark", { point: point.name, image }), onclick: () => shared.leaving.ask({ image, point: point.name }) }, say("look.leave-out")),
     );
   }

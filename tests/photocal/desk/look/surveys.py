@@ -113,9 +113,16 @@ def simulated(
     start[:, :3] += rng.normal(0, 2e-3, (len(start), 3))
     own = (_estimating(views.cameras[0]),)
     return Block(
-        "site", "local", "local", "control", own, Images(views.names, views.camera, start), points, observations,
+        name="site",
+        frame="local",
+        height="local",
+        datum="control",
+        cameras=own,
+        images=Images(views.names, views.camera, start),
+        points=points,
+        observations=observations,
         positions=_antennas(views.station, rng),
-    )  # fmt: skip
+    )
 
 
 def _estimating(lens: Camera) -> Camera:
@@ -123,17 +130,15 @@ def _estimating(lens: Camera) -> Camera:
         return lens
     given = {name: lens.value(name) for name in ("c", "K1")}
     own = lens.id, lens.model, lens.unit, lens.size_px, lens.pitch
-    return camera(
-        lens.id, lens.model, lens.unit, lens.size_px, lens.pitch, given, estimate=("c", "x0", "y0", "K1")
-    )
+    return camera(*own, given, estimate=ESTIMATED)
 
 
 def _antennas(centre: Floats, rng: np.random.Generator) -> Positions:
     n = len(centre)
     covariance = np.tile(np.eye(3) * POSITION_M**2, (n, 1, 1))
     observed = centre + rng.normal(0, POSITION_M, centre.shape)
-    along = np.r_[np.diff(centre[:, 0]), 0.0]
-    strip = np.cumsum(np.r_[0, np.sign(along[1:-1]) != np.sign(along[:-2]), 0] > 0) if n > 3 else np.zeros(n)
+    # A strip ends where the next image lies beside it.
+    strip = np.cumsum(np.r_[0, np.abs(np.diff(centre[:, 1])) > 3.0])
     return Positions(
         np.arange(n), observed, covariance, np.zeros((n, 3)), strip.astype(np.int64), np.zeros(n), np.zeros(n)
     )
@@ -152,3 +157,15 @@ def _seen(views: OrientedImages, truth: Floats) -> tuple[NDArray[np.int64], NDAr
         points.append(near[inside])
         pixels.append(pixel[inside])
     return np.concatenate(images), np.concatenate(points), np.vstack(pixels)
+
+
+def with_pictures(folder: Path, jpeg: bytes) -> Path:
+    """Give a project pictures that look alike, in files that a remark makes different."""
+    (folder / "images").mkdir()
+    for name in Block.read(folder / "block").images.names:
+        remark = name.encode()
+        segment = b"\xff\xfe" + (len(remark) + 2).to_bytes(2, "big") + remark
+        (folder / "images" / name).write_bytes(jpeg[:2] + segment + jpeg[2:])
+    with (folder / "project.toml").open("a", encoding="utf-8") as text:
+        text.write('\n[images]\nfolder = "images"\n')
+    return folder
