@@ -202,9 +202,14 @@ def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
     image = {name: k for k, name in enumerate(result.images.names)}
     point = {name: k for k, name in enumerate(result.points.names)}
     poses = local_poses(assembly.frame, result.images.values[[image[name] for name in network.image_names]])
+    start = start_state(network)
+    common, found = start.common.copy(), list((result.mounting or {}).values())
+    common[: len(found)] = [value.value for value in found]
+    common[BORESIGHT] = np.radians(common[BORESIGHT]) if found else common[BORESIGHT]
     points = result.points.values[[point[name] for name in network.point_names]]
     return replace(
-        start_state(network),
+        start,
+        common=common,
         cameras=np.array([result.cameras[camera.id].values for camera in network.cameras]),
         rotation=matrix_from_angles(poses[:, :3]),
         centre=np.ascontiguousarray(poses[:, 3:]),
