@@ -12,7 +12,6 @@ from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
-from photocal.adjustment.removed import MOST_REMOVALS, REMOVED_TOGETHER
 from photocal.adjustment.state import State
 from photocal.analysis import correlation
 from photocal.analysis.components import Proposal, propose_removal
@@ -20,7 +19,7 @@ from photocal.analysis.estimates import GROUPS, Estimates, FTest, scaled, signif
 from photocal.analysis.left_out import Checks, WithoutParameter, left_out
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
-from photocal.analysis.robust import apart, bootstrap, sandwich
+from photocal.analysis.robust import CLOSED_FORM, apart, bootstrap, sandwich
 from photocal.analysis.stability.methods import (
     IdealImage,
     Method,
@@ -38,15 +37,18 @@ from photocal.analysis.within_flight import Within, within_flight
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.findings.finding import Finding
+from photocal.findings.harm import without_metres
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
-from photocal.hypotheses.findings import Slips, no_slips
+from photocal.hypotheses.findings import Slips, asked_of, no_slips
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
 # Of the bootstrap: the same images are drawn again when a certificate is verified.
 SEED = 1
 # Findings of terms that a lens model lacks.
 _TERMS = ("radial", "decentring")
+# Defects of a datum: 3 shifts, 3 turns and the scale; the same without the turns, which attitudes give.
+_ALL, _SCALE_AND_PLACE = 7, 4
 SCHEMA, ANALYSIS = "photocal.analysis/2", "analysis.json"
 
 
@@ -325,8 +327,11 @@ def analyse_network(
     kept = [finding for finding in listed if finding.code not in _TERMS or finding.subject not in other]
     names = [camera.id for camera in network.cameras]
     judged = [analyse_camera(fitted, k, checks, alpha, threshold, step) for k in range(len(names))]
+    told = (*of_lens, *kept, *of_datum(searched))
+    if _scale_is_open(fitted):
+        told = tuple(without_metres(finding, asked_of(fitted)) for finding in told)
     return Outcome(
-        findings=(*of_lens, *kept, *of_datum(searched)),
+        findings=told,
         variance_factor=fitted.solution.variance_factor,
         alpha=alpha,
         correlation_threshold=threshold,
@@ -344,6 +349,13 @@ def analyse_network(
         c_by_height=_c_by_height(fitted),
         search=searched,
     )
+
+
+def _scale_is_open(fitted: AdjustedNetwork) -> bool:
+    """Whether inner constraints alone give a network its scale."""
+    network, defect = fitted.network, fitted.solution.datum_defect
+    without_turns = defect == _SCALE_AND_PLACE and not len(network.relations.values)
+    return network.datum_points is not None and (defect == _ALL or without_turns)
 
 
 def _c_by_height(fitted: AdjustedNetwork) -> dict[str, float | None]:
@@ -378,6 +390,6 @@ def _opinions(search: Search, robust: Floats, drawn: Floats | None) -> dict[str,
 def _steps(network: Network) -> int:
     """Pieces of work of an analysis that finds nothing."""
     images = len(network.image_names)
-    removals = images if images <= MOST_REMOVALS else REMOVED_TOGETHER
+    removals = images if images <= CLOSED_FORM else 1
     parameters = sum(len(camera.free) for camera in network.cameras)
     return removals + min(images, MOST_JOINT) + 2 * parameters + 3 * len(network.cameras)

@@ -106,7 +106,10 @@ def result_of(
         degrees_of_freedom=solution.degrees_of_freedom,
         chi_squared=solution.chi_squared,
         sigma0_squared=factor if np.isfinite(factor) else None,
-        global_test=global_test(solution.chi_squared, solution.degrees_of_freedom, *block.global_test),
+        # Standard deviations from the residuals are not tested with them.
+        global_test=None
+        if components
+        else global_test(solution.chi_squared, solution.degrees_of_freedom, *block.global_test),
         groups=solution.groups,
         checks=_checks(block, assembly, points, solution),
         snooping=snooping,
