@@ -519,12 +519,13 @@ def run_project(
     """
     import datetime as dt
 
-    from photocal.base.console import progress
+    from photocal.base.console import one_bar
+    from photocal.base.progress import quiet
     from photocal.project import read_project
     from photocal.run.campaign import run_project as brought_up_to_date
 
     today = dt.datetime.now().astimezone().date()
-    return brought_up_to_date(read_project(Path(project)), today, progress, until, again, rehash)
+    return brought_up_to_date(read_project(Path(project)), today, quiet, until, again, rehash, bar=one_bar())
 
 
 def read_result(folder: str | Path) -> Result:

@@ -65,12 +65,14 @@ def analyse(
     from photocal.analysis.analyse_run import checks_of
     from photocal.analysis.outcome import analyse_network
     from photocal.georeferencing.causes import slips_of
-    from photocal.results.adjusted import adjust_network, network_of
+    from photocal.results.adjusted import adjust_network, network_of, state_of
 
     # Shutters, lags and what was rejected are those that an adjustment ends with.
-    assembly = network_of(block, adjust_network(block) if result is None else result)
+    result = result or adjust_network(block)
+    assembly = network_of(block, result)
+    checks, start = checks_of(block, assembly), state_of(assembly, result)
     slips = slips_of(block, assembly)
-    return analyse_network(assembly.network, checks_of(block, assembly), alpha, threshold, slips=slips)
+    return analyse_network(assembly.network, checks, alpha, threshold, start=start, slips=slips)
 
 
 def significance(

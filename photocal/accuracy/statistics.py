@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 from scipy.optimize import brentq
 
 from photocal.base import policy
@@ -295,7 +295,7 @@ def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
 
 def critical_deviate(n: int, confidence: float) -> float:
     """Give the largest Studentised deviate that n normal values may show."""
-    t = float(stats.t.ppf(1.0 - (1.0 - confidence) / (2.0 * n), n - 2))
+    t = float(special.stdtrit(n - 2, 1.0 - (1.0 - confidence) / (2.0 * n)))
     return (n - 1) * t / math.sqrt((n - 2 + t**2) * n)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.covariance import complete
 from photocal.adjustment.datum import with_datum
 from photocal.adjustment.factored import factorised
@@ -38,16 +39,25 @@ def adjust(
     raises IllPosedError: when the observations do not determine the unknowns.
     raises NotConvergedError: when the iteration does not end.
     """
+    return adjusted_network(network, report, state).solution
+
+
+def adjusted_network(
+    network: Network, report: Callable[[Iteration], None] | None = None, state: State | None = None
+) -> AdjustedNetwork:
+    """Adjust a network as `adjust`, and keep the factor of its normal equations for what is asked next."""
     began = time.perf_counter()
     problem, minimum = minimum_of(network, report, state)
     return with_statistics(problem, minimum, time.perf_counter() - began)
 
 
-def with_statistics(problem: Problem, minimum: Minimum, solve_s: float = 0.0) -> Solution:
+def with_statistics(problem: Problem, minimum: Minimum, solve_s: float = 0.0) -> AdjustedNetwork:
     """Complete a minimum, which took so many seconds, by what can be believed of it."""
     began = time.perf_counter()
-    solution = complete(factorised(problem, minimum), minimum.iterations)
-    return replace(solution, timing_s={"solve": solve_s, "covariance": time.perf_counter() - began})
+    at = factorised(problem, minimum)
+    solution = complete(at, minimum.iterations)
+    solution = replace(solution, timing_s={"solve": solve_s, "covariance": time.perf_counter() - began})
+    return AdjustedNetwork(problem.network, minimum.state, solution, at)
 
 
 def minimum_of(

@@ -6,9 +6,11 @@ done panel by panel with dense kernels of the linear algebra library. A small ma
 """
 
 import math
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 from scipy.linalg import blas, lapack
@@ -17,6 +19,7 @@ from threadpoolctl import ThreadpoolController
 from photocal.base.arrays import Flags, Floats, Integers
 
 PANEL = 144
+Asked, Made = ParamSpec("Asked"), TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -82,10 +85,21 @@ def _libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _one_thread() -> AbstractContextManager[object]:
+def one_thread() -> AbstractContextManager[object]:
     """Keep the linear algebra to one thread: with the kernels' threads waiting beside it, two are slower."""
     limited: AbstractContextManager[object] = _libraries().limit(limits=1, user_api="blas")
     return limited
+
+
+def on_one_thread(function: Callable[Asked, Made]) -> Callable[Asked, Made]:
+    """Keep the linear algebra of all that a function does to one thread."""
+
+    @wraps(function)
+    def alone(*arguments: Asked.args, **named: Asked.kwargs) -> Made:
+        with one_thread():
+            return function(*arguments, **named)
+
+    return alone
 
 
 def factorise(structure: Envelope, values: Floats, known: Floats | None = None, same: int = 0) -> int:
@@ -96,7 +110,7 @@ def factorise(structure: Envelope, values: Floats, known: Floats | None = None, 
     returns: -1, or the column at which the matrix is not positive definite.
     """
     alike = [] if known is None else structure.panels(known)[: same // structure.panel]
-    with _one_thread():
+    with one_thread():
         return _factorised(structure, structure.panels(values), alike)
 
 
@@ -159,7 +173,7 @@ def solve(structure: Envelope, factor: Floats, right: Floats) -> Floats:
     returns: ndarray, shape of `right`
     """
     x = np.array(right.reshape(structure.size, -1))
-    with _one_thread():
+    with one_thread():
         _substitute(structure, structure.panels(factor), x)
     return x.reshape(right.shape)
 
@@ -206,7 +220,7 @@ def selected_inverse(structure: Envelope, factor: Floats) -> Floats:
     returns: values of the inverse's lower triangle; the diagonal blocks are complete.
     """
     inverse = structure.zeros()
-    with _one_thread():
+    with one_thread():
         _invert(structure, structure.panels(factor), structure.panels(inverse))
     return inverse
 
@@ -261,7 +275,7 @@ def product(structure: Envelope, factor: Floats) -> Floats:
     """Matrix of a Cholesky factor."""
     values = structure.zeros()
     panels = structure.panels(values)
-    with _one_thread():
+    with one_thread():
         for j, (factor_panel, panel) in enumerate(zip(structure.panels(factor), panels, strict=True)):
             width = int(structure.width[j])
             diagonal = np.tril(factor_panel[:width])

@@ -11,6 +11,12 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.geometry.rotation import angles_from_matrix, turn_per_angle
 
+# Right-hand sides that are solved for at once: each holds a value for every point.
+AT_ONCE = 12
+# A coordinate of a point that is eliminated, by point and axis; of none.
+Place = tuple[int, int]
+_NOWHERE: Place = (-1, -1)
+
 
 def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> tuple[tuple[Unknown, ...], Floats]:
     """Covariance of all unknowns of chosen images, cameras, points and of the mounting.
@@ -19,7 +25,7 @@ def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> tuple[t
         camera), a priori unit variance 1.
     raises ConfigurationError: for what is no unknown of the network.
     """
-    named, rows = list[Unknown](), list[tuple[Floats, Floats]]()
+    named, rows = list[Unknown](), list[tuple[Floats, Place]]()
     columns = unknowns(at.problem)
     for kind, name in dict.fromkeys(chosen):
         functions = _functions(at, columns, kind, name)
@@ -29,19 +35,27 @@ def joint_covariance(at: Factored, chosen: Sequence[tuple[str, str]]) -> tuple[t
                 "name image:NAME, camera:ID, head:CAMERA, point:NAME or mounting",
             )
         named += [unknown for unknown, _, _ in functions]
-        rows += [(reduced, points) for _, reduced, points in functions]
+        rows += [(reduced, place) for _, reduced, place in functions]
     covariance = np.empty((len(rows), len(rows)))
-    for k, (reduced, points) in enumerate(rows):
-        step, moved = covariance_column(at, reduced, points)
-        covariance[:, k] = [step @ other + np.sum(moved * place) for other, place in rows]
+    reduced = np.array([row for row, _ in rows]).reshape(len(rows), -1)
+    # Of a point's coordinate nothing else is asked than the coordinate itself.
+    asked = np.array([place for _, place in rows], dtype=np.int64)
+    for first in range(0, len(rows), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        places = np.zeros((len(reduced[part]), *at.state.points.shape))
+        of_point = np.flatnonzero(asked[part, 0] >= 0)
+        places[of_point, asked[part, 0][of_point], asked[part, 1][of_point]] = 1.0
+        steps, moved = covariance_column(at, reduced[part], places)
+        along = np.where(asked[:, 0] >= 0, moved[:, asked[:, 0], asked[:, 1]], 0.0)
+        covariance[:, part] = (steps @ reduced.T + along).T
     return tuple(named), (covariance + covariance.T) / 2
 
 
 def _functions(
     at: Factored, columns: list[Unknown | None], kind: str, name: str
-) -> list[tuple[Unknown, Floats, Floats]]:
-    """Unknowns of one thing as linear functions of the columns and of the eliminated points."""
-    size, none = at.problem.layout.size, np.zeros_like(at.state.points)
+) -> list[tuple[Unknown, Floats, Place]]:
+    """Unknowns of one thing as linear functions of the columns, or coordinates of eliminated points."""
+    size = at.problem.layout.size
     indices = [
         k
         for k, column in enumerate(columns)
@@ -54,14 +68,12 @@ def _functions(
         assert unknown is not None  # noqa: S101 - chosen above
         row = np.zeros(size)
         row[k] = 1.0
-        result.append((unknown, turns.get(unknown.parameter, row), none))
+        result.append((unknown, turns.get(unknown.parameter, row), _NOWHERE))
     if kind == "point" and not indices and name in at.problem.network.point_names:
         j = at.problem.network.point_names.index(name)
         for a, axis in enumerate(XYZ):
             if not at.problem.network.points.held[j, a]:
-                place = np.zeros_like(at.state.points)
-                place[j, a] = 1.0
-                result.append((Unknown("point", name, axis, "m"), np.zeros(size), place))
+                result.append((Unknown("point", name, axis, "m"), np.zeros(size), (j, a)))
     return result
 
 

@@ -9,6 +9,7 @@ The attitude R (object to body axes) obeys  M = exp([r]x) B R  with r the residu
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -69,6 +70,11 @@ class Positions(Columns):
     time: Floats
     above: Floats
 
+    @cached_property
+    def whitening(self) -> Floats:
+        """L^-1 of covariance = L L', (n, 3, 3): it makes unit weights."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
+
     def stated(self) -> Floats:
         """Medians of the stated standard deviations of a position, (3,), m; NaN without any."""
         sigma = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
@@ -90,6 +96,11 @@ class Attitudes(Columns):
     covariance: Floats
     rate: Floats | None = None
     rate_sigma: Floats | None = None
+
+    @cached_property
+    def whitening(self) -> Floats:
+        """See `Positions.whitening`."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
 
 
 NO_MOUNTING = Mounting(NADIR, np.zeros(STRIPS), np.zeros(STRIPS))
@@ -154,7 +165,7 @@ def position_equations(
         (common_columns[at[:, None] + np.arange(3)], eye),
         (common_columns[at[:, None] + np.arange(3, 6)], eye * positions.time[:, None, None]),
     ]
-    return whitened(parts, computed - positions.values, positions.covariance)
+    return whitened(parts, computed - positions.values, positions.whitening)
 
 
 def attitude_equations(
@@ -175,7 +186,8 @@ def attitude_equations(
     residual = Rotation.from_matrix(turned_back).as_rotvec()
     to_body = matrix.T
     inverse_left = np.linalg.inv(left_jacobian(residual))
-    inverse_right = np.linalg.inv(left_jacobian(-residual))
+    # J(-t) = J(t)'.
+    inverse_right = np.swapaxes(inverse_left, 1, 2)
     # The boresight turns the axes in which the residual is given, too: hence the cross product.
     parts = [
         (image_columns[image, :3], to_body @ inverse_left @ basis[image]),
@@ -184,7 +196,7 @@ def attitude_equations(
             to_body @ (skew(residual) - inverse_right) @ left_jacobian(values[BORESIGHT]),
         ),
     ]
-    return whitened(parts, residual @ matrix, attitudes.covariance)
+    return whitened(parts, residual @ matrix, attitudes.whitening)
 
 
 def common_equations(given: Floats, sigma: Floats, values: Floats, common_columns: Integers) -> Equations:
@@ -197,15 +209,16 @@ def common_equations(given: Floats, sigma: Floats, values: Floats, common_column
     )
 
 
-def whitened(parts: list[tuple[Integers, Floats]], residual: Floats, covariance: Floats) -> Equations:
-    """Equations of unit weight from blocks of columns and coefficients; unused columns drop out."""
+def whitened(parts: list[tuple[Integers, Floats]], residual: Floats, root: Floats) -> Equations:
+    """Equations of unit weight from blocks of columns and coefficients; unused columns drop out.
+
+    root (n, 3, 3): with covariance = L L' the rows L^-1 A have unit weight.
+    """
     parts = [(columns, block) for columns, block in parts if (columns >= 0).any()] or parts[:1]
     columns = np.hstack([columns for columns, _ in parts])
     coefficient = np.concatenate([block for _, block in parts], axis=2)
     if not len(residual):
         return NO_EQUATIONS
-    # With covariance = L L', the rows L^-1 A have unit weight.
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
     coefficient, residual = root @ coefficient, np.einsum("nab,nb->na", root, residual)
     used = columns >= 0
     keep = np.repeat(used[:, None, :], 3, axis=1)

@@ -126,7 +126,7 @@ def _settled(
         settling = {k: _where_they_meet(before.get(k), pair) for k, pair in pairs.items()}
         network = _with_values(network, settling)
         before, minimum = pairs, minimum_of(network, report, state)
-    solution = solution if minimum is None else with_statistics(*minimum)
+    solution = solution if minimum is None else with_statistics(*minimum).solution
     room = _room(network, solution)
     if _belong(network, room):
         return network, solution

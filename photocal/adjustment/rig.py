@@ -163,9 +163,9 @@ def rig_equations(
         (columns[p, LATER:], flown),
         (columns[q, LATER:], -flown),
     ]
-    stiff = rig.give(image_camera) ** 2
-    metres, radians = (stiff[:, k, None, None] * np.eye(3) for k in range(2))
-    turns, places = whitened(turning, residual, radians), whitened(moved, place, metres)
+    give = rig.give(image_camera)
+    per_metre, per_radian = (np.eye(3) / give[:, k, None, None] for k in range(2))
+    turns, places = whitened(turning, residual, per_radian), whitened(moved, place, per_metre)
     return Equations(
         np.concatenate([turns.start, turns.start[-1] + places.start[1:]]),
         *(np.concatenate(pair) for pair in zip(turns[1:], places[1:], strict=True)),

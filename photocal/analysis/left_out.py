@@ -13,8 +13,8 @@ from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 
-# Left of each adjustment, see `minimise`: some 3e-4 standard deviations.
-NEAR = 1e-7
+# Left of each adjustment, see `minimise`: 0.001 standard deviations at most.
+NEAR = 1e-6
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import numpy as np
 
 from photocal.adjustment.adjusted import AdjustedNetwork, fit
 from photocal.adjustment.common_error import c_by_common_height
+from photocal.adjustment.envelope import on_one_thread
 from photocal.adjustment.groups import GroupTest
 from photocal.adjustment.ledger import because
 from photocal.adjustment.network import Network
-from photocal.adjustment.removed import MOST_REMOVALS, REMOVED_TOGETHER
 from photocal.adjustment.state import State
 from photocal.analysis import correlation
 from photocal.analysis.components import Proposal, propose_removal
@@ -19,26 +19,36 @@ from photocal.analysis.estimates import GROUPS, Estimates, FTest, scaled, signif
 from photocal.analysis.left_out import Checks, WithoutParameter, left_out
 from photocal.analysis.lens_models import LensFit, lens_fits, of_lenses
 from photocal.analysis.method import METHODS, MethodCheck, Shape, check_method, shape
-from photocal.analysis.robust import apart, bootstrap, sandwich
-from photocal.analysis.stability.methods import Method, fitted_pose, rotation_misfit, sensor_grid, view
+from photocal.analysis.robust import CLOSED_FORM, apart, bootstrap, sandwich
+from photocal.analysis.stability.methods import (
+    IdealImage,
+    Method,
+    pose_of,
+    rotation_misfit,
+    sensor_grid,
+    view,
+)
 from photocal.analysis.systematic_errors.camera_findings import of_datum, one_angle_photos
 from photocal.analysis.systematic_errors.findings import findings
 from photocal.analysis.systematic_errors.scatter import AssumedSigma, ResidualMap, VarianceComponent
 from photocal.analysis.systematic_errors.search import Search, camera_estimates, search
 from photocal.analysis.systematic_errors.shifts import MOST_JOINT, ImageShift
 from photocal.analysis.within_flight import Within, within_flight
-from photocal.base.arrays import Flags, Floats
-from photocal.base.errors import NotConvergedError
+from photocal.base.arrays import Floats
+from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.findings.finding import Finding
+from photocal.findings.harm import without_metres
 from photocal.geometry.camera import PARAMETERS, Camera, pixel_to_plane
 from photocal.geometry.distortion import undistorted
-from photocal.hypotheses.findings import Slips, no_slips
+from photocal.hypotheses.findings import Slips, asked_of, no_slips
 
 _ROTATION = Method("ROT", "two principal distances", "equations", 3, False, (rotation_misfit,))
 # Of the bootstrap: the same images are drawn again when a certificate is verified.
 SEED = 1
 # Findings of terms that a lens model lacks.
 _TERMS = ("radial", "decentring")
+# Defects of a datum: 3 shifts, 3 turns and the scale; the same without the turns, which attitudes give.
+_ALL, _SCALE_AND_PLACE = 7, 4
 SCHEMA, ANALYSIS = "photocal.analysis/2", "analysis.json"
 
 
@@ -66,35 +76,37 @@ def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tupl
     grid = sensor_grid(camera.size_px)
     plane = pixel_to_plane(camera.size_px, camera.pitch, grid)
     grid = grid[np.linalg.norm(plane, axis=1) <= reach]
-    return tuple(effect(camera, estimates, group, grid) for group in wanted)
+    pixels, full = _seen(camera, grid)
+    return tuple(_effect(camera, estimates, group, pixels, full) for group in wanted)
 
 
 def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixels: Floats) -> Effect:
     """Give the effect of some parameters over a grid of pixels."""
-    removed = tuple(parameters)
-    # Beyond the observations the polynomial may fold: those pixels have no ray to compare.
-    pixels = pixels[_has_ray(camera, pixels)]
-    full = view(camera, pixels)
-    bare = camera.changed(**dict.fromkeys(removed, 0.0))
+    return _effect(camera, estimates, tuple(parameters), *_seen(camera, pixels))
+
+
+def _seen(camera: Camera, pixels: Floats) -> tuple[Floats, IdealImage]:
+    """Pixels that have a ray: beyond the observations the polynomial may fold, and there is none."""
+    plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
+    kept = pixels[np.isfinite(undistorted(camera, plane)).all(axis=1)]
+    return kept, view(camera, kept)
+
+
+def _effect(
+    camera: Camera, estimates: Estimates, removed: tuple[str, ...], pixels: Floats, full: IdealImage
+) -> Effect:
     remaining, _ = without(estimates, removed)
     followed = dict(zip(remaining.names, remaining.values.tolist(), strict=True))
-    adjusted = camera.changed(**followed | dict.fromkeys(removed, 0.0))
     alone = left = (np.nan, np.nan)
-    if _has_ray(bare, pixels).all():
-        alone = _sizes(view(bare, pixels).ideal - full.ideal)
-    if _has_ray(adjusted, pixels).all():
-        # Without parameters that a weak flight mistakes for each other nothing brings the bundles together.
-        with suppress(NotConvergedError):
-            other = view(adjusted, pixels)
-            pose, _ = fitted_pose(_ROTATION, rotation_misfit, full, other)
-            left = _sizes(rotation_misfit(full, other, pose))
+    # Without these parameters there may be pixels without a ray, too.
+    with suppress(IllPosedError):
+        alone = _sizes(view(camera.changed(**dict.fromkeys(removed, 0.0)), pixels).ideal - full.ideal)
+    # Without parameters that a weak flight mistakes for each other nothing brings the bundles together.
+    with suppress(IllPosedError, NotConvergedError):
+        other = view(camera.changed(**followed | dict.fromkeys(removed, 0.0)), pixels)
+        pose = pose_of(_ROTATION, rotation_misfit, full, other)
+        left = _sizes(rotation_misfit(full, other, pose))
     return Effect(removed, *alone, *left)
-
-
-def _has_ray(camera: Camera, pixels: Floats) -> Flags:
-    """Where the distortion of a camera does not fold, (n,)."""
-    plane = pixel_to_plane(camera.size_px, camera.pitch, pixels)
-    return np.asarray(np.isfinite(undistorted(camera, plane)).all(axis=1))
 
 
 def _sizes(moved: Floats) -> tuple[float, float]:
@@ -265,6 +277,7 @@ class Outcome(Analysis):
     search: Search
 
 
+@on_one_thread
 def analyse_network(
     network: Network,
     checks: Checks,
@@ -314,8 +327,11 @@ def analyse_network(
     kept = [finding for finding in listed if finding.code not in _TERMS or finding.subject not in other]
     names = [camera.id for camera in network.cameras]
     judged = [analyse_camera(fitted, k, checks, alpha, threshold, step) for k in range(len(names))]
+    told = (*of_lens, *kept, *of_datum(searched), *one_angle_photos(fitted))
+    if _scale_is_open(fitted):
+        told = tuple(without_metres(finding, asked_of(fitted)) for finding in told)
     return Outcome(
-        findings=(*of_lens, *kept, *of_datum(searched), *one_angle_photos(fitted)),
+        findings=told,
         variance_factor=fitted.solution.variance_factor,
         alpha=alpha,
         correlation_threshold=threshold,
@@ -333,6 +349,13 @@ def analyse_network(
         c_by_height=_c_by_height(fitted),
         search=searched,
     )
+
+
+def _scale_is_open(fitted: AdjustedNetwork) -> bool:
+    """Whether inner constraints alone give a network its scale."""
+    network, defect = fitted.network, fitted.solution.datum_defect
+    without_turns = defect == _SCALE_AND_PLACE and not len(network.relations.values)
+    return network.datum_points is not None and (defect == _ALL or without_turns)
 
 
 def _c_by_height(fitted: AdjustedNetwork) -> dict[str, float | None]:
@@ -367,6 +390,6 @@ def _opinions(search: Search, robust: Floats, drawn: Floats | None) -> dict[str,
 def _steps(network: Network) -> int:
     """Pieces of work of an analysis that finds nothing."""
     images = len(network.image_names)
-    removals = images if images <= MOST_REMOVALS else REMOVED_TOGETHER
+    removals = images if images <= CLOSED_FORM else 1
     parameters = sum(len(camera.free) for camera in network.cameras)
     return removals + min(images, MOST_JOINT) + 2 * parameters + 3 * len(network.cameras)

@@ -11,7 +11,7 @@ import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
-from functools import wraps
+from functools import partial, wraps
 from typing import Annotated, Any, Literal, NoReturn, TextIO, get_args, get_origin, get_type_hints
 from unicodedata import category
 
@@ -25,9 +25,12 @@ from photocal.base.errors import (
     of_system,
 )
 from photocal.base.options import Option, Options
+from photocal.base.progress import Bar, Standing
 
 # Into a file, or to a program that reads along, a line of progress is written so often.
 LINE_EVERY_S = 10.0
+# To a program that asked for JSON.
+JSON_EVERY_S = 2.0
 
 
 def application(help_text: str) -> typer.Typer:
@@ -244,6 +247,71 @@ def progress(title: str, total: float | None) -> Iterator[Callable[[float], None
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title, total=total)
         yield lambda amount: bar.advance(task, amount)
+
+
+def one_bar(as_json: bool = False) -> Bar:
+    """Show a run of several stages on standard error by one bar, or line by line into a file or as JSON."""
+    if as_json:
+        return partial(_as_lines, JSON_EVERY_S, _as_json)
+    return _on_terminal if sys.stderr.isatty() else partial(_as_lines, LINE_EVERY_S, _in_words)
+
+
+@contextmanager
+def _on_terminal() -> Iterator[Callable[[Standing], None]]:
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as RichProgress
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+    )
+    with RichProgress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0, left="")
+
+        def show(now: Standing) -> None:
+            """Draw it anew."""
+            left = f"{clock(now.left_s)} left"
+            bar.update(task, description=_doing(now), completed=now.share, left=left)
+
+        yield show
+
+
+@contextmanager
+def _as_lines(every_s: float, line: Callable[[Standing], str]) -> Iterator[Callable[[Standing], None]]:
+    last = -math.inf
+
+    def show(now: Standing) -> None:
+        """Write a line now and then."""
+        nonlocal last
+        if now.elapsed_s - last >= every_s - 0.5:
+            last = now.elapsed_s
+            print(line(now), file=sys.stderr, flush=True)
+
+    yield show
+
+
+def _in_words(now: Standing) -> str:
+    return f"{_doing(now)}: {math.floor(100 * now.share)}% of the run, {math.ceil(now.left_s)} s left"
+
+
+def _as_json(now: Standing) -> str:
+    kept = {"stage": now.stage, "title": now.title, "share": round(now.share, 4)}
+    seconds = {"left_s": round(now.left_s, 1), "elapsed_s": round(now.elapsed_s, 1)}
+    return json.dumps({"progress": kept | seconds})
+
+
+def _doing(now: Standing) -> str:
+    return printable(": ".join(filter(None, (now.stage, now.title))))
+
+
+def clock(seconds: float) -> str:
+    """Write seconds as hours, minutes and seconds."""
+    minutes, rest = divmod(math.ceil(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}"
 
 
 @dataclass(frozen=True)

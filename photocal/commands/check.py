@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from photocal.accuracy.options import JudgementOptions, MapOptions
-from photocal.base.console import AsJson, Details, answer, argument, option, progress, spread
+from photocal.base.console import AsJson, Details, answer, argument, one_bar, option, progress, spread
 from photocal.base.errors import ConfigurationError
 from photocal.base.options import Option, Options
+from photocal.base.progress import quiet
 from photocal.georeferencing.options import RepetitionOptions
 from photocal.products.options import ProductOptions
 
@@ -153,7 +154,7 @@ def with_project(path: Path, question: Question) -> tuple[Project, Question]:
     from photocal.run.georeferencing import question_of
 
     project = read_project(path)
-    run_project(project, dt.datetime.now().astimezone().date(), progress, until="block")
+    run_project(project, dt.datetime.now().astimezone().date(), quiet, until="block", bar=one_bar())
     asked = {name: value for name, value in vars(question).items() if value is not None}
     return project, replace(question_of(project), **asked)
 

@@ -22,6 +22,7 @@ class Size:
 
     c: by how much c was wrong because of it, in the unit of the camera.
     ground_m: what that c makes of heights at the distance of this block, m.
+    of_distance: the same as a share of the distance, where nothing gives the block a scale.
     """
 
     figure: float
@@ -30,6 +31,7 @@ class Size:
     c: float | None = None
     ground_m: float | None = None
     px: float | None = None
+    of_distance: float | None = None
 
 
 @dataclass(frozen=True)
@@ -77,13 +79,13 @@ def of_global_test(
 ) -> Finding:
     """Give what the global test says of the stated standard deviations.
 
-    accepted: its outcome; None without degrees of freedom.
+    accepted: its outcome; None without degrees of freedom, and of standard deviations that are assumed.
     """
-    if accepted is None or degrees_of_freedom < 1:
+    if degrees_of_freedom < 1:
         return untested("global-factor", "no-redundancy")
     factor = math.sqrt(chi_squared / degrees_of_freedom)
     figures = {"factor": factor, "limit": FACTOR}
-    if estimated:
+    if estimated or accepted is None:
         return untested("global-factor", "sigmas-from-residuals", figures)
     if accepted or abs(factor - 1.0) <= FACTOR:
         return Finding("global-factor", "passed", figures=figures)

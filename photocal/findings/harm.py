@@ -11,6 +11,8 @@ from photocal.findings.finding import Finding
 
 # Clauses that name rivals: causes that explain the observations as well.
 _RIVALS = frozenset(("same", "as-good", "alike"))
+# Clauses in metres, and what is said instead where a block has no scale.
+_METRES = {"shifts_c": "shifts_c_alone", "heights_hang": "heights_hang_alone", "at_this_distance": ""}
 
 
 @dataclass(frozen=True)
@@ -67,3 +69,13 @@ def weighed(finding: Finding, asked: Asked) -> Finding:
     if finding.severity == "grave" and _RIVALS & set(finding.clauses):
         return replace(finding, severity="doubtful", size=size)
     return replace(finding, size=size)
+
+
+def without_metres(finding: Finding, asked: Asked) -> Finding:
+    """Tell what an error does by its share of the distance: a block without scale has no metres."""
+    size = finding.size
+    if size is not None and size.ground_m is not None:
+        size = replace(size, ground_m=None, of_distance=abs(size.ground_m) / asked.distance_m)
+    clauses = tuple(filter(None, (_METRES.get(clause, clause) for clause in finding.clauses)))
+    figures = {key: value for key, value in finding.figures.items() if key != "ground_m"}
+    return replace(finding, size=size, clauses=clauses, figures=figures)

@@ -254,6 +254,8 @@ def _effect_text(size: Size | None, say: Catalogue) -> str:
         return ""
     if size.ground_m:
         return say("judgement.on_ground", amount=_length(abs(size.ground_m), say))
+    if size.of_distance:
+        return say("judgement.of_distance", share=say.significant(100.0 * size.of_distance, 2))
     if size.px:
         return say("judgement.in_image", px=say.significant(abs(size.px), 2))
     return ""

@@ -81,9 +81,11 @@ def turned(matrix: Floats, turn: Floats) -> Floats:
 
 def skew(vector: Floats) -> Floats:
     """Cross product matrices of vectors (..., 3), shape (..., 3, 3)."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), (0, 1), (-2, -1))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    cross = np.zeros((*vector.shape, 3))
+    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -z, y, -x
+    cross[..., 1, 0], cross[..., 2, 0], cross[..., 2, 1] = z, -y, x
+    return cross
 
 
 def left_jacobian(turn: Floats) -> Floats:

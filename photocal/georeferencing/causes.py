@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photocal.adjustment.adjusted import AdjustedNetwork, fit
-from photocal.adjustment.factored import factored
 from photocal.adjustment.ledger import because
-from photocal.adjustment.solution import Solution
 from photocal.base.arrays import Floats
 from photocal.base.errors import PhotocalError
 from photocal.block.model import Block
@@ -41,7 +39,7 @@ class Mistyped:
 
 
 def causes_of(
-    block: Block, first: Solution | None = None, table: tuple[Fault, ...] = FAULTS
+    block: Block, first: AdjustedNetwork | None = None, table: tuple[Fault, ...] = FAULTS
 ) -> tuple[SystematicErrors | None, Separation | None]:
     """Look for what is wrong with a block, and for what it cannot separate; None where it gives no hold.
 
@@ -55,18 +53,16 @@ def causes_of(
         return None, None
     if not len(mounted.positions.image):
         mounted = without_georeference(mounted)
-    network = assemble(mounted).network
-    try:
-        if first is None:
+    if first is None:
+        network = assemble(mounted).network
+        try:
             with because("the block whose causes are sought"):
-                given = fit(network)
-        else:
-            given = AdjustedNetwork(network, first.state, first, factored(network, first.state))
-    except PhotocalError:
-        # Wrong control may be what hinders: the rest of the block tells.
-        return straightened(network), None
+                first = fit(network)
+        except PhotocalError:
+            # Wrong control may be what hinders: the rest of the block tells.
+            return straightened(network), None
     try:
-        found = systematic_errors(given, table=table)
+        found = systematic_errors(first, table=table)
     except PhotocalError:
         return None, None
     apart = separation(mounted, found.shared)

@@ -7,6 +7,7 @@ import numpy as np
 
 from photocal.accuracy.assessment import Assessment, assess
 from photocal.accuracy.standard import Question, Standard
+from photocal.adjustment.envelope import on_one_thread
 from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, PhotocalError
@@ -90,6 +91,7 @@ class BlockCheck:
         return next((judged for judged in self.judged if judged.result.method == method), None)
 
 
+@on_one_thread
 def check_block(
     block: Block,
     standards: tuple[Standard, ...],
@@ -123,15 +125,15 @@ def check_block(
                 source, note = degraded(block, *simulate), simulate[0].note
             calibrates = on_the_job or leaves_open(source)
             own = judged["integrated"].result.calibration if calibrates and "integrated" in judged else None
-            result = of_method(source, method, note, own if method == "direct" else None)
+            near = judged["integrated"].result.adjusted if "integrated" in judged else None
+            result = of_method(source, method, note, own if method == "direct" else None, near)
             judged[method] = _judge(source, places, result, standards, question)
         except PhotocalError as refusal:
             refused[method] = str(refusal)
         done(method)
     # The minimum of the method is that of the search: it has the same observations.
     same = "integrated" if len(block.positions.image) else "indirect"
-    solution = judged[same].result.solution if same in judged else None
-    systematic, apart = causes_of(block, solution)
+    systematic, apart = causes_of(block, judged[same].result.adjusted if same in judged else None)
     to_given = (lambda local: local) if typed.frame == "local" else block_frame(typed).to_given
     slips = typed_slips(typed, block.points.names, block.points.values, to_given)
     mistyped = mistyped_of(systematic, slips)

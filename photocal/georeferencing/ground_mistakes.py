@@ -21,9 +21,10 @@ _FAR_M = 50_000.0
 def ground_findings(block: Block) -> tuple[Finding, ...]:
     """Look for mistakes in the control and check points of a block."""
     control, check = _of_role(block, "control"), _of_role(block, "check")
+    surveyed = block.observations.rows(~block.points.of_role("tie")[block.observations.point])
     pairs = tuple(
         (block.images.names[i], block.points.names[j])
-        for i, j in zip(block.observations.image, block.observations.point, strict=True)
+        for i, j in zip(surveyed.image, surveyed.point, strict=True)
     )
     listed = list(ground_points.check_points_used_as_control(control, check))
     for name, points in (("control", control), ("check", check)):

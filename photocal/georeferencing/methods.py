@@ -5,14 +5,16 @@ from typing import Literal
 
 import numpy as np
 
-from photocal.adjustment.adjust import adjust
-from photocal.adjustment.factored import factored
+from photocal.adjustment.adjust import adjust, adjusted_network
+from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.joint import joint_covariance as covariance_of
 from photocal.adjustment.ledger import because
 from photocal.adjustment.mounting import NO_ATTITUDES, NO_MOUNTING, NO_POSITIONS
+from photocal.adjustment.network import Network
 from photocal.adjustment.readout import READOUT, with_moving_images
 from photocal.adjustment.rig import LATER
 from photocal.adjustment.solution import GlobalTest, Solution, global_test
+from photocal.adjustment.state import State, start_state
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import ConfigurationError, IllPosedError, PhotocalError
@@ -72,23 +74,33 @@ class Georeferenced:
     chi_squared: float
     degrees_of_freedom: int
     test: GlobalTest | None
-    solution: Solution | None
+    adjusted: AdjustedNetwork | None
     joint: Floats | None = None
     calibration: Calibration | None = None
     predicted: bool = True
 
+    @property
+    def solution(self) -> Solution | None:
+        """Solution of the adjustment; None for direct georeferencing."""
+        return None if self.adjusted is None else self.adjusted.solution
+
 
 def of_method(
-    block: Block, method: Method, note: str = "", calibration: Calibration | None = None
+    block: Block,
+    method: Method,
+    note: str = "",
+    calibration: Calibration | None = None,
+    near: AdjustedNetwork | None = None,
 ) -> Georeferenced:
     """Georeference a block by one method.
 
+    near: the same images and points adjusted by another method: where to start.
     raises ConfigurationError: when the block lacks what the method needs.
     raises PhotocalError: as the adjustment does.
     """
     if method == "direct":
         return _direct(block, note, calibration)
-    return _adjusted(without_georeference(block) if method == "indirect" else block, method, note)
+    return _adjusted(without_georeference(block) if method == "indirect" else block, method, note, near)
 
 
 def without_georeference(block: Block) -> Block:
@@ -239,7 +251,7 @@ def _direct(block: Block, note: str, calibration: Calibration | None) -> Georefe
     )
 
 
-def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
+def _adjusted(block: Block, method: Method, note: str, near: AdjustedNetwork | None) -> Georeferenced:
     if block.datum == "free":
         raise ConfigurationError(
             "a free network has no datum that check points could judge",
@@ -256,7 +268,8 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
     block, weak = without_weak_images(block)
     assembly = assemble(block)
     with because(f"{method} georeferencing"):
-        solution = adjust(assembly.network)
+        adjusted = adjusted_network(assembly.network, state=_start(assembly.network, near))
+    solution = adjusted.solution
     origin = local_origin(assembly)
     exposures = solution.exposures + np.concatenate([np.zeros(3), origin])
     exposures[weak] = np.nan
@@ -274,7 +287,7 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
     mounted = method == "integrated" and len(block.positions.image) and len(block.attitudes.image)
     few = 0 < len(checks) <= _MOST_JOINT
     if few or mounted:
-        at = factored(assembly.network, solution.state)
+        at = adjusted.factored
         joint = covariance_of(at, [("point", name) for name in checks])[1] if few else None
         calibration = calibration_of(at) if mounted else None
     labels = {
@@ -293,9 +306,22 @@ def _adjusted(block: Block, method: Method, note: str) -> Georeferenced:
         solution.chi_squared,
         solution.degrees_of_freedom,
         global_test(solution.chi_squared, solution.degrees_of_freedom, *block.global_test),
-        solution,
+        adjusted,
         joint,
         calibration,
+    )
+
+
+def _start(network: Network, near: AdjustedNetwork | None) -> State | None:
+    """Start at what another method gave of the same images and points; None where they are not the same."""
+    if near is None or (near.network.image_names, near.network.point_names) != (
+        network.image_names,
+        network.point_names,
+    ):
+        return None
+    start, there = start_state(network), near.state
+    return replace(
+        start, rotation=there.rotation, centre=there.centre, points=there.points, cameras=there.cameras
     )
 
 

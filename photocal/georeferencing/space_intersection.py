@@ -62,22 +62,23 @@ def intersect_points(
             for camera in block.cameras
         )
         joint = block_diag(orientation.common_covariance, *(np.diag(sigma**2) for sigma in stated))
+    usable = orientation.known[block.observations.image]
+    chosen = np.flatnonzero(usable & np.isin(block.observations.point, wanted))
+    observations = block.observations.rows(chosen)
+    block = replace(block, observations=observations)
     corrected = _corrected(block, np.diag(joint)[len(orientation.common_covariance) :])
     moved = moved_rays(block, orientation)
-    observations = block.observations
-    usable = orientation.known[observations.image]
-    chosen = np.flatnonzero(usable & np.isin(observations.point, wanted))
     start = intersect(
-        observations.point[chosen],
+        observations.point,
         len(block.points.names),
-        moved.centre[chosen],
-        moved.rotation[chosen],
-        corrected.ideal[chosen],
-        corrected.distance[chosen],
+        moved.centre,
+        moved.rotation,
+        corrected.ideal,
+        corrected.distance,
     )
     intersected = []
     for point in wanted:
-        rays = chosen[observations.point[chosen] == point]
+        rays = np.flatnonzero(observations.point == point)
         if len(rays) < 2 or not np.isfinite(start[point]).all():
             continue
         solved = _one_point(block, orientation, corrected, moved, rays, start[point], joint)
@@ -91,7 +92,7 @@ def intersect_points(
         np.array([f[0] for f in intersected], dtype=np.int64),
         np.array([f[2] for f in intersected]).reshape(-1, 3),
         np.array([f[3] for f in intersected]).reshape(-1, 3, 3),
-        rays,
+        chosen[rays],
         stack([f[4] for f in intersected]) / scale if intersected else np.zeros((0, 2)),
         stack([f[5] for f in intersected]) if intersected else np.zeros((0, 2)),
         float(sum(f[6] for f in intersected)),
@@ -161,12 +162,14 @@ def _misclosure(
     by_pose = np.concatenate([by_q @ turn, -by_q @ moved.rotation[rays]], axis=2)
     by_readout = np.einsum("nab,nb->na", by_pose, moved.by_readout[rays])
     result = np.zeros((2 * n, 2 * n))
-    for k, i in enumerate(image):
-        for other in np.flatnonzero(image == i):
-            gusts = np.diag(moved.late[rays[k]] * moved.late[rays[other]] * moved.spread[i] ** 2)
-            part = by_pose[k] @ (orientation.covariance[i] + gusts) @ by_pose[other].T
-            result[2 * k : 2 * k + 2, 2 * other : 2 * other + 2] += part
-        result[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += corrected.covariance[rays[k]]
+    of_pairs = result.reshape(n, 2, n, 2)
+    # Rays of one image share its errors.
+    k, other = np.nonzero(image[:, None] == image)
+    late = moved.late[rays[k]] * moved.late[rays[other]]
+    gusts = np.eye(6) * (late[:, None] * moved.spread[image[k]] ** 2)[:, None]
+    part = by_pose[k] @ (orientation.covariance[image[k]] + gusts) @ np.swapaxes(by_pose[other], 1, 2)
+    of_pairs[k, :, other] += part
+    of_pairs[range(n), :, range(n)] += corrected.covariance[rays]
     shared = [(by_pose @ orientation.by_common[image]).reshape(2 * n, -1)]
     for index in range(len(block.cameras)):
         of_camera = corrected.camera[rays] == index

@@ -275,7 +275,8 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
         "suspected_marks": suspects,
         **as_record([*targets.findings, *strays, *bare, *findings, *marks]),
     }
-    return MeasuredBlock(without_a_place(measured), record)
+    # Sigmas of ties come from their own residuals, and are not tested with them.
+    return MeasuredBlock(replace(without_a_place(measured), global_test=(0.95, "none")), record)
 
 
 def _without_strays(control: ControlMarks) -> tuple[ControlMarks, list[Finding]]:

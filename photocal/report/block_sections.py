@@ -277,16 +277,19 @@ def _check_figures(run: AnalysedRun, say: Catalogue) -> list[PicturePart]:
 def global_test(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     """Say how the global test came out and what the a posteriori factor is."""
     result, test = run.result, run.result.global_test
-    if test is None or result.sigma0_squared is None:
+    if result.sigma0_squared is None:
         return Section(title, (Paragraph(say("test.none")),))
-    interval = say("test.interval_value", lower=say.fixed(test.lower, 1), upper=say.fixed(test.upper, 1))
     sigma0 = say.fixed(result.sigma0_squared, 4)
+    squares = (say("test.chi2"), say.fixed(result.chi_squared, 2))
+    rows = (squares, (say("method.dof"), str(result.degrees_of_freedom)), (say("test.sigma0"), sigma0))
+    if test is None:
+        return Section(title, (KeyValues(rows), Paragraph(say("test.unclaimed"))))
+    interval = say("test.interval_value", lower=say.fixed(test.lower, 1), upper=say.fixed(test.upper, 1))
     rows = (
-        (say("test.chi2"), say.fixed(result.chi_squared, 2)),
-        (say("method.dof"), str(result.degrees_of_freedom)),
+        *rows[:2],
         (say("test.interval", probability=percent(test.probability, say)), interval),
         (say("test.p"), probability(test.p_value, say.mark)),
-        (say("test.sigma0"), sigma0),
+        *rows[2:],
     )
     root = say.fixed(math.sqrt(max(result.sigma0_squared, 0.0)), 4)
     return Section(title, (KeyValues(rows), Paragraph(say("test.text", sigma0=sigma0, root=root))))

@@ -86,10 +86,9 @@ def _highlights(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue)
 
 def _test(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue) -> Highlight:
     test, judged = run.result.global_test, _tested(run, warnings)
-    if test is None:
-        return Highlight(say("highlight.test"), say("highlight.untested"), say("highlight.untested_remark"))
-    if judged.severity == "untested":
-        return Highlight(say("highlight.test"), say("highlight.unclaimed"), say("highlight.unclaimed_remark"))
+    if test is None or judged.severity == "untested":
+        key = "untested" if run.result.degrees_of_freedom < 1 else "unclaimed"
+        return Highlight(say("highlight.test"), say(f"highlight.{key}"), say(f"highlight.{key}_remark"))
     remark = say(
         "highlight.test_remark",
         chi2=say.fixed(run.result.chi_squared, 1),

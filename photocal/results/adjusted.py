@@ -106,7 +106,10 @@ def result_of(
         degrees_of_freedom=solution.degrees_of_freedom,
         chi_squared=solution.chi_squared,
         sigma0_squared=factor if np.isfinite(factor) else None,
-        global_test=global_test(solution.chi_squared, solution.degrees_of_freedom, *block.global_test),
+        # Standard deviations from the residuals are not tested with them.
+        global_test=None
+        if components
+        else global_test(solution.chi_squared, solution.degrees_of_freedom, *block.global_test),
         groups=solution.groups,
         checks=_checks(block, assembly, points, solution),
         snooping=snooping,
@@ -202,9 +205,14 @@ def state_of(assembly: NetworkOfBlock, result: Result) -> State | None:
     image = {name: k for k, name in enumerate(result.images.names)}
     point = {name: k for k, name in enumerate(result.points.names)}
     poses = local_poses(assembly.frame, result.images.values[[image[name] for name in network.image_names]])
+    start = start_state(network)
+    common, found = start.common.copy(), list((result.mounting or {}).values())
+    common[: len(found)] = [value.value for value in found]
+    common[BORESIGHT] = np.radians(common[BORESIGHT]) if found else common[BORESIGHT]
     points = result.points.values[[point[name] for name in network.point_names]]
     return replace(
-        start_state(network),
+        start,
+        common=common,
         cameras=np.array([result.cameras[camera.id].values for camera in network.cameras]),
         rotation=matrix_from_angles(poses[:, :3]),
         centre=np.ascontiguousarray(poses[:, 3:]),

@@ -325,6 +325,12 @@ class Result(Figures):
                 f"chi-squared {self.chi_squared:.2f}, expected {test.lower:.1f} to {test.upper:.1f} "
                 f"({test.probability:.0%}): {verdict}; a posteriori variance factor {self.sigma0_squared:.4f}"
             )
+        elif self.sigma0_squared is not None:
+            lines.append(
+                f"chi-squared {self.chi_squared:.2f}, a posteriori variance factor "
+                f"{self.sigma0_squared:.4f}: global test not claimed, standard deviations are assumed or "
+                "from the same residuals"
+            )
         if self.repetition is not None:
             r, unit = self.repetition, self.block.observation_unit
             spread = "" if r.sigma is None else f"; sigma of one {r.sigma[0]:.3g}, {r.sigma[1]:.3g} {unit}"
@@ -490,7 +496,9 @@ class Result(Figures):
             for key in camera.free
         ]
         test = self.global_test
-        verdict = "" if test is None else f", global test {'accepted' if test.accepted else 'REJECTED'}"
+        verdict = f", global test {'accepted' if test.accepted else 'REJECTED'}" if test else ""
+        if test is None and self.degrees_of_freedom > 0:
+            verdict = ", global test not claimed"
         head = "<tr><th>camera</th><th>parameter</th><th>value</th><th>sigma</th><th>unit of c</th></tr>"
         return f"<p>{escape(first)}{verdict}</p><table>{head}{''.join(rows)}</table>"
 

@@ -181,7 +181,8 @@ def _weighted(foreign: ForeignProject) -> ForeignProject:
         # With one sigma for all nothing moves.
         if np.ptp(sigma) == 0.0:
             break
-    return replace(foreign, block=block)
+    # What was estimated from the residuals is not tested with them.
+    return replace(foreign, block=replace(block, global_test=(block.global_test[0], "none")))
 
 
 def _as_residuals_agree(block: Block) -> dict[str, Floats]:

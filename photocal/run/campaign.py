@@ -12,12 +12,13 @@ from typing import Any
 from photocal.base.console import printable
 from photocal.base.errors import ConfigurationError, PhotocalError, system_refusals
 from photocal.base.extensions import STAGES, brought
-from photocal.base.progress import Progress, quiet
+from photocal.base.progress import Bar, Progress, quiet, unseen
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.control import control_stage
+from photocal.run.course import Course, expected, followed, into
 from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
 from photocal.run.georeferencing import georeferencing_stage
@@ -26,7 +27,16 @@ from photocal.run.output_place import check_output
 from photocal.run.ppk import ppk_stage
 from photocal.run.project_checks import check_project, explained
 from photocal.run.reading import block_reader
-from photocal.run.stage import AddedStage, Digests, Stage, StageResult, alone, made_in, update_stage, written
+from photocal.run.stage import (
+    AddedStage,
+    Digests,
+    Stage,
+    StageResult,
+    alone,
+    last_seconds,
+    made_in,
+    update_stage,
+)
 from photocal.run.summary import gather, kind, summary
 
 _MEMORY = ".digests.json"
@@ -86,9 +96,11 @@ def run_project(
     again: str | None = None,
     rehash: bool = False,
     report: Callable[[StageResult], None] = lambda _: None,
+    bar: Bar = unseen,
 ) -> tuple[StageResult, ...]:
     """Bring the stages of a project up to date.
 
+    progress: shows each piece of work by itself; bar: the whole run.
     raises PhotocalError: as the first stage that fails does; the stages that do not need it are made
         nevertheless, for they may tell why.
     """
@@ -101,32 +113,43 @@ def run_project(
             )
     check_output(project)
     check_project(project)
-    with alone(project.output):
+    wanted = wanted[: None if until is None else names.index(until) + 1]
+    last = {stage.name: last_seconds(stage, project.output) for stage in wanted}
+    course = Course(expected(last, tuple(last), _pictures(wanted)), progress)
+    with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):
         digests = Digests(project.output / _MEMORY, again=rehash)
-        shown = written(progress, project.output / PROGRESS)
         made: list[StageResult] = []
         missing: set[Path] = set()
         failure: PhotocalError | None = None
         try:
-            for stage in wanted[: None if until is None else names.index(until) + 1]:
+            for stage in wanted:
+                course.begin(stage.name)
                 try:
                     if missing.isdisjoint(stage.after):
                         with system_refusals():
                             made.append(
-                                update_stage(stage, project.output, digests, shown, again=stage.name == again)
+                                update_stage(
+                                    stage, project.output, digests, course.progress, again=stage.name == again
+                                )
                             )
+                        course.end(kept=made[-1].kept)
                         report(made[-1])
                         continue
                 except PhotocalError as refusal:
                     failure = failure or refusal
                 missing.add(made_in(project.output) / stage.name)
         finally:
-            with suppress(OSError):
-                (project.output / PROGRESS).unlink(missing_ok=True)
             digests.keep()
+    with suppress(OSError):
+        (project.output / PROGRESS).unlink(missing_ok=True)
     if failure is not None:
         raise explained(project, failure) from failure
     return tuple(made)
+
+
+def _pictures(stages: Sequence[Stage]) -> int:
+    """How many pictures are measured."""
+    return max(sum(name.startswith("image ") for name in stage.inputs) for stage in stages)
 
 
 @dataclass(frozen=True)
@@ -150,6 +173,7 @@ def run_projects(
     rehash: bool = False,
     workers: int = 1,
     cluster: str | None = None,
+    bar: Bar = unseen,
 ) -> list[dict[str, Any]]:
     """Run projects, which do not depend on each other.
 
@@ -169,7 +193,7 @@ def run_projects(
             _say(f"{project.name}: {told}")
     tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
     if cluster is None and (workers == 1 or len(tasks) == 1):
-        outcomes = [_outcome(task, progress, _say) for task in tasks]
+        outcomes = [_outcome(task, progress, _say, bar) for task in tasks]
     else:
         from photocal.base.workers import Cluster, run_tasks
 
@@ -198,10 +222,10 @@ def _elsewhere(task: Task) -> ProjectOutcome:
     return ProjectOutcome(outcome.figures, outcome.failure, tuple(lines))
 
 
-def _outcome(task: Task, progress: Progress, say: Callable[[str], None]) -> ProjectOutcome:
+def _outcome(task: Task, progress: Progress, say: Callable[[str], None], bar: Bar = unseen) -> ProjectOutcome:
     try:
         with system_refusals():
-            return ProjectOutcome(run_one(*task, progress, say), None)
+            return ProjectOutcome(run_one(*task, progress, say, bar), None)
     except PhotocalError as failure:
         return ProjectOutcome({}, failure)
 
@@ -214,6 +238,7 @@ def run_one(
     rehash: bool = False,
     progress: Progress = quiet,
     say: Callable[[str], None] = _say,
+    bar: Bar = unseen,
 ) -> dict[str, Any]:
     """Run one project and give its figures; raises PhotocalError as `run_project` does."""
     project = read_project(path)
@@ -227,7 +252,7 @@ def run_one(
             say(f"{project.name}: {result.name}: {line}")
 
     try:
-        run_project(project, day, progress, until, again, rehash, report)
+        run_project(project, day, progress, until, again, rehash, report, bar)
     except PhotocalError:
         # What other stages found doubtful is often why one cannot go on.
         for warning in gather(project.output, {result.name for result in made}):

@@ -6,7 +6,6 @@ import hashlib
 import importlib.util
 import itertools
 import json
-import math
 import os
 import shutil
 import sys
@@ -38,7 +37,6 @@ RECORD = "stage.json"
 _REMEDY = "choose another output in the project file"
 _ASIDE, _OLD = ".partial", ".old.partial"
 _PACKAGES = ("drivers", "acquire", "photocal")
-_TOLD_EVERY_S = 1.0
 
 
 class Digests:
@@ -343,35 +341,6 @@ class StageResult:
     foreign: tuple[str, ...] = ()
 
 
-def written(progress: Progress, file: Path) -> Progress:
-    """Show progress and write it, about once a second, as JSON: title, share and seconds left where known."""
-
-    @contextmanager
-    def shown(title: str, total: float | None) -> Iterator[Callable[[float], None]]:
-        """Show progress, and write it into the file."""
-        began, done, last = time.monotonic(), 0.0, -math.inf
-
-        def advance(amount: float) -> None:
-            """Count what was done."""
-            nonlocal done, last
-            tell(amount)
-            done, now = done + amount, time.monotonic()
-            if now - last < _TOLD_EVERY_S:
-                return
-            last, share = now, done / total if total else None
-            left = (now - began) * (1 / share - 1) if share else None
-            content = {"title": title, "share": share, "left_s": left, "elapsed_s": now - began}
-            # No work ends because it cannot be told how far it is.
-            with suppress(OutputError), output_file(file) as aside:
-                write_json(aside, content, None)
-
-        with progress(title, total) as tell:
-            advance(0.0)
-            yield advance
-
-    return shown
-
-
 def update_stage(
     stage: Stage, work: Path, digests: Digests, progress: Progress, *, again: bool = False
 ) -> StageResult:
@@ -382,6 +351,11 @@ def update_stage(
     seconds, taken = float(record.get("seconds", 0.0)), record.get("adjustments", [])
     reasons = tuple(entry["reason"] for entry in taken)
     return StageResult(stage.name, public, kept, seconds, reasons, publish(made, public, published))
+
+
+def last_seconds(stage: Stage, work: Path) -> float:
+    """What a stage took when it was made last, 0 for one that never was."""
+    return float(_kept(made_in(work) / stage.name / RECORD).get("seconds", 0.0))
 
 
 def made_in(work: Path) -> Path:

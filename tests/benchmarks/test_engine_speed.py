@@ -65,9 +65,10 @@ def block(size: int, yardsticks: Path) -> Path:
     return path
 
 
-def keep(size: int, figures: dict[str, Any]) -> None:
+def keep(size: int | str, figures: dict[str, Any], name: str = "engine.json") -> None:
     """Put the figures of one size beside those of the others."""
-    path = RESULTS / "engine.json"
+    path = RESULTS / name
+    RESULTS.mkdir(exist_ok=True)
     known = json.loads(path.read_text()) if path.exists() else {}
     known[str(size)] = figures
     path.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n")

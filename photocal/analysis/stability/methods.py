@@ -75,6 +75,8 @@ def wobble(camera: Camera, pixels: Floats) -> tuple[IdealImage, ...] | None:
     return tuple(IdealImage(d, float(dc)) for d, dc in zip(changes, factor.T @ np.array(c), strict=True))
 
 
+# Steps of a pose below this (rad, or heights of the exposure) shrink by as much from one to the next.
+_SHRINKING = 1e-3
 Misfit = Callable[[IdealImage, IdealImage, Floats], Floats]
 
 
@@ -175,18 +177,26 @@ def methods(
 def fitted_pose(
     method: Method, misfit: Misfit, first: IdealImage, second: IdealImage
 ) -> tuple[Floats, Floats]:
+    """Find the pose of least misfit, and the derivatives of the misfit there."""
+    pose = pose_of(method, misfit, first, second)
+    return pose, _design(misfit, first, second, pose)
+
+
+def pose_of(method: Method, misfit: Misfit, first: IdealImage, second: IdealImage) -> Floats:
     """Find the pose of least misfit."""
-    pose = np.zeros(method.pose_size)
+    pose, design, before = np.zeros(method.pose_size), None, np.inf
+    if method.pose_size == 0:
+        return pose
     for _ in range(30):
-        design = _design(misfit, first, second, pose)
-        if method.pose_size == 0:
-            return pose, design
-        change = np.linalg.lstsq(design, -misfit(first, second, pose).ravel(), rcond=None)[0]
+        # Steps that shrink this fast need no new derivatives.
+        if design is None or before > _SHRINKING:
+            design = np.linalg.pinv(_design(misfit, first, second, pose))
+        change = -design @ misfit(first, second, pose).ravel()
         if not np.all(np.isfinite(change)):
             break
-        pose = pose + change
-        if np.max(np.abs(change)) < 1e-10:
-            return pose, design
+        pose, before = pose + change, float(np.max(np.abs(change)))
+        if before < 1e-10:
+            return pose
     raise NotConvergedError(
         f"the two bundles cannot be brought together by method {method.name}",
         "check that both cameras have the same format, unit and sign of the distortion",

@@ -114,9 +114,11 @@ def of_bias(search: Search) -> list[Finding]:
         }
         size = Size(bias, camera.unit, sigma, bias, ground)
         if moved < policy.SMALL_MOVE:
-            listed.append(Finding("c-bias", "doubtful", camera.id, figures, ("only_carried",), size))
+            listed.append(
+                Finding("c-bias", "doubtful", camera.id, figures, ("at_this_distance", "only_carried"), size)
+            )
         else:
-            listed.append(Finding("c-bias", "grave", camera.id, figures, size=size))
+            listed.append(Finding("c-bias", "grave", camera.id, figures, ("at_this_distance",), size=size))
     return listed
 
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from photocal.findings.finding import Finding, Severity, Size
-from photocal.findings.harm import Asked, harmful_from, on_ground, weighed
+from photocal.findings.harm import Asked, harmful_from, on_ground, weighed, without_metres
 
 # 100 m above ground, 10 m/s, c 10 mm: harmful from 2 cm on.
 ASKED = Asked(0.02, 100.0, 10.0, 10.0)
@@ -63,3 +63,16 @@ def test_severity_is_that_of_the_harm(
 def test_what_is_not_known_to_be_harmless_stays() -> None:
     finding = Finding("height-kind", "grave")
     assert weighed(finding, ASKED) == finding
+
+
+def test_without_a_scale_an_effect_is_a_share_of_the_distance() -> None:
+    figures = {"ground_m": 3.5, "shift_c": 0.02, "unit": "mm"}
+    size = Size(0.02, "mm", c=0.02, ground_m=-3.5)
+    finding = Finding("jackknife", "note", "cam", figures, ("shifts_c", "heights_hang", "only_carried"), size)
+    told = without_metres(finding, ASKED)
+    assert told.size is not None
+    assert (told.size.ground_m, told.size.of_distance) == (None, pytest.approx(0.035))
+    assert told.clauses == ("shifts_c_alone", "heights_hang_alone", "only_carried")
+    assert "ground_m" not in told.figures
+    # Its severity is that of the share of a pixel, which has no scale either.
+    assert told.severity == finding.severity

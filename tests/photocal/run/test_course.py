@@ -1,0 +1,103 @@
+"""One share and one remaining time of a run, by a clock that the test turns."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from photocal.base.console import one_bar
+from photocal.base.progress import Standing, quiet
+from photocal.run.course import Course, expected, followed, into
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_stage_takes_what_it_took_last_time() -> None:
+    assert expected({"block": 3.0, "analysis": 0.0}, ("block", "analysis"), 0)["block"] == 3.0
+    usual = expected({}, ("measurements", "another"), 100)
+    assert usual["measurements"] > usual["another"] > 0.0
+
+
+def test_time_left_is_that_of_all_stages_at_the_pace_of_this_machine() -> None:
+    clock = Clock()
+    course = Course({"measurements": 100.0, "block": 10.0, "certificate": 90.0}, quiet, clock)
+    course.begin("measurements")
+    assert course.standing().left_s == pytest.approx(200.0)
+    with course.progress("matching", 50) as done:
+        # Half as fast as expected: the piece of work itself tells.
+        clock.now += 100.0
+        done(25)
+        now = course.standing()
+        assert (now.stage, now.title, now.piece_share) == ("measurements", "matching", 0.5)
+        assert now.piece_left_s == pytest.approx(100.0)
+        assert now.left_s == pytest.approx(100.0 + 100.0)
+        clock.now += 100.0
+        done(25)
+    course.end(kept=False)
+    course.begin("block")
+    # What took 200 s and not 100 foretells the others.
+    assert course.standing().left_s == pytest.approx(200.0, rel=0.05)
+    course.end(kept=True)
+    course.begin("certificate")
+    clock.now += 500.0
+    late = course.standing()
+    assert late.left_s == pytest.approx(50.0)
+    assert 0.9 < late.share < 1.0
+    course.end(kept=False)
+    assert course.standing().left_s == 0.0
+    assert course.standing().share == 1.0
+
+
+def test_it_is_told_while_the_work_says_nothing(tmp_path: Path) -> None:
+    course, seen, enough = Course({"ppk": 60.0}, quiet), list[float](), threading.Event()
+
+    def listen(now: Standing) -> None:
+        seen.append(now.elapsed_s)
+        if len(seen) == 3:
+            enough.set()
+
+    file = tmp_path / "progress.json"
+    course.begin("ppk")
+    with followed(course, into(file), listen):
+        assert enough.wait(30.0)
+    content = json.loads(file.read_text())
+    assert content["stage"] == "ppk"
+    assert 0.0 < content["run"]["left_s"] <= 60.0
+    assert {"title", "share", "left_s", "elapsed_s"} < set(content)
+
+
+def test_a_listener_that_fails_ends_no_run() -> None:
+    def full(_: Standing) -> None:
+        raise OSError(28, "No space left on device")
+
+    with followed(Course({}, quiet), full):
+        pass
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_lines_into_a_file(as_json: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with one_bar(as_json)() as show:
+        for second in range(21):
+            show(Standing("analysis", "images", 0.5, 2.0, 2.0, second / 40.0, 40.0 - second, float(second)))
+    lines = stream.getvalue().splitlines()
+    if as_json:
+        steps = [json.loads(line)["progress"] for line in lines]
+        assert [step["elapsed_s"] for step in steps] == [float(t) for t in range(0, 21, 2)]
+        last = {"stage": "analysis", "title": "images", "share": 0.5, "left_s": 20.0, "elapsed_s": 20.0}
+        assert steps[-1] == last
+    else:
+        assert len(lines) == 3
+        assert lines[-1] == "analysis: images: 50% of the run, 20 s left"
