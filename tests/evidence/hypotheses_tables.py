@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy import stats
 
 from tests.independent.faults import Fault
-from tests.independent.rows import HARSH, Row, accused, named_first
+from tests.independent.rows import HARSH, Row, accused, named_first, named_or_rival
 
+CHANGED = tuple(
+    (Path(__file__).with_name("hypotheses_changed.md")).read_text(encoding="utf-8").rstrip().splitlines()
+)
 Coverage = Mapping[tuple[str, int], Mapping[str, Sequence[float]]]
 # Damage, and p of the joint test, that no verdict may call usable.
 DAMAGED, IMPROBABLE = 3.0, 1e-3
 COMMANDS = ("check", "analyse")
 OF_FAULTS = (
-    "| fault | flights | check | analyse | same word | accused | before: check | analyse | same | accused |",
-    "|---" * 10 + "|",
+    "| fault | flights | check | analyse | or rival | same | accused | before | analyse | same | accused |",
+    "|---" * 11 + "|",
 )
 
 
@@ -62,6 +66,8 @@ def page(faults: Mapping[str, Fault], before: Sequence[Row], after: Sequence[Row
         f"Before: version of dce6bc09, {len(common)} of the same flights. A fault is named when it is the",
         "first cause, by its own name and, where that is a point or an image, with all that it concerns.",
         "",
+        *CHANGED,
+        "",
         "## The thirteen defects",
         "",
         "| | before | after |",
@@ -93,8 +99,9 @@ def page(faults: Mapping[str, Fault], before: Sequence[Row], after: Sequence[Row
         "## Each fault",
         "",
         "Of the size of the review; then of twice the size that a test of it alone (0.1 %) finds in 80 % of",
-        "cases, by normal equations of the simulator's own. Named first by `check`, by `analyse`; both with",
-        "the same word; something sound accused by either.",
+        "cases, by normal equations of the simulator's own. Named first by `check`, by `analyse`; by both",
+        "first, or as its rival where the flight cannot tell them apart; both with the same word; something",
+        "sound accused by either.",
         "",
         *OF_FAULTS,
         *faults_table(whole, two[0], "fault"),
@@ -264,7 +271,11 @@ def faults_table(new: Study, old: Study, kind: str) -> list[str]:
     before = dict(by_name(old.of(kind)))
     lines = []
     for name, rows in by_name(new.of(kind)):
-        cells = (*_cells(new, rows), *_cells(old, before.get(name, [])))
+        check, analyse, *others = _cells(new, rows)
+        beside = share(
+            all(named_or_rival(new.faults[row.name], row, command) for command in COMMANDS) for row in rows
+        )
+        cells = (check, analyse, beside, *others, *_cells(old, before.get(name, [])))
         lines.append(f"| {name} | {len(rows)} | {' | '.join(cells)} |")
     return lines
 

@@ -62,9 +62,9 @@ class Placement:
         to_degrees = Transformer.from_pipeline(
             f"+proj=pipeline +step +inv +proj=topocentric {ellipsoid} +step +inv +proj=cart +ellps=GRS80"
         )
-        east, north, up = to_degrees.transform(*turned.T)
+        degrees = np.column_stack(to_degrees.transform(*turned.T))
         to_map = Transformer.from_crs(map_system.geodetic_crs, map_system, always_xy=True)
-        return np.column_stack([*to_map.transform(east, north), up])
+        return np.column_stack([*to_map.transform(*degrees[:, :2].T), degrees[:, 2]])
 
     def image_names(self, truth: World) -> list[str]:
         """Names of the exposures."""

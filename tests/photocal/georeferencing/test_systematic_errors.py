@@ -104,6 +104,7 @@ def test_nothing_is_found_where_nothing_is(flown: Flown) -> None:
         "base-position",
         "strip-position",
         "position-contradicts",
+        "positions-scale",
         "control-mistyped",
         "rolling-shutter",
         "c-drift",
