@@ -28,7 +28,7 @@ if __name__ == "__main__":
 
 
 def test_as_many_processes_as_the_memory_bears(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers.os, "cpu_count", lambda: 8)
+    monkeypatch.setattr("os.cpu_count", lambda: 8)
     for free, expected in ((2 * GIB, 1), (4 * GIB, 3), (64 * GIB, 8), (0, 1), (None, 8)):
         monkeypatch.setattr(workers, "available_memory", lambda free=free: free)
         assert affordable(GIB, GIB) == expected
