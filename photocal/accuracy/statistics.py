@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 from scipy.optimize import brentq
 
 from photocal.base import policy
@@ -135,7 +135,7 @@ def counted_error(lengths_m: Floats, share: float) -> float:
 
 def linear_error(rmse_m: float, probability: float) -> float:
     """Give the half width of the interval about zero that holds a share of normal errors (LE)."""
-    return float(stats.norm.ppf(0.5 + probability / 2.0)) * rmse_m
+    return float(special.ndtri(0.5 + probability / 2.0)) * rmse_m
 
 
 def circular_error(second_moments_m2: Floats, probability: float) -> float:
@@ -159,7 +159,7 @@ def circular_error(second_moments_m2: Floats, probability: float) -> float:
         held = np.mean((1.0 - np.exp(-0.5 * radius**2 * inverse)) / inverse) * math.sqrt(large / small)
         return float(held) - probability
 
-    upper = math.sqrt(float(stats.chi2.ppf(probability, 2)))
+    upper = math.sqrt(float(special.chdtri(2, 1.0 - probability)))
     return math.sqrt(large) * float(brentq(missing, 0.0, upper * (1.0 + 1e-9), xtol=1e-12))
 
 
@@ -216,12 +216,12 @@ def bias_test(component: Moments, confidence: float) -> BiasTest:
     """Test whether the mean of a component is zero."""
     dof = _degrees_of_freedom(component)
     _require_level(confidence)
-    critical = float(stats.t.ppf(0.5 + confidence / 2.0, dof))
+    critical = float(special.stdtrit(dof, 0.5 + confidence / 2.0))
     if component.std_m == 0.0:
         t = 0.0 if component.mean_m == 0.0 else math.copysign(math.inf, component.mean_m)
     else:
         t = component.mean_m / component.std_m * math.sqrt(component.n)
-    return BiasTest(t, critical, confidence, 2.0 * float(stats.t.sf(abs(t), dof)))
+    return BiasTest(t, critical, confidence, 2.0 * float(special.stdtr(dof, -abs(t))))
 
 
 def precision_test(component: Moments, sigma_m: float, confidence: float) -> PrecisionTest:
@@ -236,7 +236,7 @@ def precision_test(component: Moments, sigma_m: float, confidence: float) -> Pre
 def precision_quantile(n: int, confidence: float) -> float:
     """Give the chi-square value that the precision test compares with."""
     _require_level(confidence)
-    return float(stats.chi2.ppf(confidence, n - 1))
+    return float(special.chdtri(n - 1, 1.0 - confidence))
 
 
 def normality_test(values_m: Floats, confidence: float) -> NormalityTest | None:
@@ -244,6 +244,9 @@ def normality_test(values_m: Floats, confidence: float) -> NormalityTest | None:
     _require_level(confidence)
     if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < _NO_RANGE_M:
         return None
+    # The one test that needs the whole library: its import takes as long as many a check.
+    from scipy import stats
+
     result = stats.shapiro(values_m)
     return NormalityTest(float(result.statistic), float(result.pvalue), confidence)
 
@@ -252,8 +255,8 @@ def std_interval_factors(n: int, confidence: float) -> tuple[float, float]:
     """Say how badly a standard deviation from n points is known."""
     _require_level(confidence)
     dof = n - 1
-    low = float(stats.chi2.ppf(0.5 - confidence / 2.0, dof))
-    high = float(stats.chi2.ppf(0.5 + confidence / 2.0, dof))
+    low = float(special.chdtri(dof, 0.5 + confidence / 2.0))
+    high = float(special.chdtri(dof, 0.5 - confidence / 2.0))
     return math.sqrt(dof / high), math.sqrt(dof / low)
 
 

@@ -19,7 +19,8 @@ from threadpoolctl import ThreadpoolController
 from photocal.base.arrays import Flags, Floats, Integers
 
 PANEL = 144
-Asked, Made = ParamSpec("Asked"), TypeVar("Made")
+Asked = ParamSpec("Asked")
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ def cameras_without(fitted: AdjustedNetwork, groups: list[Flags]) -> tuple[Float
     right[np.arange(len(columns)), columns] = 1.0
     nowhere = np.zeros((len(columns), *state.points.shape))
     steps, moved = covariance_column(at, right, nowhere)
-    information = np.linalg.inv(steps[:, columns])
+    information: Floats = np.linalg.inv(steps[:, columns]).astype(np.float64)
     group = np.zeros(len(fitted.network.image_names), dtype=np.int64)
     for k, out in enumerate(groups):
         group[out] = k

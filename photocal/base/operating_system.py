@@ -62,6 +62,7 @@ if sys.platform == "win32":
 
 else:
     import fcntl
+    import resource
     import select
     import termios
     import tty
@@ -123,7 +124,15 @@ else:
             names = getattr(os, "sysconf_names", {})
             known = "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names
             return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if known else None
-        return min(free, _of_container())
+        return min(free, _of_container(), _of_limit())
+
+    def _of_limit() -> int:
+        """What a limit of this process's own addresses (`ulimit -v`) leaves; beyond all without one."""
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit == resource.RLIM_INFINITY:
+            return sys.maxsize
+        pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
+        return max(0, limit - pages * os.sysconf("SC_PAGE_SIZE"))
 
     def _of_container(folder: Path = Path("/sys/fs/cgroup")) -> int:
         """What a container leaves of its limit (caches give way); beyond all without a limit."""

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from photocal.base.errors import ConfigurationError, DeviceError, PhotocalError, ProgramMissingError
+from photocal.base.operating_system import available_memory
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -230,3 +231,12 @@ class Cluster:
 
 # Processes of this machine, 1 for this very process; or a cluster.
 Workers = int | Cluster
+
+
+def affordable(each_bytes: float, own_bytes: float) -> int:
+    """Give how many processes to start: one on each core, unless their memory would not hold them.
+
+    each_bytes, own_bytes: predicted peaks of a worker, and of this process beside them.
+    """
+    cores, free = os.cpu_count() or 1, available_memory()
+    return cores if free is None else max(1, min(cores, int((free - own_bytes) / each_bytes)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.linalg import block_diag
 
 from photocal.accuracy.discrepancies import Discrepancies
@@ -17,7 +17,7 @@ from photocal.block.model import ROLES, Block, Role
 from photocal.georeferencing.methods import Georeferenced
 
 # Two-sided 0.1 %, Baarda's usual choice (1968) for single tests.
-CRITICAL_W = float(stats.norm.ppf(1.0 - policy.SIGNIFICANCE / 2.0))
+CRITICAL_W = float(-special.ndtri(policy.SIGNIFICANCE / 2.0))
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ def joint_test(d: Floats, covariance: Floats) -> JointTest:
     of_mean = average @ covariance @ average.T
     mean = d.mean(axis=0)
     along = float(mean @ np.linalg.solve(of_mean, mean))
-    tail = min(float(stats.chi2.sf(chi_squared, d.size)), float(stats.chi2.cdf(chi_squared, d.size)))
+    tail = min(float(special.chdtrc(d.size, chi_squared)), float(special.chdtr(d.size, chi_squared)))
     sigma = np.sqrt(np.diag(of_mean))
-    return JointTest(d.size, chi_squared, 2.0 * tail, mean, sigma, float(stats.chi2.sf(along, 3)))
+    return JointTest(d.size, chi_squared, 2.0 * tail, mean, sigma, float(special.chdtrc(3, along)))
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Differences:
         1979).
         """
         tested = np.flatnonzero(np.isfinite(self.distance))
-        p = stats.chi2(3).sf(self.distance[tested])
+        p = special.chdtrc(3, self.distance[tested])
         order = np.argsort(p, kind="stable")
         enough = p[order] <= policy.FAMILY_SIGNIFICANCE / np.arange(len(p), 0, -1)
         rejected = tested[order[: len(p) if enough.all() else int(np.argmin(enough))]]

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from photocal.base import policy
 from photocal.findings.finding import FACTOR, Figure, Finding, Severity, untested
@@ -15,7 +15,7 @@ from photocal.hypotheses.findings import cause_findings
 
 # Without ground points all points of a flight share the errors of its rig and of few images: at worst they
 # err as one point, and their root of the mean d' C^-1 d / 3 as that of one (0.1 %).
-_RATIO_DIRECT = math.sqrt(float(stats.chi2(3).ppf(0.999)) / 3.0)
+_RATIO_DIRECT = math.sqrt(float(special.chdtri(3, 0.001)) / 3.0)
 
 
 def block_findings(check: BlockCheck) -> tuple[Finding, ...]:

@@ -1,6 +1,5 @@
 """Features and matches of a set of images: cached, on several processes, bounded in memory."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 from photocal.base.arrays import Integers
 from photocal.base.errors import PhotocalError
 from photocal.base.operating_system import cache_folder
-from photocal.base.workers import Workers, run_tasks
+from photocal.base.workers import Workers, affordable, run_tasks
 from photocal.block.model import digest
 from photocal.measurement.features import (
     Arrays,
@@ -27,6 +26,9 @@ from photocal.measurement.tracks import Tracks, join_tracks
 
 # Raised whenever the meaning of cached results changes: of features, of matches.
 FEATURES, MATCHES = 2, 2
+# Peak memory of a process that detects features, of 3 to 24 megapixels the same (their pictures are reduced),
+# and of the one that joins them.
+WORKER_BYTES, OWN_BYTES = 1.2e9, 1.0e9
 _NAMES = ("pixels", "scale", "descriptors")
 
 
@@ -35,7 +37,7 @@ class MatchingPlan:
     """Where results are kept, how they are made and by how many processes."""
 
     cache: Path = field(default_factory=cache_folder)
-    processes: Workers = field(default_factory=lambda: os.cpu_count() or 1)
+    processes: Workers = field(default_factory=lambda: affordable(WORKER_BYTES, OWN_BYTES))
     features: FeatureSettings = field(default_factory=FeatureSettings)
     matches: MatchSettings = field(default_factory=MatchSettings)
 

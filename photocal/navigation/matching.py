@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import poisson
+from scipy import special
 
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
@@ -120,7 +120,7 @@ def _add_late(predicted: Floats, y: Floats, of_image: Integers, mutual: Flags, r
     # A row of them is one loss: no strays of their own.
     strays = _rows(free) * _rows(lone)
     by_chance = reach * strays / float(np.ptp(y))
-    if poisson.sf(int(paired.sum()) - 1, by_chance) < _CHANCE:
+    if special.pdtrc(int(paired.sum()) - 1, by_chance) < _CHANCE:
         of_image[lone[paired]], mutual[lone[paired]] = to_event[paired], True
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
@@ -212,7 +212,7 @@ def _freed(name: str, model: _Model, sigma: Floats, place: slice) -> Explanation
     f = max((rss0 - rss) / k / (rss / dof), 0.0)
     spread = np.sqrt(np.maximum(np.diag(cofactor)[place] * rss / dof, 0.0))
     gain = size * np.log(rss0 / rss) - k * np.log(size)
-    return Explanation(name, x[place], spread, "", float(gain), float(stats.f.sf(f, k, dof)))
+    return Explanation(name, x[place], spread, "", float(gain), float(special.fdtrc(k, dof, f)))
 
 
 def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats) -> list[Explanation]:
@@ -229,7 +229,7 @@ def _exchanged(model: _Model, sigma: Floats, to_camera: Floats, lever_m: Floats)
             left = model.difference - to_camera @ (meant - lever_m)
             rss = replace(model, difference=left).solved(sigma)[0]
             # Nothing is estimated: the ratio of the two variances is judged as if one value had been.
-            p = float(stats.f.sf(max(rss0 / rss - 1, 0.0) * dof, 1, dof))
+            p = float(special.fdtrc(1, dof, max(rss0 / rss - 1, 0.0) * dof))
             text = ", ".join(f"{v:+.3f} {name}" for v, name in zip(meant, AXIS_NAMES, strict=True))
             gain = float(size * np.log(rss0 / rss))
             explanations.append(Explanation(AXES, meant - lever_m, np.zeros(3), text, gain, p))

@@ -1,6 +1,5 @@
 """The steps `ppk` and `exposures`: from receivers and images to a trajectory and to exposures."""
 
-import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -213,7 +212,7 @@ def exposures(
         )
     choices = replace(choices, oriented=None if asked.oriented is None else Path(asked.oriented))
     if asked.check_images:
-        plan = MatchingPlan(cache_folder(), os.cpu_count() or 1)
+        plan = MatchingPlan(cache_folder())
         choices = replace(choices, ties=TieMatching(plan, progress))
     with tempfile.TemporaryDirectory() as scratch:
         return ExposuresOfFlight(run_exposures(choices, Rtklib(), Path(scratch)), choices.rig, camera, crs)

@@ -285,14 +285,14 @@ def global_test(title: str, run: AnalysedRun, say: Catalogue) -> Section:
     if test is None:
         return Section(title, (KeyValues(rows), Paragraph(say("test.unclaimed"))))
     interval = say("test.interval_value", lower=say.fixed(test.lower, 1), upper=say.fixed(test.upper, 1))
-    rows = (
+    rows_of_test = (
         *rows[:2],
         (say("test.interval", probability=percent(test.probability, say)), interval),
         (say("test.p"), probability(test.p_value, say.mark)),
         *rows[2:],
     )
     root = say.fixed(math.sqrt(max(result.sigma0_squared, 0.0)), 4)
-    return Section(title, (KeyValues(rows), Paragraph(say("test.text", sigma0=sigma0, root=root))))
+    return Section(title, (KeyValues(rows_of_test), Paragraph(say("test.text", sigma0=sigma0, root=root))))
 
 
 def percent(probability: float, say: Catalogue) -> str:

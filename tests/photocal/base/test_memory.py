@@ -1,0 +1,55 @@
+"""How much memory there is, and how many processes it bears, also under a limit as `ulimit -v` sets it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from photocal.base import workers
+from photocal.base.workers import affordable
+
+GIB = 1 << 30
+# Features of pictures by as many processes as there is memory for.
+DETECTED = """
+import sys
+from pathlib import Path
+from photocal.base.operating_system import available_memory
+from photocal.measurement.match_images import MatchingPlan, detect_all
+
+if __name__ == "__main__":
+    plan = MatchingPlan(Path(sys.argv[1]))
+    assert 0 < available_memory() < 4 << 30, available_memory()
+    keys, reasons = detect_all([Path(path) for path in sys.argv[2:]], plan, lambda _: None)
+    print(plan.processes, len(keys), set(reasons))
+"""
+
+
+def test_as_many_processes_as_the_memory_bears(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 8)
+    for free, expected in ((2 * GIB, 1), (4 * GIB, 3), (64 * GIB, 8), (0, 1), (None, 8)):
+        monkeypatch.setattr(workers, "available_memory", lambda free=free: free)
+        assert affordable(GIB, GIB) == expected
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(sys.platform != "linux", reason="addresses are limited and counted by Linux")
+def test_pictures_within_four_gibibytes(shared: Path, tmp_path: Path) -> None:
+    import resource
+
+    pictures = sorted((shared / "data" / "flight-caliterra-twelve").glob("*.jpg"))[:2]
+    script = tmp_path / "detected.py"
+    script.write_text(DETECTED)
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path / "cache"), *map(str, pictures)],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (4 * GIB, 4 * GIB)),
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    processes, images, reasons = done.stdout.split(maxsplit=2)
+    assert 1 <= int(processes) <= 3
+    assert (images, reasons.strip()) == ("2", "{''}")
