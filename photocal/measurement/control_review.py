@@ -160,7 +160,7 @@ def alone(marks: Sequence[Mark], points: ObjectPoints) -> Iterator[str]:
     count = Counter(mark.point for mark in marks)
     single = [name for name in points.names if count[name] == 1]
     if single:
-        yield f"marked in one picture alone: {listed(single)}; a second mark would make a place of it"
+        yield f"marked in one picture only: {listed(single)}; a mark in a second picture gives it a place"
     bare = [name for name in points.names if not count[name]]
     if bare and count:
         yield f"without a mark: {listed(bare)}"
