@@ -122,6 +122,8 @@ class ImageKeys(Table):
         takes them as start values only, None assumes what a receiver without corrections reaches.
     positions: without a flight: a `Timestamp.MRK`, geo.txt or reference table whose positions go before those
         of the pictures.
+    position_frame: without a flight: `FRAME[@EPOCH]` of these positions, that of the caster, such as
+        "IGS20@2026.9"; they are moved to that of the project.
     pictures: table of pictures with the camera that took each and, of cameras on one frame, the exposure.
     lens: "unknown" where the rays may choose between Brown's two lenses, with and without K4.
     """
@@ -131,6 +133,7 @@ class ImageKeys(Table):
     times: Beside | None = None
     positions: Beside | None = None
     position_sigma_m: Sigmas | Literal["free"] | None = None
+    position_frame: str | None = None
     lens: Literal["given", "unknown"] = "given"
 
     @model_validator(mode="after")

@@ -21,6 +21,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import as_record
 from photocal.geometry.camera import Camera, among
 from photocal.geometry.oriented_images import local_poses
+from photocal.geometry.realizations import FrameShift
 from photocal.measurement.block_files import MeasuredBlock
 from photocal.measurement.control_fit import FEWEST_CONTROL
 from photocal.measurement.control_review import stray_points
@@ -51,6 +52,7 @@ from photocal.measurement.patch_matching import Source
 from photocal.measurement.picture_tests import judge_cameras
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
 from photocal.measurement.position_files import Given, local_places, map_places, read_positions
+from photocal.measurement.position_frame import in_project, moved_finding, shift_of_positions
 from photocal.measurement.recorded_turns import motion_while_read
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
 from photocal.measurement.settled_marks import settle_marks
@@ -262,6 +264,10 @@ def _measured(known: KnownPictures, plan: MatchingPlan, progress: Progress) -> M
     else:
         names, members = tuple(camera.id for camera in given[0]), given[1]
     findings += judge_cameras(tracked.facts, names, members.tolist())
+    frame = None if project is None or known.starts is not None else project.images.position_frame
+    placed = next((facts for facts in tracked.facts if facts.has_position), None)
+    if project is not None and frame is not None and placed is not None:
+        findings.append(moved_finding(shift_of_positions(frame, project.crs, placed)))
     used = int(np.count_nonzero(final.block.observations.point < len(final.start.points.names)))
     positions = position_figures(tracked.facts, start.images.sigma[:, 3:])
     record: dict[str, Any] = {
@@ -409,9 +415,21 @@ def pictures_of_heads(project: Project) -> tuple[dict[str, int], dict[str, str]]
 
 
 def better_known(project: Project, names: Sequence[str]) -> Given:
-    """What a project's table of positions says in place of the pictures."""
-    path = project.images.positions
-    return NO_LENS.of if path is None else read_positions(path, names)
+    """What a project's table of positions says in place of the pictures, in the project's frame."""
+    path, frame = project.images.positions, project.images.position_frame
+    told = NO_LENS.of if path is None else read_positions(path, names)
+    if frame is None:
+        return told
+    shifts: list[FrameShift] = []
+
+    def moved(facts: ImageFacts) -> ImageFacts:
+        """Facts in the frame of the project; one shift holds for a whole site."""
+        known = told(facts)
+        if known.has_position and not shifts:
+            shifts.append(shift_of_positions(frame, project.crs, known))
+        return in_project(known, shifts[0]) if shifts else known
+
+    return moved
 
 
 def control_points(project: Project) -> ObjectPoints:

@@ -32,14 +32,13 @@ class BaseFrame:
     shift: FrameShift | None = None
 
     @classmethod
-    def of(cls, base_m: Floats, source: Realization | None, crs: str | None, time: GpsTime) -> Self:
+    def of(cls, base_m: Floats, source: Realization | None, crs: str | None, today: float) -> Self:
         """Compare the frame of a base with that of the control.
 
         base_m (3,): earth-centred.
-        time: of the observations, at whose epoch a moving frame without one is taken.
+        today: epoch of the observations, years: that of a moving frame that is told without one.
         """
         target = None if crs in (None, "local") else known_realization(crs or "")
-        today = decimal_year(time)
         if source is not None and source.moves and math.isnan(source.epoch):
             source = Realization(source.frame, today)
         if target is None:

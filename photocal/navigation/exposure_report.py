@@ -172,5 +172,6 @@ def exposures_text(figures: dict[str, Any]) -> str:
     words = {"passed": "ok    ", "failed": "FAILED", "not possible": "  -   "}
     lines += [f"  {words[c['verdict']]} {c['code']}: {c['text']}" for c in figures["checks"]]
     checked = {c["text"] for c in figures["checks"]}
-    lines += [f"WARNING {f['text']}" for f in figures["findings"] if f["text"] not in checked]
+    of_ppk = [] if figures["ppk"] is None else figures["ppk"].get("findings", [])
+    lines += [f"WARNING {f['text']}" for f in (*of_ppk, *figures["findings"]) if f["text"] not in checked]
     return "\n".join(lines)

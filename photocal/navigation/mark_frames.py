@@ -7,7 +7,7 @@ import numpy as np
 
 from photocal.base.errors import InputMalformedError, reading
 from photocal.geometry.realizations import FrameShift, Realization, known_realization, realization
-from photocal.navigation.base_frame import BaseFrame
+from photocal.navigation.base_frame import BaseFrame, decimal_year
 from photocal.navigation.baseline_network import GroundMark
 from photocal.navigation.time import GpsTime
 
@@ -65,7 +65,7 @@ def in_system(
     if source is None or crs is None:
         return mark, None
     # A known mark has its epoch with it.
-    known = BaseFrame.of(mark.xyz_m, source, crs, GpsTime(np.zeros(1, np.int64)) if time is None else time)
+    known = BaseFrame.of(mark.xyz_m, source, crs, source.epoch if time is None else decimal_year(time))
     if known.target is None or known.source is None or known.source == known.target:
         return mark, None
     done = MarkFrame(mark.name, known.source, known.target, known.moved)

@@ -11,7 +11,7 @@ from photocal.base.console import numbers_of
 from photocal.base.errors import ConfigurationError, IllPosedError
 from photocal.base.time_scales import GPS_EPOCH_NS
 from photocal.geometry.realizations import realization
-from photocal.navigation.base_frame import BaseFrame
+from photocal.navigation.base_frame import BaseFrame, decimal_year
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, parse_position
@@ -127,7 +127,7 @@ def gather_inputs(sources: Sources, engine: Rtklib, folder: Path) -> tuple[Input
     files = [path for path in navigation if path.exists()]
     sigma = sigma if sources.base_sigma_m is None else sources.base_sigma_m
     frame = frame if sources.base_frame is None else realization(sources.base_frame)
-    base_frame = BaseFrame.of(position, frame, sources.crs, base.time)
+    base_frame = BaseFrame.of(position, frame, sources.crs, decimal_year(base.time))
     moved = base_frame.moved
     if moved is not None:
         position, source = position + moved.shift_m, f"{source}, moved to {moved.target}"

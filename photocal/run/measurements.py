@@ -101,6 +101,7 @@ def measurements_stage(project: Project, exposures: Path | None) -> Stage:
         "targets": [target.model_dump(mode="json") for target in control.targets],
         "sigma_px": None if given is None else given.sigma_px,
         "position_sigma_m": project.images.position_sigma_m,
+        "position_frame": project.images.position_frame,
         "lens": project.images.lens,
     }
     return Stage(

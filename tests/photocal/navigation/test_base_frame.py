@@ -20,7 +20,7 @@ def at(year: int, month: int, day: int) -> GpsTime:
     return GpsTime(np.array([start, start + 3600], np.int64) * 1_000_000_000)
 
 
-TODAY = at(2026, 11, 24)
+TODAY = decimal_year(at(2026, 11, 24))
 
 
 def said(frame: BaseFrame) -> dict[str, str]:
