@@ -23,6 +23,10 @@ def compare(
         Path | None,
         option("Draw distortion profiles, parameters over the calibrations, and vectors.", "--curves"),
     ] = None,
+    parameters: Annotated[
+        Path | None,
+        option("Draw all parameters over the calibrations, principal points, profiles without K3, pairs."),
+    ] = None,
     exchange: Annotated[
         bool,
         option("Use camera and mounting of each flight in each other, at its check points.", "--exchange"),
@@ -51,7 +55,7 @@ def compare(
     from photocal.base.files import picture_kind
     from photocal.run.calibrations import cameras_of, exchanged, repeated, uses_text
 
-    for path in (picture, curves):
+    for path in (picture, curves, parameters):
         if path is not None:
             picture_kind(path)
     flights = _flights(calibrations, exchange=exchange)
@@ -71,6 +75,10 @@ def compare(
         from photocal.analysis.stability.pictures import draw_curves
 
         draw_curves(asked.calibrations, curves)
+    if parameters is not None:
+        from photocal.analysis.stability.parameter_pictures import draw_parameters
+
+        draw_parameters(asked.calibrations, compared.pairs, parameters)
     uses: tuple[Use, ...] = ()
     if exchange:
         with progress("using each in each", len(flights) ** 2) as advance:

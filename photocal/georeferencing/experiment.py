@@ -35,6 +35,7 @@ from photocal.georeferencing.methods import (
     of_method,
     with_roles,
 )
+from photocal.georeferencing.support import Support, SupportRun, run_supports, support_of
 
 Use = Literal["weighted", "fixed", "as-given"]
 # A name, and which points are control; every other ground point is a check point.
@@ -66,6 +67,7 @@ class Experiment:
     seed: int = 0
     confidence: float = 0.95
     camera: int = 0
+    supports: tuple[Support, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,7 @@ class ExperimentOutcome:
 
     runs: tuple[ExperimentRun, ...]
     left_out: tuple[WithoutControlPoint, ...]
+    supports: tuple[SupportRun, ...] = ()
 
     @property
     def pairs(self) -> tuple[RunPair, ...]:
@@ -165,6 +168,7 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
     with suppress(PhotocalError):
         reference = of_method(with_roles(block, surveyed), "indirect").exposures
     done()
+    supported = run_supports(block, experiment.supports, done)
     if experiment.noise is not None:
         # One realisation for all runs, so that they differ by what is being compared only.
         noisy = degraded(block, experiment.noise, np.random.default_rng(experiment.seed))
@@ -181,7 +185,7 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
                 runs.append(_run(setup, method, interior, use, pattern, experiment.confidence, reference))
                 done()
     left = _leave_one_out(block, experiment.methods, done) if experiment.leave_one_out else ()
-    return ExperimentOutcome(tuple(runs), left)
+    return ExperimentOutcome(tuple(runs), left, supported)
 
 
 def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
@@ -285,6 +289,13 @@ class _Pattern(Table):
     points: list[str] = Field(min_length=1)
 
 
+class _Support(Table):
+    name: str
+    points: tuple[str, ...] = ()
+    distances: tuple[str, ...] = ()
+    held: str = ""
+
+
 class _Control(Table):
     pattern: tuple[_Pattern, ...] = ()
     counts: tuple[PositiveInt, ...] = ()
@@ -298,6 +309,7 @@ class _File(Table):
     simulated_direct: _Noise | None = None
     interior: _Interior | None = None
     control: _Control = _Control()
+    support: tuple[_Support, ...] = ()
 
 
 def read_experiment(
@@ -329,6 +341,7 @@ def read_experiment(
         0 if noise is None else noise.seed,
         asked.confidence,
         camera,
+        tuple(support_of(block, one.name, one.points, one.distances, one.held) for one in asked.support),
     )
 
 

@@ -13,6 +13,7 @@ from photocal.base.files import output_folder, rows_text, write_json
 from photocal.findings.document import Section, table, text
 from photocal.georeferencing.differences import Differences, rms
 from photocal.georeferencing.experiment import ExperimentOutcome, ExperimentRun, RunPair, WithoutControlPoint
+from photocal.georeferencing.support import support_rows, support_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,6 +95,7 @@ def to_json(outcome: ExperimentOutcome) -> dict[str, Any]:
             for method in dict.fromkeys(case.method for case in outcome.left_out)
         },
     }
+    content["supports"] = support_rows(outcome.supports)
     return {key: as_plain(part) for key, part in content.items()}
 
 
@@ -125,6 +127,7 @@ def to_text(outcome: ExperimentOutcome) -> str:
         table("image residuals px; exterior orientation, RMSE in m and deg", heads_of_poses, poses),
         table("pair by pair: RMSE of the differences at check points, m", ("", "X", "Y", "Z"), pairs),
         table("leave one out: d, w", of_left, left),
+        support_table(outcome.supports),
     )
     return text([Section("", tuple(made for made in tables if made.rows))])
 
@@ -139,7 +142,9 @@ def _left_cells(case: WithoutControlPoint) -> list[str]:
 
 def write_experiment(outcome: ExperimentOutcome, folder: Path) -> tuple[str, ...]:
     """Write the results of an experiment; raises OutputError when the folder cannot be written."""
-    texts = {"runs.csv": _csv([_flat(run) for run in outcome.runs])}
+    texts = {"runs.csv": _csv([_flat(run) for run in outcome.runs])} if outcome.runs else {}
+    if outcome.supports:
+        texts["supports.csv"] = _csv(support_rows(outcome.supports))
     if outcome.pairs:
         texts["pairs.csv"] = _csv([_pair(pair) for pair in outcome.pairs])
     if outcome.left_out:

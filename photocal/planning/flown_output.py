@@ -41,8 +41,20 @@ def flown_text(figures: Mapping[str, Any]) -> str:
     listed, say = figures["gaps"], catalogue("en")
     counts = {**figures, "gaps": len(listed)}
     section = flown_section("", spread, figures.get("planned", {}), counts, say)
+    bare = [row for row in figures.get("control_by_strip", ()) if not row["control_points"]]
+    some = any(row["control_points"] for row in figures.get("control_by_strip", ()))
+    lines = []
+    if bare and some:
+        named = ", ".join(f"{row['strip']} ({row['images']} images)" for row in bare)
+        lines.append(f"strips without control: {named}; they hang on their neighbours, survey control there")
+    positions = figures.get("positions")
+    if positions is not None:
+        axes = ", ".join(
+            f"{m:+.3f} +- {s:.3f}" for m, s in zip(positions["mean_m"], positions["std_m"], strict=True)
+        )
+        lines.append(f"camera positions, observed less adjusted, X, Y, Z: {axes} m (positions.csv, .svg)")
     holes = (f"{g['east_m']:.1f}, {g['north_m']:.1f}: {g['area_m2']:.0f} m2" for g in listed[:10])
-    return text([replace(section, pieces=(*section.pieces, Paragraph("\n".join(holes))))])
+    return text([replace(section, pieces=(*section.pieces, Paragraph("\n".join([*lines, *holes]))))])
 
 
 def flown_section(

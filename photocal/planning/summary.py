@@ -132,7 +132,8 @@ def to_text(flight: PlannedFlight, targets: tuple[Target, ...], findings: tuple[
             f"a photo every {level.exposure_interval_s:.2f} s\n"
             f"  expected from one pair, at 95 % of the image sides, 0.5 px: sigma X {sigma.x_m:.3f}, "
             f"Y {sigma.y_m:.3f}, Z {sigma.z_m:.3f}, plane {sigma.plane_m:.3f} m\n"
-            f"  limit dz of the ministry's form: {level.dz_m * 100.0:.2f} cm"
+            f"  limit dz of the ministry's form: {level.dz_m * 100.0:.2f} cm\n"
+            f"  with c held and no control, each micrometre of c is {height_by_c(level):.3f} m of all heights"
         )
     for target in targets:
         stages = ", ".join(f"{name} {allowed:.3f} m" for name, allowed in error_budget(target.ep_m).items())
@@ -143,4 +144,14 @@ def to_text(flight: PlannedFlight, targets: tuple[Target, ...], findings: tuple[
 def _level(level: LevelGeometry) -> dict[str, Any]:
     keys = ("height_m", "scale_denominator", "gsd_m", "footprint_m", "base_m", "strip_spacing_m", "dz_m")
     sigma = {axis: f"{axis}_m" for axis in ("x", "y", "z", "plane")}
-    return picked(level, *keys, "exposure_interval_s") | {"sigma_m": picked(level.precision, **sigma)}
+    made = picked(level, *keys, "exposure_interval_s") | {"sigma_m": picked(level.precision, **sigma)}
+    return made | {"height_by_c_m_um": height_by_c(level)}
+
+
+def height_by_c(level: LevelGeometry) -> float:
+    """Give the error of all heights for each micrometre that a held c is wrong, m.
+
+    H / c, where positions and straight-down pictures of this height alone tell the heights.
+    """
+    # The scale denominator is H / c.
+    return level.scale_denominator * 1e-6

@@ -2,7 +2,9 @@
 
 import json
 import math
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +12,19 @@ import numpy as np
 
 from photocal.accuracy.laser import LaserShots, check_laser, laser_finding
 from photocal.accuracy.maps import reference_system
+from photocal.base.arrays import Integers
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.base.geopackage import changed_utc
 from photocal.base.progress import Progress
+from photocal.block.model import Block
 from photocal.block.motion import strips, velocity_of_neighbours
+from photocal.block.network import local_positions
 from photocal.findings.texts import as_record
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
 from photocal.planning.flown_output import against_plan, write_flown
+from photocal.planning.position_map import position_differences, write_positions
 from photocal.products.oriented import oriented
 from photocal.project import Project
 from photocal.report.derived_figures import NADIR_DEG
@@ -85,6 +91,7 @@ def measure_flown(
     exposure, iso = np.array(stated).T
     exposure = np.where(np.isfinite(exposure), exposure, exposure_s)
     points = model.points.values if run is None else read_result(run).points.values
+    control = control_by_strip(model, shots.names, strip)
     measured = flown_block(shots, strip, ground_through(shots, frame.to_local(points)), moving, exposure)
     figures = figures_of(measured, exposure_ms=1e3 * exposure, iso=iso)
     lasers = np.array([f.laser_m if (f := facts.get(name)) else np.nan for name in shots.names])
@@ -93,6 +100,19 @@ def measure_flown(
         checked = check_laser(shot, frame.to_local(points), _share_of_c(run))
         found = laser_finding(checked, int(np.isfinite(lasers).sum()))
         figures |= as_record([found])
+    figures["control_by_strip"] = control
+    apart = None
+    if run is not None:
+        result = read_result(run)
+        adjusted = {name: one.value for name, one in (result.mounting or {}).items()}
+        index = {name: k for k, name in enumerate(shots.names)}
+        place = np.array([index[model.images.names[k]] for k in model.positions.image], dtype=np.int64)
+        positions = replace(local_positions(model.positions, frame), image=place)
+        apart = position_differences(
+            shots.names, shots.rotation, shots.station, positions, model.mounting, adjusted
+        )
+        if apart is not None:
+            figures["positions"] = apart.figures()
     if plan is not None:
         try:
             figures = against_plan(figures, json.loads(plan.read_text(encoding="utf-8")))
@@ -104,7 +124,25 @@ def measure_flown(
         system = reference_system(None if model.frame == "local" else model.frame)
         changed = changed_utc(block if block.is_file() else block / "block.toml")
         write_flown(output, measured, shots.station, moving, figures, frame.to_given, system, changed)
+        if apart is not None:
+            write_positions(output, apart, frame.to_given, system, changed)
     return figures
+
+
+def control_by_strip(model: Block, names: Sequence[str], strip: Integers) -> list[dict[str, int]]:
+    """Count the images of each strip, and the control points that they show.
+
+    A strip without control hangs on its neighbours alone (the outer strips that one study left out).
+    """
+    own = {name: int(number) for name, number in zip(names, strip.tolist(), strict=True)}
+    of_image = np.array([own[name] for name in model.images.names])
+    control = model.points.of_role("control")[model.observations.point]
+    rows = []
+    for number in dict.fromkeys(strip.tolist()):
+        seen = control & (of_image[model.observations.image] == number)
+        points = len(np.unique(model.observations.point[seen]))
+        rows.append({"strip": int(number), "images": int(np.sum(strip == number)), "control_points": points})
+    return rows
 
 
 def _share_of_c(run: Path | None) -> float:

@@ -130,7 +130,8 @@ class Study(Table):
     @property
     def named_tables(self) -> tuple[str, ...]:
         """All printed tables that the study speaks of."""
-        named = [name for part in (*self.input, *self.not_repeated) for name in part.tables]
+        named = [name for given in self.input for name in given.tables]
+        named += [name for left in self.not_repeated for name in left.tables]
         named += [Path(table.printed).name for table in self.table]
         return tuple(dict.fromkeys(named))
 

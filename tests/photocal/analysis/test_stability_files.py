@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from photocal.analysis.stability.camera_file import read_camera_file
 from photocal.analysis.stability.comparison import compare
 from photocal.analysis.stability.methods import ResectionGround, methods, sensor_grid
+from photocal.analysis.stability.parameter_pictures import without_term
 from photocal.analysis.stability.pictures import displacements
 from photocal.base.errors import (
     ConfigurationError,
@@ -142,10 +143,27 @@ def test_a_picture_of_unknown_kind_is_refused(tmp_path: Path) -> None:
 
 
 def test_curves_of_several_calibrations(tmp_path: Path) -> None:
-    picture = tmp_path / "curves.png"
-    done = CliRunner().invoke(app, ["compare", str(STUDY), "--json", "--curves", str(picture)])
+    picture, path = tmp_path / "curves.png", tmp_path / "cameras.toml"
+    shown = tmp_path / "parameters.png"
+    path.write_text(GOOD.replace("c = 351.0", "c = 351.0, K1 = 1e-7, K3 = 1e-17") + "sigma = { c = 0.5 }\n")
+    arguments = ["compare", str(path), "--json", "--curves", str(picture), "--parameters", str(shown)]
+    done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     assert picture.read_bytes().startswith(b"\x89PNG")
+    assert shown.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_term_that_is_dropped_is_taken_over_by_the_others() -> None:
+    """As the normal equations without it: values of the others by the covariance, by hand."""
+    own = read_camera_file(STUDY).calibrations[0]
+    names = [name for name in own.free if own.sigma_of(name) > 0]
+    covariance, out = own.covariance_of(names), names.index("K3")
+    left = without_term(own, "K3")
+    assert left.value("K3") == 0.0
+    for i, name in enumerate(names):
+        if name != "K3":
+            moved = covariance[i, out] / covariance[out, out] * own.value("K3")
+            assert left.value(name) == pytest.approx(own.value(name) - moved, rel=1e-9)
 
 
 def test_displacements_are_those_of_the_polynomials() -> None:

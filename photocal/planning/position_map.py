@@ -1,0 +1,108 @@
+"""Observed less adjusted camera positions, exposure by exposure: a table, a map for QGIS and a picture."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photocal.adjustment.mounting import BORESIGHT, LEVER, TIME, Mounting, Positions, body_to_camera
+from photocal.base.arrays import Floats
+from photocal.base.files import output_folder, output_picture, write_rows
+from photocal.base.geopackage import Layer, ReferenceSystem, add_layer, geopackage
+
+_NUMBERS = ("dX_m", "dY_m", "dZ_m")
+_LAYER = Layer(
+    "positions",
+    "POINT",
+    has_heights=False,
+    columns={"name": "TEXT", **dict.fromkeys(_NUMBERS, "DOUBLE")},
+)
+# The longest vector of the picture is this share of its width.
+_LONGEST = 0.08
+
+
+@dataclass(frozen=True)
+class PositionDifferences:
+    """Observed less adjusted projection centres.
+
+    names (n), station, d_m (n, 3): in the local frame, m.
+    """
+
+    names: tuple[str, ...]
+    station: Floats
+    d_m: Floats
+
+    def figures(self) -> dict[str, Any]:
+        """Give mean, standard deviation and largest difference by axis, m."""
+        largest = self.d_m[np.abs(self.d_m).argmax(axis=0), range(3)]
+        spread = self.d_m.std(axis=0, ddof=1) if len(self.d_m) > 1 else np.full(3, np.nan)
+        return {
+            "exposures": len(self.names),
+            "mean_m": self.d_m.mean(axis=0).tolist(),
+            "std_m": spread.tolist(),
+            "largest_m": largest.tolist(),
+        }
+
+
+def position_differences(
+    names: Sequence[str],
+    rotation: Floats,
+    station: Floats,
+    positions: Positions,
+    mounting: Mounting,
+    adjusted: dict[str, float],
+) -> PositionDifferences | None:
+    """Reduce observed antenna positions to the camera and compare them with the adjusted centres.
+
+    rotation, station: adjusted, of all images, in the local frame; positions: in the same frame.
+    adjusted: lever arm, boresight (rad) and time offset by name where the adjustment estimated them.
+    """
+    if not len(positions.image):
+        return None
+    values = mounting.values.copy()
+    for part, key in ((LEVER, "lever_arm"), (BORESIGHT, "boresight")):
+        values[part] = [adjusted.get(f"{key}_{axis}", v) for axis, v in zip("xyz", values[part], strict=True)]
+    values[TIME] = adjusted.get("time_offset", values[TIME])
+    at = positions.image
+    arm = np.swapaxes(rotation[at], 1, 2) @ (body_to_camera(mounting, values) @ values[LEVER])
+    observed = positions.values - arm + positions.velocity * values[TIME]
+    return PositionDifferences(tuple(names[k] for k in at), station[at], observed - station[at])
+
+
+def write_positions(
+    folder: Path,
+    made: PositionDifferences,
+    to_given: Callable[[Floats], Floats],
+    system: ReferenceSystem,
+    changed_utc: str,
+) -> None:
+    """Write positions.csv, positions.gpkg and positions.svg; raises OutputError."""
+    rows = list(zip(made.names, made.d_m.tolist(), strict=True))
+    with output_folder(folder) as aside:
+        cells = [[name, *(f"{value:.4f}" for value in d)] for name, d in rows]
+        write_rows(aside / "positions.csv", ["image", *_NUMBERS], cells)
+        with geopackage(aside / "positions.gpkg", system) as database:
+            places = to_given(made.station)[:, :2]
+            features = [(place[None], [name, *d]) for place, (name, d) in zip(places, rows, strict=True)]
+            add_layer(database, _LAYER, system, features, changed_utc)
+        _draw(made, aside / "positions.svg")
+
+
+def _draw(made: PositionDifferences, path: Path) -> None:
+    """Draw the plane part as enlarged vectors and the height as colour."""
+    with output_picture(path, (6.5, 5.0)) as figure:
+        axes = figure.add_subplot()
+        x, y = made.station[:, 0], made.station[:, 1]
+        plane = np.linalg.norm(made.d_m[:, :2], axis=1)
+        width = max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
+        times = _LONGEST * width / max(float(plane.max()), 1e-9)
+        high = max(float(np.abs(made.d_m[:, 2]).max()), 1e-9)
+        drawn = axes.scatter(x, y, c=made.d_m[:, 2], cmap="RdBu_r", vmin=-high, vmax=high, s=18)
+        axes.quiver(x, y, *(made.d_m[:, :2] * times).T, angles="xy", scale_units="xy", scale=1.0, width=0.003)
+        figure.colorbar(drawn, ax=axes, label="height, observed less adjusted, m")
+        axes.set_title(f"camera positions, observed less adjusted: plane {times:.0f} times", loc="left")
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_xlabel("m")
+        axes.set_ylabel("m")

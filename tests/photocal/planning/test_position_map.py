@@ -1,0 +1,93 @@
+"""Observed less adjusted camera positions: the formula, and files and words of `photocal flown`."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from photocal.adjustment.mounting import Positions
+from photocal.block.folder import read_block
+from photocal.block.model import Block
+from photocal.block.mounting import make_mounting
+from photocal.block.setup import MountingKeys
+from photocal.planning.position_map import position_differences
+from photocal.results.adjusted import adjust_block
+from tests.photocal.conftest import Answer
+from tests.photocal.georeferencing.flights import Errors, Plan, fly
+
+
+def test_differences_are_what_was_put_in() -> None:
+    """Antennas on a mast above cameras that look down, turned by their headings, moving at 10 m/s."""
+    random = np.random.default_rng(2)
+    heading = random.uniform(0, 360, 8)
+    # Camera axes of a nadir picture: x right, y forward, z up; object axes east, north, up.
+    rotation = Rotation.from_euler("z", -heading[:, None], degrees=True).as_matrix()
+    station, error = random.normal(0, 100, (8, 3)), random.normal(0, 0.05, (8, 3))
+    forward = np.swapaxes(rotation, 1, 2) @ np.array([0.0, 1.0, 0.0])
+    velocity = 10.0 * forward
+    # 0.2 m forward and 0.3 m above the camera (body axes forward, right, down); events 0.01 s early.
+    antenna = station + 0.2 * forward + [0.0, 0.0, 0.3] - velocity * 0.01 + error
+    positions = Positions(
+        np.arange(8),
+        antenna,
+        np.tile(1e-4 * np.eye(3), (8, 1, 1)),
+        velocity,
+        np.zeros(8, np.int64),
+        np.zeros(8),
+        np.zeros(8),
+    )
+    given = make_mounting(MountingKeys(lever_arm_m=(0.2, 0.0, -0.3)), 1)
+    names = tuple(f"{k}" for k in range(8))
+    found = position_differences(names, rotation, station, positions, given, {"time_offset": 0.01})
+    assert found is not None
+    assert found.d_m == pytest.approx(error, abs=1e-9)
+    assert found.figures()["mean_m"] == pytest.approx(error.mean(axis=0))
+
+
+def test_the_command_maps_them_and_names_strips_without_control(
+    photocal: Callable[..., Answer], tmp_path: Path
+) -> None:
+    errors = Errors(datum_m=(0.0, 0.0, 0.4))
+    folder = fly(tmp_path / "block", np.random.default_rng(5), errors, Plan())
+    block = read_block(folder)
+    strip = {name: int(k) for name, k in zip(block.images.names, _strips(block), strict=True)}
+    # Of the control points that which the fewest strips see stays; the others become check points.
+    seen: dict[str, set[int]] = {}
+    for i, j in zip(block.observations.image, block.observations.point, strict=True):
+        if block.points.of_role("control")[j]:
+            seen.setdefault(block.points.names[j], set()).add(strip[block.images.names[i]])
+    kept = min(seen, key=lambda name: len(seen[name]))
+    lines = (folder / "points.csv").read_text(encoding="utf-8").splitlines()
+    others = [line if line.startswith(f"{kept},") else line.replace("control", "check") for line in lines]
+    (folder / "points.csv").write_text("\n".join(others) + "\n", encoding="utf-8")
+    adjust_block(folder, tmp_path / "run")
+    said = photocal("flown", folder, "--run", tmp_path / "run", "-o", tmp_path / "flown")
+    assert said.code == 0, said.err
+    figures = json.loads((tmp_path / "flown" / "flown.json").read_text(encoding="utf-8"))
+    with (tmp_path / "flown" / "positions.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == figures["positions"]["exposures"] == len(block.images.names)
+    with closing(sqlite3.connect(tmp_path / "flown" / "positions.gpkg")) as database:
+        assert database.execute("select count(*) from positions").fetchone() == (len(rows),)
+    assert (tmp_path / "flown" / "positions.svg").read_text(encoding="utf-8").startswith("<?xml")
+    assert "observed less adjusted" in said.out
+    counts = figures["control_by_strip"]
+    assert sum(row["images"] for row in counts) == len(block.images.names)
+    bare = [row["strip"] for row in counts if not row["control_points"]]
+    assert len(bare) == len(counts) - len(seen[kept])
+    if bare:
+        assert f"strips without control: {bare[0]} (" in said.out
+
+
+def _strips(block: Block) -> list[int]:
+    pairs = zip(block.positions.image.tolist(), block.positions.strip.tolist(), strict=True)
+    of_image = dict(pairs)
+    return [of_image[k] for k in range(len(block.images.names))]
