@@ -118,6 +118,10 @@ def _text(summary: "LogSummary") -> str:
     lines = [f"{figures['file']}: {figures['bytes']} bytes"]
     if not figures["complete"]:
         lines.append("  ends early: this is what is whole in it; acquire recover repairs it")
+        if every := figures["metadata"].get("recording", {}).get("flush_s"):
+            lines.append(
+                f"  made safe every {every} s: a cut of the power, too, costs that and the time of a flush"
+            )
     for link in figures["links"]:
         lines += ["", *_link(link)]
         notes = figures["metadata"].get(f"import {link['link']}")

@@ -105,6 +105,7 @@ def record(
     def begin(writer: LogWriter) -> None:
         """Write into a new file what describes the recording."""
         writer.metadata("software", {"name": "photocal acquire", "version": __version__})
+        writer.metadata("recording", {"flush_s": f"{chosen.flush_s:g}"})
         if texts := configuration.site.texts():
             writer.metadata("site", texts)
         for name, content in attached:

@@ -7,6 +7,7 @@ import importlib.util
 import itertools
 import json
 import os
+import platform
 import shutil
 import sys
 import tempfile
@@ -15,9 +16,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from photocal.adjustment.ledger import ledger
+from photocal.base.console import printable
 from photocal.base.errors import InputNotFoundError, OutputError
 from photocal.base.files import filled, output_file, refusals, write_json
 from photocal.base.operating_system import lock as take
@@ -198,13 +200,28 @@ def alone(work: Path) -> Iterator[None]:
     """Keep other runs out of a work folder; the lock ends with the process, however that ends."""
     with refusals(work, _REMEDY):
         work.mkdir(parents=True, exist_ok=True)
-        lock = (work / ".lock").open("w")
+        lock = (work / ".lock").open("a+", encoding="utf-8")
     with lock:
         if not take(lock):
+            who = _said_in(lock)
             raise OutputError(
-                "another run is working in this folder", "wait for its end, or stop it", where=work
+                f"another run is working in this folder{who}", "wait for its end, or stop it", where=work
             )
+        # Who reads it while nobody holds the lock sees who was here last.
+        lock.seek(0)
+        lock.truncate()
+        lock.write(f"process {os.getpid()} on {platform.node()}\n")
+        lock.flush()
         yield
+
+
+def _said_in(lock: TextIO) -> str:
+    """Return who holds a lock, as far as it can be read."""
+    with suppress(OSError, ValueError):
+        lock.seek(0)
+        if said := printable(lock.readline().strip()[:100]):
+            return f": {said}"
+    return ""
 
 
 def program(function: Callable[..., Any]) -> dict[str, str]:

@@ -25,6 +25,7 @@ from acquire.log.records import MAGIC
 from drivers import rtcm3
 from tests.acquire.live import Process, frames_in, free_port, is_bound, until
 from tests.acquire.recording.undisturbed import GoodLink, configured, kept_in, recording, stopped
+from tests.evidence.long_day import SETTINGS, day
 from tests.evidence.neighbours import heard_under
 
 # What waits for an output waits each time; a machine that is busy with other tests is slow now and then.
@@ -311,3 +312,11 @@ def test_two_senders_at_one_port_are_told_once_and_cost_nothing(tmp_path: Path) 
 @pytest.mark.parametrize("attack", ["half_open", "websocket_flood"])
 def test_an_attack_on_the_pages_costs_the_recording_nothing(attack: str) -> None:
     assert heard_under(attack, 4.0).lost == 0
+
+
+def test_links_that_come_and_go_bad_casters_and_clocks_that_are_set_cost_nothing() -> None:
+    """A long day in seconds; of the clock each setting is told."""
+    seen = day(12.0)
+    assert (seen.lost, seen.flapped_lost, seen.code) == (0, 0, 0)
+    assert (seen.jumps, seen.flapped > 20) == (len(SETTINGS), True)
+    assert max(seen.descriptors[4:]) <= max(seen.descriptors[:4]) + 3
