@@ -24,7 +24,7 @@ STEPS = {
     "folder": "#chart canvas",
     "check": "table.plain",
     "run": "ol.stages li",
-    "look": "canvas",
+    "look": "main > *",
     "certificate": "iframe.preview",
     "record": "main h1",
 }
