@@ -131,6 +131,9 @@ def monitor(
     page: Annotated[bool, option("Show it as a local web page instead.", "--page")] = False,
     address: Address = "127.0.0.1:8740",
     debrief: Annotated[Path | None, option("File that `photocal debrief` writes: the page shows it.")] = None,
+    plan: Annotated[
+        Path | None, option("Mission that is flown (flight.waypoints): the page lays it under the track.")
+    ] = None,
     foxglove: Annotated[
         bool, option("Also serve the channels to Foxglove, with a token.", "--foxglove")
     ] = False,
@@ -156,9 +159,9 @@ def monitor(
 
         with serving_foxglove(read_address(foxglove_address)) as (listen, url):
             typer.echo(f"Foxglove: open a connection to {url}", err=True)
-            _show(tail, address if page else None, mute, listen, debrief)
+            _show(tail, address if page else None, mute, listen, debrief, plan)
     else:
-        _show(tail, address if page else None, mute, lambda _: None, debrief)
+        _show(tail, address if page else None, mute, lambda _: None, debrief, plan)
 
 
 def _show(
@@ -167,6 +170,7 @@ def _show(
     mute: bool,
     listen: Callable[[list[LoggedMessages]], None],
     debrief: Path | None,
+    plan: Path | None,
 ) -> None:
     """Show a recording until Ctrl-C, on a page or here."""
     from acquire.monitor.tail import follow
@@ -179,7 +183,7 @@ def _show(
     from acquire.monitor.page import Latest, application
     from photocal.base.web import read_address, serving
 
-    latest = Latest(lambda: tail.path.parent if tail.path else None, debrief)
+    latest = Latest(lambda: tail.path.parent if tail.path else None, debrief, plan)
     with serving(application(latest), read_address(address)) as url:
         typer.echo(f"open {url}")
         follow(tail, latest.publish, stop, listen)

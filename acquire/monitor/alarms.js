@@ -18,26 +18,27 @@ const alarms = {
     else if (fresh.length) sound.beep(fresh.some((a) => a.level === "bad") ? "bad" : "warn");
     this.heard = view.heard;
     this.last = view.alarms.at(-1)?.number ?? 0;
-    this.open = view.alarms.filter((a) => a.number > this.heard && a.level !== "note");
+    // What is cured, or ended by the landing, is a line of the list: nobody need confirm it.
+    this.open = view.alarms.filter((a) => a.number > this.heard && a.level !== "note" && !a.ended);
     this.draw();
   },
 
   // The server keeps it, beside the log: whoever opens the page later sees what nobody has confirmed yet.
   confirm() {
-    fetch("/heard", { method: "POST", body: String(this.last) });
+    fetch("heard", { method: "POST", body: String(this.last) });
     this.open = [];
     this.draw();
   },
 
   draw() {
     const banner = $("banner");
-    const lines = this.lost ? [this.lost] : this.open.slice(-3).reverse().map(sentence);
+    const lines = this.lost ? [this.lost] : this.open.slice(-1).map(sentence);
     banner.hidden = !lines.length;
     banner.dataset.level = this.lost || this.open.some((a) => a.level === "bad") ? "bad" : "warn";
     banner.dataset.lost = String(Boolean(this.lost));
     const more = this.lost ? 0 : this.open.length - lines.length;
     const shown = $("banner-list");
-    const texts = more > 0 ? [...lines, `and ${more} before`] : lines;
+    const texts = more > 0 ? [`${lines[0]} (and ${more} more)`] : lines;
     if (texts.join("\n") !== shown.dataset.texts) {
       shown.dataset.texts = texts.join("\n");
       shown.replaceChildren(...texts.map((text) => make("li", "", text)));

@@ -150,7 +150,10 @@ function tiles(view) {
 
 function alarmLine(alarm) {
   const item = make("li");
-  item.append(make("time", "", clock(alarm.time_ns)), word({ text: sentence(alarm), level: alarm.level }));
+  // Its colour goes with what it told of; its sign and words stay.
+  item.append(make("time", "", clock(alarm.time_ns)), word({ text: sentence(alarm), level: alarm.ended ? "off" : alarm.level }));
+  if (alarm.ended) item.append(make("span", "ended", `\u2713 ${alarm.ended} ${clock(alarm.ended_ns)}`));
+  item.dataset.ended = alarm.ended;
   return item;
 }
 

@@ -75,7 +75,7 @@ const map = {
       width / 2 + (east - this.centre[0]) * this.scale,
       height / 2 - (north - this.centre[1]) * this.scale,
     ];
-    const order = ["track", "picture", "station", "missed"];
+    const order = ["plan", "track", "picture", "station", "missed"];
     const sorted = [...this.layers.values()].sort((a, b) => order.indexOf(a.kind) - order.indexOf(b.kind));
     for (const layer of sorted) DRAW[layer.kind](pen, layer, at);
     if (this.origin) scaleBar(pen, height, step, step * this.scale);
@@ -145,6 +145,17 @@ const map = {
 };
 
 const DRAW = {
+  // What was to be flown: beneath all that is.
+  plan(pen, layer, at) {
+    pen.strokeStyle = colour("quiet");
+    pen.lineWidth = 1.5;
+    pen.setLineDash([7, 5]);
+    pen.beginPath();
+    layer.places.forEach((place, row) => pen[row ? "lineTo" : "moveTo"](...at(place)));
+    pen.stroke();
+    pen.setLineDash([]);
+  },
+
   track(pen, layer, at) {
     pen.strokeStyle = colour("track");
     pen.lineWidth = 2.5;

@@ -13,7 +13,7 @@ const feed = {
   connect() {
     this.tried = Date.now();
     this.source?.close();
-    this.source = new EventSource("/feed");
+    this.source = new EventSource("feed");
     this.source.addEventListener("view", (event) => this.take(() => {
       const view = JSON.parse(event.data);
       show(view);

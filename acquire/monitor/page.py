@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,9 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
+from acquire.monitor.planned import planned_line
 from acquire.monitor.state import RecordingState
-from acquire.monitor.view_model import layers, view_of
+from acquire.monitor.view_model import MapLayer, layers, view_of
 from photocal.base.web import packaged
 
 _SCRIPTS = ("figures", "alarms", "map", "monitor")
@@ -33,8 +34,16 @@ _PASSED = ("passed", "untested", "note")
 class Latest:
     """The newest state, between the thread that makes states and those who show them."""
 
-    def __init__(self, folder: Callable[[], Path | None] = lambda: None, debrief: Path | None = None) -> None:
+    def __init__(
+        self,
+        folder: Callable[[], Path | None] = lambda: None,
+        debrief: Path | None = None,
+        plan: Path | None = None,
+    ) -> None:
         self.number = 0
+        # Under all that is flown lies what was to be flown.
+        planned = () if plan is None else (MapLayer("plan", plan.stem, planned_line(plan), str(plan)),)
+        self.planned: tuple[MapLayer, ...] = planned
         self._debrief = debrief
         self.state = RecordingState()
         self._folder = folder
@@ -134,16 +143,16 @@ async def _events(latest: Latest) -> AsyncIterator[str]:
             continue
         seen, state = latest.number, latest.state
         yield _event("view", {**view_of(state).as_json(), "heard": latest.heard()})
-        yield _event("chart", _news(state, drawn))
+        yield _event("chart", _news((*latest.planned, *layers(state)), drawn))
         debrief = latest.debrief()
         if debrief != sent:
             sent = debrief
             yield _event("debrief", debrief)
 
 
-def _news(state: RecordingState, drawn: dict[tuple[str, str], tuple[str, int]]) -> list[dict[str, Any]]:
+def _news(shown: Sequence[MapLayer], drawn: dict[tuple[str, str], tuple[str, int]]) -> list[dict[str, Any]]:
     news = []
-    for layer in layers(state):
+    for layer in shown:
         key = (layer.kind, layer.name)
         edition, count = drawn.get(key, ("", 0))
         start = count if edition == layer.edition else 0

@@ -11,17 +11,20 @@ from acquire.channels.layouts import CLOCK, EXPOSURE, GNSS_STATUS, HEALTH, STATI
 from acquire.log.reader import LoggedMessages
 from acquire.monitor.exposures import CountedPictures, Trigger, numbers, reported, settled, triggered
 from acquire.monitor.state import (
+    OF_FLIGHT,
     Battery,
     LinkState,
     RecordingState,
+    ShownAlarm,
     Track,
+    ended,
     extended,
     in_order,
     place_at,
     raised,
     vehicle_after,
 )
-from acquire.monitor.traffic import OCTETS, correction_age_s, fed, link_after, number, receiver_after
+from acquire.monitor.traffic import OCTETS, WORTH, correction_age_s, fed, link_after, number, receiver_after
 from acquire.recording.alarms import ALARM
 from drivers.frames import Wire
 from photocal.base.geodesy import geodetic
@@ -79,17 +82,41 @@ def _octets(state: RecordingState, part: LoggedMessages) -> RecordingState:
     vehicle = state.vehicles.get(name)
     if part.channel.encoding == Wire.MAVLINK.encoding and what == "raw":
         vehicle = vehicle_after(vehicle, part)
-    return state if vehicle is None else replace(state, vehicles=_with(state.vehicles, name, vehicle))
+    if vehicle is None:
+        return state
+    flew = not state.landed
+    state = replace(state, vehicles=_with(state.vehicles, name, vehicle))
+    if flew and state.landed:
+        return ended(state, "landed", state.last_ns, lambda alarm: alarm.about.partition(" ")[0] in OF_FLIGHT)
+    return state
 
 
 def _fix_status(state: RecordingState, part: LoggedMessages) -> RecordingState:
     name = part.channel.topic.removeprefix("/gnss/").removesuffix("/status")
     receiver = state.receivers.get(name)
     for row, time_ns in _rows(part):
+        fallen = "" if receiver is None else f"fix {receiver.expected}"
         receiver, alarms = receiver_after(receiver, row, time_ns)
         for level, text in alarms:
-            state = raised(state, level, name, text, time_ns)
+            if level == "note":
+                state = _fix_cured(state, name, receiver.fix, time_ns)
+            state = raised(state, level, name, text, time_ns, "" if level == "note" else fallen)
     return state if receiver is None else replace(state, receivers=_with(state.receivers, name, receiver))
+
+
+def _fix_cured(state: RecordingState, name: str, fix: str, time_ns: int) -> RecordingState:
+    """End the alarms of a receiver that has again at least the fix from which it fell."""
+
+    def reached(alarm: ShownAlarm) -> bool:
+        """Whether it is about a fix of this receiver, and no better one."""
+        kind, _, fell_from = alarm.about.partition(" ")
+        return alarm.link == name and kind == "fix" and WORTH.get(fell_from, 0) <= WORTH.get(fix, 0)
+
+    return ended(state, "cured", time_ns, reached)
+
+
+def _cured(state: RecordingState, name: str, about: str, time_ns: int) -> RecordingState:
+    return ended(state, "cured", time_ns, lambda alarm: (alarm.link, alarm.about) == (name, about))
 
 
 def _location(state: RecordingState, part: LoggedMessages) -> RecordingState:
@@ -154,7 +181,10 @@ def _settled(state: RecordingState) -> RecordingState:
         now, alarms = fed(receiver, age_s)
         state = replace(state, receivers=_with(state.receivers, name, now))
         for level, text in alarms:
-            state = raised(state, level, name, text, state.last_ns)
+            if level == "note":
+                state = _cured(state, name, "corrections", state.last_ns)
+            about = "" if level == "note" else "corrections"
+            state = raised(state, level, name, text, state.last_ns, about)
     return state
 
 
@@ -173,7 +203,10 @@ def _alarm(state: RecordingState, part: LoggedMessages) -> RecordingState:
         if name and kind in _TROUBLE | _RELIEF:
             link = replace(state.links.get(name, LinkState()), trouble=kind if kind in _TROUBLE else "")
             state = replace(state, links=_with(state.links, name, link))
-        state = raised(state, _LEVELS.get(kind, "note"), name, text, time_ns)
+            if kind in _RELIEF:
+                state = _cured(state, name, "link", time_ns)
+        about = "link" if kind in _TROUBLE else ""
+        state = raised(state, _LEVELS.get(kind, "note"), name, text, time_ns, about)
     return state
 
 

@@ -1,6 +1,6 @@
 """The state of a recording, as far as it is known from its log and from the computer."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -74,13 +74,14 @@ class VehicleState:
     """The last that an autopilot told.
 
     mode: its mode of flight, as ground stations call it; empty before it was told.
-    armed: whether its motors may turn.
+    armed, flown: whether its motors may turn, and whether they ever might.
     height_m: above the take-off.
     time_ns: when it told its mode last, UTC.
     """
 
     mode: str = ""
     armed: bool = False
+    flown: bool = False
     height_m: float | None = None
     time_ns: int = 0
 
@@ -106,7 +107,8 @@ def vehicle_after(vehicle: VehicleState | None, part: LoggedMessages) -> Vehicle
             if mode.startswith("Mode("):
                 # A number that ground stations have no name for.
                 mode = f"mode {message.custom_mode}"
-            vehicle = replace(vehicle, mode=mode, armed=armed, time_ns=time_ns)
+            flown = vehicle.flown or armed
+            vehicle = replace(vehicle, mode=mode, armed=armed, flown=flown, time_ns=time_ns)
         if not wanted:
             break
     return vehicle
@@ -123,6 +125,8 @@ def _decoded(payload: bytes) -> Any:
 
 # How many alarms are kept.
 _MOST_ALARMS = 200
+# What alarms are about that mean nothing after landing.
+OF_FLIGHT = ("link", "fix", "corrections")
 
 
 @dataclass(frozen=True)
@@ -132,6 +136,8 @@ class ShownAlarm:
     number: counts all alarms of the recording.
     level: ``bad`` (act now), ``warn`` (look at it) or ``note``.
     link: what is concerned; may be empty.
+    about: what of it, to know its cure by: ``link``, ``fix NAME``, ``corrections``, ``log`` or nothing.
+    ended, ended_ns: ``cured`` or ``landed``, and when; empty while it stands.
     """
 
     number: int
@@ -139,6 +145,9 @@ class ShownAlarm:
     link: str
     text: str
     time_ns: int
+    about: str = ""
+    ended: str = ""
+    ended_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -243,11 +252,34 @@ class RecordingState:
     stalled: bool = False
     growth: tuple[tuple[int, int], ...] = ()
 
+    @property
+    def landed(self) -> bool:
+        """Whether vehicles have flown and none may turn its motors any more."""
+        told = self.vehicles.values()
+        return any(one.flown for one in told) and not any(one.armed for one in told)
 
-def raised(state: RecordingState, level: str, link: str, text: str, time_ns: int) -> RecordingState:
-    """Raise an alarm."""
-    alarm = ShownAlarm(state.raised + 1, level, link, text, time_ns)
+
+def raised(
+    state: RecordingState, level: str, link: str, text: str, time_ns: int, about: str = ""
+) -> RecordingState:
+    """Raise an alarm; of what a crew switches off after landing it is a note."""
+    if state.landed and about.partition(" ")[0] in OF_FLIGHT:
+        level = "note"
+    alarm = ShownAlarm(state.raised + 1, level, link, text, time_ns, about)
     return replace(state, alarms=(*state.alarms, alarm)[-_MOST_ALARMS:], raised=alarm.number)
+
+
+def ended(
+    state: RecordingState, how: str, time_ns: int, about: Callable[[ShownAlarm], bool]
+) -> RecordingState:
+    """End the alarms that still stand and are about something: ``cured`` or ``landed``."""
+    if not any(not alarm.ended and about(alarm) for alarm in state.alarms):
+        return state
+    alarms = tuple(
+        replace(alarm, ended=how, ended_ns=time_ns) if not alarm.ended and about(alarm) else alarm
+        for alarm in state.alarms
+    )
+    return replace(state, alarms=alarms)
 
 
 def in_order(state: RecordingState, known: int) -> RecordingState:

@@ -81,9 +81,7 @@ class Tail:
         if not self._waiting:
             return False
         path = self._waiting.pop(0)
-        last_s = _written_s(self._reader.path) if self._reader else None
-        begun_s = _begun_s(path)
-        if last_s is None or begun_s is None or begun_s - last_s > SAME_FLIGHT_S:
+        if self._reader is None or not _goes_on(self._reader.path, path):
             self.flight = path.name
         self._reader = LogReader(path)
         return True
@@ -96,12 +94,33 @@ class Tail:
             current = _order(self._reader.path)
             return [path for key, path in logs if current is not None and key > current]
         first = len(logs) - 1
-        while first > 0:
-            begun_s, written_s = _begun_s(logs[first][1]), _written_s(logs[first - 1][1])
-            if begun_s is None or written_s is None or begun_s - written_s > SAME_FLIGHT_S:
-                break
+        while first > 0 and _goes_on(logs[first - 1][1], logs[first][1]):
             first -= 1
         return [path for _, path in logs[max(first, 0) :]]
+
+
+def _goes_on(before: Path, path: Path) -> bool:
+    """Whether a log goes on with the flight of the one before it.
+
+    The next file of a recorder does, and that of one which died and was started again at once. A log that was
+    closed as it should be is followed by another flight.
+    """
+    earlier, later = _order(before), _order(path)
+    if earlier is not None and later is not None and earlier[0] == later[0]:
+        return True
+    last_s, begun_s = _written_s(before), _begun_s(path)
+    soon = last_s is not None and begun_s is not None and begun_s - last_s <= SAME_FLIGHT_S
+    return soon and not _has_end(before)
+
+
+def _has_end(path: Path) -> bool:
+    """Whether a log was closed: it ends as it began."""
+    try:
+        with path.open("rb") as stream:
+            stream.seek(-len(MAGIC), 2)
+            return stream.read() == MAGIC
+    except OSError:
+        return False
 
 
 def _order(path: Path) -> tuple[str, int] | None:

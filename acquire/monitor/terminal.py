@@ -209,7 +209,8 @@ def _alarms(alarms: Sequence[ShownAlarm], room: int) -> RenderableType:
     for alarm in alarms[: -room - 1 : -1]:
         time = dt.datetime.fromtimestamp(alarm.time_ns / SECOND_NS, dt.UTC).strftime("%H:%M:%S ")
         text = printable(f"{alarm.link}: {alarm.text}" if alarm.link else alarm.text)
-        line = Text.assemble((time, "dim"), (f"{_SIGNS[alarm.level]} {text}", _PAST.get(alarm.level, "")))
+        said = (f"{_SIGNS[alarm.level]} {text}", "dim" if alarm.ended else _PAST.get(alarm.level, ""))
+        line = Text.assemble((time, "dim"), said, (f" ({alarm.ended})" if alarm.ended else "", "dim"))
         line.no_wrap, line.overflow = True, "ellipsis"
         lines.append(line)
     return Group(*lines)

@@ -11,7 +11,7 @@ from acquire.channels.decoded import SECOND_NS
 from acquire.channels.summary import GAP_S
 from acquire.log.reader import LoggedMessages
 from acquire.log.records import DAMAGE_ENCODING
-from acquire.monitor.state import ComputerState, LinkState, ReceiverState, RecordingState, raised
+from acquire.monitor.state import ComputerState, LinkState, ReceiverState, RecordingState, ended, raised
 from drivers.frames import Wire
 from drivers.identify import batch_of_payloads
 from drivers.mavlink.dialect import ardupilotmega
@@ -86,6 +86,7 @@ def looked(state: RecordingState, look: ComputerState) -> RecordingState:
             state = raised(state, "note", "", f"{look.file} has its end", look.time_ns)
         return replace(state, stalled=False)
     if grown and state.stalled:
+        state = ended(state, "cured", look.time_ns, lambda alarm: alarm.about == "log")
         state = raised(state, "note", "", "the log grows again", look.time_ns)
         return replace(state, stalled=False)
     # A clock of this computer that was set back shows as a negative pause.
@@ -94,7 +95,7 @@ def looked(state: RecordingState, look: ComputerState) -> RecordingState:
         text = (
             f"nothing was written for {STALL_NS // SECOND_NS} s: the recorder has stopped or no link speaks"
         )
-        return replace(raised(state, "bad", "", text, look.time_ns), stalled=True)
+        return replace(raised(state, "bad", "", text, look.time_ns, "log"), stalled=True)
     return state
 
 

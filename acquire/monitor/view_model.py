@@ -25,7 +25,7 @@ from photocal.base.arrays import Floats
 class MapLayer:
     """A line or points of one name.
 
-    kind: ``track``, ``picture``, ``missed`` or ``station``.
+    kind: ``track``, ``picture``, ``missed``, ``station`` or ``plan``.
     points (n, 2): latitude and longitude, degrees.
     edition: as long as it stays, points were only added.
     labels: what stands beside the points; empty for nothing.
@@ -202,26 +202,32 @@ class PageView:
     batteries: tuple[BatteryRow, ...]
     disk: Disk
     alarms: tuple[ShownAlarm, ...]
+    landed: bool = False
 
     @property
     def overall(self) -> Word:
         """How it is altogether: the worst of all, and what that is."""
         if self.recording.level in ("off", "bad"):
             return self.recording
-        states = [(row.name, row.state) for row in self.links]
-        states += [(row.name, row.fix) for row in self.receivers]
-        states += [(row.name, row.correction) for row in self.receivers]
-        states += [(row.link, row.state) for row in self.cameras]
-        states += [(row.link, row.state) for row in self.batteries]
-        states += [(f"clock, {row.link}", row.state) for row in self.clocks]
-        states += [(row.link, row.mode) for row in self.vehicles] + [("disk", self.disk.state)]
+        states = [(row.link, row.state) for row in self.cameras]
+        states += [(f"clock, {row.link}", row.state) for row in self.clocks] + [("disk", self.disk.state)]
+        if not self.landed:
+            states = [*self._in_flight(), *states]
         for level in ("bad", "warn"):
             worst = [(name, word) for name, word in states if word.level == level]
             if worst:
                 name, word = worst[0]
                 more = f", and {len(worst) - 1} more" if len(worst) > 1 else ""
                 return Word(f"{name}: {word.text}{more}", level)
-        return Word("recording, all is well", "good")
+        return Word("landed, all is well" if self.landed else "recording, all is well", "good")
+
+    def _in_flight(self) -> list[tuple[str, Word]]:
+        """What nobody need be told any more when the crew has landed and switches off."""
+        states = [(row.name, row.state) for row in self.links]
+        states += [(row.name, row.fix) for row in self.receivers]
+        states += [(row.name, row.correction) for row in self.receivers]
+        states += [(row.link, row.state) for row in self.batteries]
+        return [*states, *((row.link, row.mode) for row in self.vehicles)]
 
     def as_json(self) -> dict[str, Any]:
         """Return it for programs."""
@@ -253,6 +259,7 @@ def view_of(state: RecordingState) -> PageView:
         batteries=tuple(_battery(name, battery, now_ns) for name, battery in sorted(state.batteries.items())),
         disk=_disk(state),
         alarms=state.alarms,
+        landed=state.landed,
     )
 
 

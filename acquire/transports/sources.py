@@ -1,6 +1,8 @@
 """Where a stream comes from: serial ports, TCP, UDP, files. Each opens anew after it was lost."""
 
+import errno
 import os
+import re
 import select
 import socket
 import struct
@@ -8,7 +10,7 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -118,12 +120,30 @@ def connect(host: str, port: int, patience: Patience) -> socket.socket:
 
 
 @contextmanager
-def _losing(*failures: type[Exception]) -> Iterator[None]:
+def _losing(*failures: type[Exception], words: Callable[[Exception], str] = str) -> Iterator[None]:
     """Within it such failures mean that the link is lost."""
     try:
         yield
     except failures as failure:
-        raise LinkLostError(str(failure)) from failure
+        raise LinkLostError(words(failure)) from failure
+
+
+# pySerial says so of a port whose device has gone; the system says one of these.
+_GONE = "device reports readiness to read but returned no data"
+_PULLED = (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF)
+
+
+def _of_port(failure: Exception) -> str:
+    """Say in the crew's words why a serial port cannot be read or opened."""
+    number = failure.errno if isinstance(failure, OSError) else None
+    if _GONE in str(failure) or number in _PULLED:
+        return "no data from the device: cable pulled?"
+    if number == errno.ENOENT:
+        return "there is no such port: is the device plugged in?"
+    if number in (errno.EACCES, errno.EPERM):
+        return "the port may not be opened: photocal doctor says how"
+    # What pySerial passes on begins with the number that the system gave.
+    return re.sub(r"\[Errno \d+\] ", "", str(failure))
 
 
 class UdpSource(Source):
@@ -250,7 +270,7 @@ class SerialSource(Source):
         # pySerial knows no time limit of writing to a port behind RFC 2217.
         limit_s = None if self._url.startswith("rfc2217:") else _WRITE_LIMIT_S
         alone: Any = {} if "://" in self._url else {"exclusive": True}
-        with _losing(OSError, ValueError, UnicodeError):
+        with _losing(OSError, ValueError, UnicodeError, words=_of_port):
             self._port = serial.serial_for_url(
                 self._url, baudrate=self._baud, timeout=0.1, write_timeout=limit_s, **alone
             )
@@ -261,7 +281,7 @@ class SerialSource(Source):
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived."""
         port = self._opened
-        with _losing(OSError, TypeError):
+        with _losing(OSError, TypeError, words=_of_port):
             # Each change sets up the whole port anew, behind RFC 2217 by a conversation.
             if port.timeout != timeout_s:
                 port.timeout = timeout_s
@@ -270,7 +290,7 @@ class SerialSource(Source):
 
     def write(self, data: bytes) -> None:
         """Send bytes to the device."""
-        with _losing(OSError, TypeError, AttributeError):
+        with _losing(OSError, TypeError, AttributeError, words=_of_port):
             self._opened.write(data)
 
 

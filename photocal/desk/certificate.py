@@ -21,7 +21,7 @@ from photocal.base.errors import ConfigurationError, InputMalformedError, InputN
 from photocal.base.web_answers import checked, doing, short_body, telling
 from photocal.desk import particulars, project_file
 from photocal.desk.folder import pictures
-from photocal.desk.jobs import asked, line
+from photocal.desk.jobs import asked
 from photocal.desk.session import Desk
 from photocal.project import Project
 from photocal.report.keys import own_key
@@ -106,10 +106,10 @@ def state(desk: Desk) -> dict[str, Any]:
         "key": None if key is None else {"name": key.name, "fingerprint": key.fingerprint},
         "issued": issued_as(folder),
         "lines": {
-            "issue": line(["run", desk.folder]),
-            "sign": line(["sign", folder]),
-            "key": line(["keys", "--new", "NAME"]),
-            "verify": line(["verify", folder]),
+            "issue": desk.line(["run", desk.folder]),
+            "sign": desk.line(["sign", folder]),
+            "key": desk.line(["keys", "--new", "NAME"]),
+            "verify": desk.line(["verify", folder]),
         },
     }
 
@@ -118,7 +118,7 @@ def issued_as(folder: Path) -> dict[str, Any] | None:
     """Number, day and verdict of a certificate that lies in a folder, and whether it is signed."""
     try:
         content = json.loads((folder / _RECORD).read_bytes())
-        verdict = {key: content["verdict"].get(key) for key in ("severity", "text", "paragraph")}
+        verdict = {key: content["verdict"].get(key) for key in ("severity", "text", "paragraph", "said")}
         named = {"number": content["number"], "date": content["date"], "verdict": verdict}
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None

@@ -10,7 +10,7 @@ from photocal.base.checked_toml import Table
 from photocal.base.errors import PhotocalError
 from photocal.base.files import output_file
 from photocal.base.web_answers import checked, doing, telling
-from photocal.desk.jobs import FOLDER, asked, line
+from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk
 
@@ -43,7 +43,7 @@ def state(desk: Desk) -> dict[str, Any]:
         "debrief": debrief(desk),
         "job": job,
         "error": error,
-        "lines": {"doctor": line(_doctor(desk)), "debrief": line(["debrief", desk.folder])},
+        "lines": {"doctor": desk.line(_doctor(desk)), "debrief": desk.line(["debrief", desk.folder])},
     }
 
 
@@ -98,7 +98,7 @@ def debrief(desk: Desk) -> dict[str, Any] | None:
 
 def _debrief(desk: Desk, told: _Debrief) -> dict[str, Any]:
     live: list[str | Path] = ["--live"] if told.live else []
-    desk.job(JOB).start(["debrief", desk.folder, "--language", told.language, *live])
+    desk.start(JOB, ["debrief", desk.folder, "--language", told.language, *live])
     return state(desk)
 
 

@@ -18,7 +18,7 @@ from photocal.base.web_answers import checked, doing, finding, telling
 from photocal.block.folder import read_points
 from photocal.block.model import NO_POINTS, ROLES
 from photocal.desk import project_file
-from photocal.desk.jobs import FOLDER, asked, line
+from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.session import Desk
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, list_images
@@ -107,7 +107,7 @@ def project(desk: Desk) -> dict[str, Any]:
     """What is known of the folder that is open: its project file as a form, and what `new` has said."""
     holds = _holds(desk, desk.folder)
     form = project_file.shown(desk.file) if desk.file.is_file() else None
-    return {"holds": holds, "form": form, "said": said(desk), "line": line(["new", desk.folder])}
+    return {"holds": holds, "form": form, "said": said(desk), "line": desk.line(["new", desk.folder])}
 
 
 def said(desk: Desk) -> dict[str, Any] | None:
@@ -184,7 +184,7 @@ def _new(desk: Desk, told: _New) -> dict[str, Any]:
         answer = asked(arguments)
         (desk.folder / FOLDER).mkdir(exist_ok=True)
         with output_file(desk.folder / FOLDER / _SAID) as aside:
-            aside.write_text(json.dumps({**answer, "line": line(arguments)}), encoding="utf-8")
+            aside.write_text(json.dumps({**answer, "line": desk.line(arguments)}), encoding="utf-8")
     return project(desk)
 
 

@@ -7,7 +7,6 @@ What the window does is done by the very commands that it shows. A long one writ
 import contextlib
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -29,11 +28,6 @@ _PATIENCE_S = 600.0
 _GRACE_S = 15.0
 _LONGEST_LOG = 200_000
 _ERROR = "error: "
-
-
-def line(arguments: Sequence[str | Path]) -> str:
-    """Command line as a person types it."""
-    return shlex.join(["photocal", *map(str, arguments)])
 
 
 def asked(arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> Any:
@@ -75,8 +69,11 @@ class Job:
         self._process: subprocess.Popen[bytes] | None = None
         self._guard = threading.Lock()
 
-    def start(self, arguments: Sequence[str | Path]) -> None:
-        """Begin it; raises ConfigurationError while it is at work."""
+    def start(self, arguments: Sequence[str | Path], line: str) -> None:
+        """Begin it; raises ConfigurationError while it is at work.
+
+        line: the same as a person types it.
+        """
         with self._guard:
             if self._alive():
                 raise ConfigurationError(
@@ -94,8 +91,10 @@ class Job:
                     creationflags=CHILD_FLAGS,
                 )
             self._process = process
+            # It is waited for, whoever forgets it here.
+            threading.Thread(target=process.wait, daemon=True).start()
             born = _born(process.pid)
-            self._note({"pid": process.pid, "born": born, "began": time.time(), "line": line(arguments)})
+            self._note({"pid": process.pid, "born": born, "began": time.time(), "line": line})
 
     def stop(self) -> None:
         """Ask it to end, with all that it has started; end it where it does not."""

@@ -133,10 +133,23 @@ def _refuse(text: str, path: Path, name: str) -> None:
     if name == "crs":
         _refuse_system(tomlkit.parse(text)["project"].get("crs"), path)
     try:
-        _check(text, path)
+        _check(_answered(text), path)
     except ConfigurationError as refusal:
-        if re.search(rf"\b{name}\b", refusal.what) and "still to be filled in" not in refusal.what:
+        if re.search(rf"\b{name}\b", refusal.what):
             raise
+
+
+def _answered(text: str) -> str:
+    """The same file with something possible where an answer is still asked: it hides no other mistake."""
+    document: Any = tomlkit.parse(text)
+    project, rig = document.get("project", {}), document.get("rig", {})
+    local = "local" in (project.get("crs"), project.get("height"))
+    possible = {"crs": "local" if local else "EPSG:4326", "height": "local" if local else "ellipsoidal"}
+    for table, answers in ((project, possible), (rig, {"camera_to_antenna_m": [0.0, 0.0, 0.0]})):
+        for key, value in answers.items():
+            if table.get(key) == ASKED:
+                table[key] = value
+    return tomlkit.dumps(document)
 
 
 def _refuse_system(crs: Any, path: Path) -> None:

@@ -12,7 +12,6 @@ from starlette.routing import BaseRoute
 from photocal.base.checked_toml import Table
 from photocal.base.errors import PhotocalError
 from photocal.base.web_answers import checked, doing, telling
-from photocal.desk.jobs import line
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk
 from photocal.project import Project
@@ -48,7 +47,7 @@ def state(desk: Desk) -> dict[str, Any]:
     told: dict[str, Any] = {
         "job": job,
         "error": {"text": error, "field": field_of(error)} if error else None,
-        "line": line(["run", desk.folder]),
+        "line": desk.line(["run", desk.folder]),
         "stages": [],
         "progress": None,
         "verdict": None,
@@ -110,7 +109,7 @@ def told_stages(log: str, names: list[str]) -> dict[str, str]:
 
 def _start(desk: Desk, again: str) -> dict[str, Any]:
     arguments: list[str | Path] = ["run", desk.folder]
-    desk.job(JOB).start([*arguments, "--again", again] if again else arguments)
+    desk.start(JOB, [*arguments, "--again", again] if again else arguments)
     return state(desk)
 
 

@@ -7,10 +7,10 @@ from starlette.applications import Starlette
 from photocal.base.errors import PhotocalError
 from photocal.base.web import folder_of
 from photocal.base.web_answers import refusal, telling
-from photocal.desk import certificate, checks, folder, look, running, standing
+from photocal.desk import certificate, checks, folder, look, record, running, standing
 from photocal.desk.session import Desk
 
-_STEPS = (folder.routes, checks.routes, running.routes, look.routes, certificate.routes)
+_STEPS = (folder.routes, checks.routes, running.routes, look.routes, certificate.routes, record.routes)
 
 
 def application(root: Path, cache: Path) -> Starlette:

@@ -1,6 +1,8 @@
 """What the window is open on: the folder that was given, and the one within it that is worked on."""
 
+import shlex
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,7 @@ class Desk:
     """
 
     def __init__(self, root: Path, cache: Path) -> None:
-        self.root = root.resolve()
+        self.root, self._given = root.resolve(), root
         self.folder = self.root
         self.cache = cache
         self.lock = threading.RLock()
@@ -60,6 +62,19 @@ class Desk:
         """A long command of the project that is open."""
         return self.jobs.setdefault(name, Job(self.folder, name))
 
+    def start(self, name: str, arguments: Sequence[str | Path]) -> None:
+        """Begin a long command; raises ConfigurationError while it is at work."""
+        self.job(name).start(arguments, self.line(arguments))
+
+    def line(self, arguments: Sequence[str | Path], program: str = "photocal") -> str:
+        """Command line as a person types it who has opened the window so."""
+        return shlex.join([program, *(str(self._typed(one)) for one in arguments)])
+
+    def _typed(self, argument: str | Path) -> str | Path:
+        if isinstance(argument, Path) and argument.is_relative_to(self.root):
+            return self._given / argument.relative_to(self.root)
+        return argument
+
     def inside(self, path: str) -> Path:
         """Give a file or folder by its path from the root; raises InputNotFoundError outside of it."""
         missing = InputNotFoundError.at(self.root)
@@ -80,4 +95,4 @@ class Desk:
 
     def shown(self) -> dict[str, Any]:
         """What the page says of itself."""
-        return {"root": str(self.root), "folder": self.named(self.folder), "file": self.file.is_file()}
+        return {"root": str(self._given), "folder": self.named(self.folder), "file": self.file.is_file()}

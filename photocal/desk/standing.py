@@ -4,7 +4,6 @@ from typing import Any
 
 from photocal.base.errors import PhotocalError
 from photocal.desk import certificate, checks, running
-from photocal.desk.jobs import line
 from photocal.desk.session import Desk
 from photocal.project import Project
 
@@ -22,7 +21,7 @@ def shown(desk: Desk) -> dict[str, Any]:
         "title": title,
         "steps": steps,
         "next": following,
-        "line": line(["desk", desk.root]),
+        "line": desk.line(["desk", desk.root]),
     }
 
 

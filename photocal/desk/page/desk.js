@@ -58,7 +58,8 @@ const context = {
     fill(
       document.getElementById("command"),
       h("span.label", {}, say("desk.command")),
-      h("code", {}, line),
+      // It may be longer than the bar: keys move it, too.
+      h("code", { tabindex: 0 }, line),
       h("button.small", { type: "button", onclick: () => copy(line) }, say("desk.copy")),
     );
   },

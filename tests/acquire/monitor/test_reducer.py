@@ -402,3 +402,63 @@ def test_a_dead_link_makes_the_head_red() -> None:
     overall = view_of(state).overall
     assert overall.level == "bad"
     assert overall.text.startswith("base: lost")
+
+
+def _said(state: RecordingState) -> list[tuple[str, str, str]]:
+    return [(alarm.level, alarm.text, alarm.ended) for alarm in state.alarms]
+
+
+def heartbeats(*armed: bool) -> LoggedMessages:
+    """One each second, of a copter."""
+    table = ardupilotmega()
+    told = [{"type": 2, "autopilot": 3, "base_mode": 0x81 if on else 1, "custom_mode": 3} for on in armed]
+    number = table.number("HEARTBEAT")
+    payloads = [encode(table, number, one, sequence=k, system=1, component=1) for k, one in enumerate(told)]
+    times = START + np.arange(len(armed), dtype=np.int64) * SECOND
+    return LoggedMessages(Channel("/vehicle/raw", "mavlink"), payloads, times, times, np.arange(len(armed)))
+
+
+def test_an_alarm_of_a_link_is_cured_when_the_link_is_back() -> None:
+    lost = {"kind": "lost", "link": "base", "text": "is lost: cable pulled?"}
+    other, back = {**lost, "link": "rover"}, {"kind": "back", "link": "base", "text": "is back"}
+    state = state_after(RecordingState(), [rows("/alarm", ALARM, lost, other, back)])
+    assert _said(state) == [
+        ("bad", "is lost: cable pulled?", "cured"),
+        ("bad", "is lost: cable pulled?", ""),
+        ("note", "is back", ""),
+    ]
+    assert state.alarms[0].ended_ns == state.alarms[2].time_ns
+
+
+def test_an_alarm_of_a_fix_is_cured_by_that_fix_and_not_by_a_lesser_one() -> None:
+    fixes = ["rtk_fixed"] * 8 + ["none"] * 3 + ["3d"] * 8
+    state = state_after(RecordingState(), [rows("/gnss/rover/status", GNSS_STATUS, *map(status, fixes))])
+    assert [said for said in _said(state) if said[0] == "bad"] == [
+        ("bad", "fix fell from RTK fixed to no fix", "")
+    ]
+    later = rows("/gnss/rover/status", GNSS_STATUS, *map(status, ["rtk_fixed"] * 8))
+    times = later.log_ns + 30 * SECOND
+    state = state_after(state, [replace(later, log_ns=times, publish_ns=times)])
+    assert [said[2] for said in _said(state) if said[0] == "bad"] == ["cured"]
+
+
+def test_after_landing_links_that_are_switched_off_are_no_alarm() -> None:
+    lost = {"kind": "silent", "link": "rover", "text": "is silent for more than 10 s"}
+    before = state_after(RecordingState(), [heartbeats(False, True), rows("/alarm", ALARM, lost)])
+    look = ComputerState(START + 2 * SECOND, "f.mcap", 10, ended=False, free_bytes=10**11)
+    before = looked(before, look)
+    assert not before.landed
+    assert _said(before) == [("bad", lost["text"], "")]
+    assert view_of(before).overall.level == "bad"
+    landed = state_after(before, [heartbeats(True, False)])
+    assert landed.landed
+    assert _said(landed) == [("bad", lost["text"], "landed")]
+    after = state_after(landed, [rows("/alarm", ALARM, {**lost, "link": "vehicle"})])
+    assert _said(after)[1] == ("note", lost["text"], "")
+    assert view_of(after).overall == Word("landed, all is well", "good")
+    full = {"kind": "disk_full", "link": "", "text": "the disk is full"}
+    assert _said(state_after(after, [rows("/alarm", ALARM, full)]))[2][0] == "bad"
+
+
+def test_a_vehicle_that_has_not_flown_yet_has_not_landed() -> None:
+    assert not state_after(RecordingState(), [heartbeats(False, False)]).landed

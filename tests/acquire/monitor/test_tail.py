@@ -173,3 +173,19 @@ def test_what_can_be_watched(tmp_path: Path) -> None:
     configuration.write_text("[recording]\n")
     with pytest.raises(ConfigurationError):
         tail_of(configuration)
+
+
+def test_a_recording_after_one_that_was_ended_is_a_flight_of_its_own(tmp_path: Path) -> None:
+    """Alarms of the flight before are none of this one, however soon it begins."""
+    first = Recorder(tmp_path)
+    first.write(3)
+    tail = Tail([tmp_path])
+    assert read(tail) == [0, 1, 2]
+    first.files.close()
+    time.sleep(1.1)
+    second = Recorder(tmp_path)
+    second.write(2)
+    assert read(tail) == [0, 1]
+    assert tail.flight == second.files.paths[0].name
+    late = Tail([tmp_path])
+    assert read(late) == [0, 1]

@@ -38,6 +38,7 @@ export async function mount(element, context) {
   };
 
   async function preview() {
+    shown.textContent = say("certificate.preparing");
     const answer = await act(context.post("/api/certificate/preview", values()));
     if (!answer || gone) return;
     shown.textContent = say("certificate.previewed", { number: answer.number });
@@ -74,7 +75,8 @@ export async function mount(element, context) {
       h("h2", {}, say("certificate.issued")),
       !issued && h("p.quiet", {}, say("certificate.none")),
       issued && h("p", {}, h("b", {}, issued.number), " · ", issued.date, " · ", sign(issued.signed ? "good" : "warn", say(issued.signed ? "stands.signed" : "stands.unsigned"))),
-      verdict && said({ passed: "good", note: "good", doubtful: "warn" }[verdict.severity] ?? "bad", verdict.paragraph ?? verdict.text),
+      verdict && said({ passed: "good", note: "good", doubtful: "warn" }[verdict.severity] ?? "bad", h("p", {}, verdict.paragraph ?? verdict.text),
+        verdict.said?.length > 0 && h("ul", {}, verdict.said.map((line) => h("li", {}, line)))),
       h("p.buttons", {}, issue, issued && h("a.button", { href: "/certificate/zip", download: "" }, say("certificate.zip"))),
       issued && (key ? signing(key) : making()));
     context.command(issued && !issued.signed ? (key ? lines.sign : lines.key) : lines.issue);
@@ -90,7 +92,7 @@ export async function mount(element, context) {
       if (answer) take(answer, false);
       else go.disabled = false;
     };
-    return h("div", {}, h("p.hint", {}, say("certificate.key", { name: key.name }), " ", h("code", {}, key.fingerprint)),
+    return h("form", { onsubmit: (event) => event.preventDefault() }, h("p.hint", {}, say("certificate.key", { name: key.name }), " ", h("code", {}, key.fingerprint)),
       h("p.row", {}, h("label", { for: "passphrase" }, say("certificate.passphrase")), word, go));
   }
 
@@ -102,7 +104,7 @@ export async function mount(element, context) {
       const answer = await act(context.post("/api/certificate/key", { name: name.value, passphrase: word.value }));
       if (answer) take(answer, false);
     };
-    return h("div", {}, h("p.hint", {}, say("certificate.no-key")),
+    return h("form", { onsubmit: (event) => event.preventDefault() }, h("p.hint", {}, say("certificate.no-key")),
       h("p.row", {}, h("label", { for: "key-name" }, say("certificate.key-name")), name, h("label", { for: "passphrase" }, say("certificate.passphrase")), word, go));
   }
 
@@ -163,9 +165,11 @@ export async function mount(element, context) {
   if (state) {
     drawForm();
     drawActs();
+    frame.hidden = !state.ready;
+    // What was issued is there at once; what would be issued takes a moment.
+    if (state.issued) frame.src = "/certificate/preview";
     if (state.ready) preview();
     else fill(shown, say("certificate.not-ready"));
-    frame.hidden = !state.ready;
   }
   return {
     leave() {

@@ -1,0 +1,85 @@
+"""Pictures of the desk in the guide, made by the program itself: a rendered flight, processed."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime as dt
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from photocal.base.progress import quiet
+from photocal.base.web import Address, serving
+from photocal.desk.server import application
+from photocal.project import read_project
+from photocal.run.campaign import run_project
+from photocal.run.new_project import new_project
+from tests.photocal.run.typed_site import site_folder
+
+GUIDE = Path(__file__).parents[2] / "docs" / "guide"
+# What each step shows when it is there.
+STEPS = {
+    "folder": "#chart canvas",
+    "check": "table.plain",
+    "run": "ol.stages li",
+    "look": "canvas",
+    "certificate": "iframe.preview",
+    "record": "main h1",
+}
+_PATIENCE_MS, _SETTLES_MS = 240_000, 2_000
+
+
+@contextlib.contextmanager
+def processed() -> Iterator[Path]:
+    """A flight of eight rendered pictures with control, from its folder to the certificate."""
+    before = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "rendered").mkdir()
+        site = Path(folder) / "warsaw"
+        site_folder(Path(folder) / "rendered", site, positions=True)
+        run_project(read_project(new_project(site, height="orthometric").path), dt.date(2026, 5, 1), quiet)
+        # The window shows the folder as it was typed.
+        os.chdir(folder)
+        try:
+            yield Path("warsaw")
+        finally:
+            os.chdir(before)
+
+
+def main() -> None:
+    """Write them, where there is a browser to look with."""
+    path = shutil.which("chromium") or shutil.which("chromium-browser")
+    if path is None:
+        print("no chromium: the pictures of the desk stay as they are")
+        return
+    from playwright.sync_api import sync_playwright
+
+    with (
+        processed() as site,
+        tempfile.TemporaryDirectory() as cache,
+        serving(application(site, Path(cache)), Address("127.0.0.1", 0)) as url,
+        sync_playwright() as playwright,
+    ):
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1366, "height": 768}, locale="en-US")
+        page.set_default_timeout(_PATIENCE_MS)
+        for step, shown in STEPS.items():
+            page.goto(f"{url}#/{step}")
+            page.wait_for_selector("main h1, main canvas")
+            if step == "folder":
+                page.get_by_role("button", name="Look again").click()
+                page.wait_for_selector(".findings li")
+            if step == "check":
+                page.get_by_role("button", name="Check now").click()
+            page.wait_for_selector(shown)
+            if step == "certificate":
+                page.get_by_text("Preview, number").wait_for()
+            page.wait_for_timeout(_SETTLES_MS)
+            page.screenshot(path=GUIDE / f"desk-{step}.png")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()

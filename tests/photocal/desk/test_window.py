@@ -1,0 +1,207 @@
+"""The window as a surveyor uses it: Chromium, from the folder to the signed certificate; a server that dies.
+
+Waiting times are generous for busy machines.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.conftest import Once
+from tests.photocal.desk.conftest import HOSTILE, fresh
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+expect = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed (the extra dev has it)"
+).expect
+
+PATIENCE_MS = 300_000
+expect.set_options(timeout=PATIENCE_MS)
+AXE = Path(__file__).parent / "vendor" / "axe.min.js"
+FIELD_LAPTOP = {"width": 1366, "height": 768}
+# Findings of axe-core that keep somebody from using the page.
+_SERIOUS = ("serious", "critical")
+Serve = Callable[[], subprocess.Popen[str]]
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def serve(port: int) -> Iterator[Callable[[Path], subprocess.Popen[str]]]:
+    running: list[subprocess.Popen[str]] = []
+
+    def start(folder: Path) -> subprocess.Popen[str]:
+        arguments = ["desk", folder, "--address", f"127.0.0.1:{port}"]
+        command = [sys.executable, "-m", "photocal", *map(str, arguments)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        running.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith(f"open http://127.0.0.1:{port}/ ")
+        return process
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def page(browser: Browser, port: int) -> Iterator[Page]:
+    """A page that asks nobody else, and in which nothing goes wrong."""
+    context = browser.new_context(viewport=FIELD_LAPTOP, locale="en-US")  # type: ignore[arg-type]
+    opened = context.new_page()
+    opened.set_default_timeout(PATIENCE_MS)
+    problems: list[str] = []
+    opened.on("pageerror", lambda error: problems.append(str(error)))
+    opened.on("dialog", lambda dialog: problems.append(f"a name was run: {dialog.message}"))
+    ours = (f"http://127.0.0.1:{port}/", "data:", "blob:", "about:")
+    opened.on("request", lambda r: None if r.url.startswith(ours) else problems.append(r.url))
+    yield opened
+    context.close()
+    assert problems == []
+
+
+def accessible(page: Page) -> None:
+    """Look for what keeps people out, by axe-core; the page's own policy would keep the checker out."""
+    session: Any = page.context.new_cdp_session(page)
+    session.send("Runtime.evaluate", {"expression": AXE.read_text(encoding="utf-8")})
+    told = session.send(
+        "Runtime.evaluate",
+        {
+            "expression": "axe.run({iframes: false}).then((r) => JSON.stringify(r.violations.map("
+            "(v) => [v.impact, v.id, v.nodes[0].html.slice(0, 120), v.nodes[0].failureSummary])))",
+            "awaitPromise": True,
+            "returnByValue": True,
+        },
+    )
+    serious = [one for one in json.loads(told["result"]["value"]) if one[0] in _SERIOUS]
+    assert serious == [], serious
+
+
+@pytest.mark.timeout(1500)
+def test_from_the_folder_to_the_signed_certificate(
+    page: Page, port: int, serve: Callable[[Path], subprocess.Popen[str]], once: Once, tmp_path: Path
+) -> None:
+    """A wrong system is corrected, a run is stopped and goes on, the server is killed and opened again."""
+    home = tmp_path / "home"
+    home.mkdir()
+    # The list names the zone beside its own.
+    fresh(once, home / HOSTILE, "desk-wrong-zone", positions=True, first="EPSG:2178")
+    server = serve(home)
+    page.goto(f"http://127.0.0.1:{port}/")
+
+    page.get_by_role("button", name=HOSTILE).click()
+    expect(page.locator("#rail .title span")).to_have_text(HOSTILE)
+    page.get_by_role("button", name="Look at this folder").click()
+    expect(page.locator(".findings li").first).to_be_visible()
+    expect(page.get_by_label("Coordinate system")).to_have_value(re.compile("EPSG:"))
+    page.get_by_text("orthometric", exact=True).click()
+    expect(page.get_by_role("radio", name=re.compile("orthometric"))).to_be_checked()
+    accessible(page)
+
+    page.get_by_role("link", name=re.compile("Check")).click()
+    page.get_by_role("button", name="Check now").click()
+    mend = page.get_by_role("link", name=re.compile("Mend it: Coordinate system"))
+    expect(mend).to_be_visible()
+    accessible(page)
+    mend.click()
+    system = page.get_by_label("Coordinate system")
+    expect(system).to_be_focused()
+    system.fill("puwg 1992")
+    page.get_by_role("button", name=re.compile("EPSG:2180")).click()
+    expect(page.locator("#command code")).to_have_text('in project.toml: crs = "EPSG:2180"')
+
+    page.get_by_role("link", name=re.compile("Run")).click()
+    page.get_by_role("button", name="Run", exact=True).click()
+    expect(page.locator("ol.stages li[aria-current]")).to_be_visible()
+    expect(page.locator("#command code")).to_contain_text("photocal run")
+    page.get_by_role("button", name="Stop").click()
+    expect(page.locator("main")).to_contain_text("What was finished is kept")
+    page.get_by_role("button", name="Go on").click()
+    expect(page.locator("ol.stages li[aria-current]")).to_be_visible()
+
+    # The run is a process of its own: the window that is opened again finds it.
+    server.send_signal(signal.SIGKILL)
+    server.wait()
+    expect(page.locator("main [role=alert]")).to_contain_text("start photocal desk again")
+    serve(home)
+    page.reload()
+    expect(page.locator("#rail .title span")).to_have_text(HOSTILE)
+    expect(page.locator(".total .sign")).to_contain_text(re.compile("complete"))
+    expect(page.locator(".verdict p").first).not_to_be_empty()
+    accessible(page)
+
+    page.get_by_role("link", name=re.compile("Certificate")).first.click()
+    page.get_by_label("Client").fill(HOSTILE)
+    framed = page.frame_locator("iframe.preview")
+    expect(framed.locator("body")).to_contain_text(HOSTILE)
+    accessible(page)
+    page.get_by_label("Person or office").fill("Office for tests")
+    page.get_by_role("button", name="Make a key").click()
+    expect(page.locator("main")).to_contain_text("It will be signed by Office for tests")
+    page.get_by_role("button", name="Write and issue again").click()
+    sign = page.get_by_role("button", name="Sign", exact=True)
+    expect(sign).to_be_visible()
+    sign.click()
+    expect(page.locator("#rail")).to_contain_text("signed")
+    expect(page.locator("main .sign.good").first).to_contain_text("signed")
+    with page.expect_download() as packed:
+        page.get_by_role("link", name="Zip to send").click()
+    sent = tmp_path / "sent.zip"
+    shutil.copyfile(packed.value.path(), sent)
+    page.locator("#sent").set_input_files(sent)
+    expect(page.locator(".pane > section").last).to_contain_text("signed by a known key")
+
+
+@pytest.mark.timeout(900)
+def test_keys_alone_reach_every_step_and_the_language_changes(
+    page: Page, port: int, serve: Callable[[Path], subprocess.Popen[str]], home: Path
+) -> None:
+    serve(home)
+    page.goto(f"http://127.0.0.1:{port}/#/folder")
+    expect(page.locator("main h1")).to_have_text("Folder")
+    seen = set[str]()
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        focused = page.locator(":focus")
+        seen.add(focused.get_attribute("href") or "")
+    assert {"#/folder", "#/check", "#/run", "#/look", "#/certificate", "#/record"} <= seen
+    page.locator("#rail a[href='#/record']").press("Enter")
+    expect(page.locator("main h1")).to_have_text("Record")
+    page.get_by_role("button", name="Português").click()
+    expect(page.locator("main h1")).to_have_text("Gravar")
+    expect(page.locator("html")).to_have_attribute("lang", "pt-BR")
+    page.reload()
+    expect(page.locator("main h1")).to_have_text("Gravar")
+    accessible(page)
+
+
+def test_a_telephone_shows_the_recording(
+    browser: Browser, port: int, serve: Callable[[Path], subprocess.Popen[str]], home: Path
+) -> None:
+    serve(home)
+    context = browser.new_context(viewport={"width": 390, "height": 800}, is_mobile=True, has_touch=True)
+    page = context.new_page()
+    page.goto(f"http://127.0.0.1:{port}/#/record")
+    expect(page.locator("main h1")).to_have_text("Record")
+    wide = page.evaluate("document.documentElement.scrollWidth")
+    assert wide <= 390
+    context.close()
