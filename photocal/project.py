@@ -264,6 +264,24 @@ class JudgementKeys(Table):
     target_vertical_m: PositiveFloat | None = None
 
 
+class LeaveOutKeys(Table):
+    """`[[leave_out]]`: what a person takes out of the block before it is adjusted.
+
+    image, point: both for one observation, one of them for the whole image or point.
+    reason: as it stands on the certificate.
+    """
+
+    image: Annotated[str, Field(min_length=1)] | None = None
+    point: Annotated[str, Field(min_length=1)] | None = None
+    reason: Annotated[str, Field(min_length=1, max_length=400), AfterValidator(one_line)]
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if self.image is None and self.point is None:
+            raise ValueError("name an image, a point, or both for one observation")
+        return self
+
+
 class CertificateKeys(Table):
     """`[certificate]`: what only people know, the `plan.json` that was flown, and the language."""
 
@@ -285,6 +303,7 @@ class Contents(Table):
     head: tuple[HeadKeys, ...] = ()
     control: Control | None = None
     measurements: Measurements | None = None
+    leave_out: tuple[LeaveOutKeys, ...] = ()
     judgement: JudgementKeys = JudgementKeys()
     certificate: CertificateKeys = CertificateKeys()
 
@@ -292,6 +311,9 @@ class Contents(Table):
     def _fits(self) -> Self:
         sections = ("flight", "images", "rig", "camera", "control")
         given = [name for name in sections if getattr(self, name)]
+        if self.images is not None and self.images.model_fields_set == {"folder"}:
+            # Pictures of a ready block are shown, not measured.
+            given.remove("images")
         if self.measurements is not None and self.measurements.block is not None and given:
             raise ValueError(f"[{given[0]}] stands beside a ready block, which has all of this: remove one")
         if len({camera.id for camera in self.camera}) < len(self.camera):

@@ -107,6 +107,22 @@ def body_to_camera(mounting: Mounting, values: Floats) -> Floats:
     return np.asarray(Rotation.from_rotvec(values[BORESIGHT]).as_matrix() @ mounting.rotation)
 
 
+def antennas(
+    positions: Positions, mounting: Mounting, values: Floats, rotation: Floats, centre: Floats
+) -> Floats:
+    """Where the antenna was by the poses of the images and the common values, shape (n, 3), object frame."""
+    n = len(positions.image)
+    arm = body_to_camera(mounting, values) @ values[LEVER]
+    at = STRIPS + 6 * positions.strip
+    shift = np.array([values[at + k] for k in range(3)]).T if n else np.zeros((0, 3))
+    drift = np.array([values[at + 3 + k] for k in range(3)]).T if n else np.zeros((0, 3))
+    to_object = np.swapaxes(rotation[positions.image], 1, 2)
+    computed = centre[positions.image] + to_object @ arm - positions.velocity * values[TIME] + shift
+    computed = computed + drift * positions.time[:, None] + values[SHIFT]
+    # Heights are those along the Z axis: the frame of a block is level in its middle.
+    return np.asarray(computed + positions.above[:, None] * _UP * values[HEIGHT_SCALE])
+
+
 def position_equations(
     positions: Positions,
     mounting: Mounting,
@@ -123,13 +139,8 @@ def position_equations(
     arm = matrix @ values[LEVER]
     to_object = np.swapaxes(rotation[image], 1, 2)
     at = STRIPS + 6 * positions.strip
-    shift = np.array([values[at + k] for k in range(3)]).T if n else np.zeros((0, 3))
-    drift = np.array([values[at + 3 + k] for k in range(3)]).T if n else np.zeros((0, 3))
-    computed = centre[image] + to_object @ arm - positions.velocity * values[TIME] + shift
-    computed = computed + drift * positions.time[:, None] + values[SHIFT]
-    # Heights are those along the Z axis: the frame of a block is level in its middle.
+    computed = antennas(positions, mounting, values, rotation, centre)
     raised = positions.above[:, None] * _UP
-    computed = computed + raised * values[HEIGHT_SCALE]
     eye = np.broadcast_to(np.eye(3), (n, 3, 3))
     turned_arm = to_object @ skew(arm)
     parts = [

@@ -110,8 +110,8 @@ class Verdict:
 
 def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
     """Judge over all findings: what is grave withholds acceptance, what is doubtful is a reservation."""
-    listed = tuple({(f.code, f.subject, f.cause): f for f in findings}.values())
-    deciding = sorted((f for f in listed if f.severity in _ORDER), key=_place)
+    listed = _once(findings)
+    deciding = _deciding(listed)
     grave = [f for f in deciding if f.severity in ("refused", "grave")]
     decided = tuple(dict.fromkeys(f.code for f in grave or deciding))
     figures = {"n": float(len(grave or deciding)), "codes": decided, "limit": FACTOR}
@@ -121,7 +121,7 @@ def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
         outcome = Finding("usable-with-reservations", "doubtful", figures=figures)
     else:
         outcome = Finding("usable", "passed", figures=figures)
-    lines = _lines(deciding, known)
+    lines = _lines(deciding, known.images)
     return Verdict(
         outcome,
         _answer(deciding, _OF_CAMERA) if known.placed else "not-placed",
@@ -130,6 +130,21 @@ def judge(findings: Iterable[Finding], known: Known = Known()) -> Verdict:
         max(0, len(lines) - MOST_LINES),
         sum(f.severity == "note" for f in listed),
     )
+
+
+def every_line(findings: Iterable[Finding], images: int = 0) -> tuple[VerdictLine, ...]:
+    """Give all lines of a verdict, and behind them those of the notes, however many there are."""
+    listed = _once(findings)
+    notes = [finding for finding in listed if finding.severity == "note"]
+    return (*_lines(_deciding(listed), images), *_lines(notes, images))
+
+
+def _once(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    return tuple({(f.code, f.subject, f.cause): f for f in findings}.values())
+
+
+def _deciding(findings: Iterable[Finding]) -> list[Finding]:
+    return sorted((f for f in findings if f.severity in _ORDER), key=_place)
 
 
 def _place(finding: Finding) -> tuple[int, int]:
@@ -148,7 +163,7 @@ def _answer(deciding: Sequence[Finding], elsewhere: frozenset[str]) -> Answer:
     return "reserved" if bearing else "yes"
 
 
-def _lines(deciding: Sequence[Finding], known: Known) -> tuple[VerdictLine, ...]:
+def _lines(deciding: Sequence[Finding], images: int) -> tuple[VerdictLine, ...]:
     """Findings of one code and one cause are one line, in the place of the worst."""
     groups: dict[tuple[str, str], list[Finding]] = {}
     for finding in deciding:
@@ -156,12 +171,12 @@ def _lines(deciding: Sequence[Finding], known: Known) -> tuple[VerdictLine, ...]
     lines = list[VerdictLine]()
     for alike in groups.values():
         together = len(alike) >= ALIKE
-        lines += [_line(part, known.images) for part in ([alike] if together else [[one] for one in alike])]
+        lines += [_line(part, images) for part in ([alike] if together else [[one] for one in alike])]
     return tuple(lines)
 
 
 def _line(alike: Sequence[Finding], images: int) -> VerdictLine:
-    first, *others = sorted(alike, key=lambda f: (_ORDER.index(f.severity), -_effect(f.size)))
+    first, *others = sorted(alike, key=lambda f: ((*_ORDER, "note").index(f.severity), -_effect(f.size)))
     if not others:
         return VerdictLine(first)
     sizes = [f.size.figure for f in alike if f.size is not None]

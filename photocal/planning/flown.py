@@ -22,7 +22,8 @@ _PARALLEL_RAD, _LEVEL = math.radians(20.0), 0.15
 FEWEST_RAYS = 3
 # Steps in which a ray meets the ground.
 _STEPS = 4
-_BORDER = np.array([[0, 0], [1, 0], [2, 0], [2, 1], [2, 2], [1, 2], [0, 2], [0, 1]]) / 2.0
+# Corners and middles of the sides of an image, as shares of them, in order around it.
+BORDER = np.array([[0, 0], [1, 0], [2, 0], [2, 1], [2, 2], [1, 2], [0, 2], [0, 1]]) / 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,7 @@ def cells_seen(images: OrientedImages, ground: GroundCells) -> list[Integers]:
     size = images.sizes()
     low, high = ground.places[:, 2].min(), ground.places[:, 2].max()
     cells = []
-    for i, border in enumerate(_directions(images, _BORDER)):
+    for i, border in enumerate(directions(images, BORDER)):
         # Within the corners' circle alone: beyond, a distortion polynomial may fold ground into the image.
         middle, reach = _circle(images.station[i], border, low, high)
         near = _window(middle, reach + ground.cell_m, ground)
@@ -178,7 +179,7 @@ def gaps(block: FlownBlock, fewest: int = FEWEST_RAYS) -> list[tuple[float, floa
     return sorted(holes, key=lambda gap: -gap[2])
 
 
-def _directions(images: OrientedImages, raster: Floats) -> Floats:
+def directions(images: OrientedImages, raster: Floats) -> Floats:
     """Directions in object space of rays through places of each image (shares of its sides), (n, m, 3)."""
     rays = []
     for camera in images.cameras:
@@ -207,7 +208,7 @@ def level_ground(images: OrientedImages, height_m: float) -> GroundCells:
     """Take the ground as level: before any point of it is known."""
     circles = [
         _circle(at, border, height_m, height_m)
-        for at, border in zip(images.station, _directions(images, _BORDER), strict=True)
+        for at, border in zip(images.station, directions(images, BORDER), strict=True)
     ]
     middle, radius = np.array([c[0] for c in circles]), np.array([c[1] for c in circles])
     # The shorter side of the footprint is at least some half of the circle.
@@ -245,7 +246,7 @@ def _cells_of_pixels(images: OrientedImages, ground: GroundCells) -> Integers:
     across = np.array([(k + 0.5) / CELLS_ACROSS for k in range(CELLS_ACROSS)])
     raster = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
     seen = []
-    for station, rays in zip(images.station, _directions(images, raster), strict=True):
+    for station, rays in zip(images.station, directions(images, raster), strict=True):
         slope = rays[:, :2] / -np.minimum(rays[:, 2], -1e-9)[:, None]
         height = np.full(len(rays), station[2] - _ground_below(station[None], ground)[0])
         for _ in range(_STEPS):

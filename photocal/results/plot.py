@@ -97,7 +97,7 @@ class Plots:
         shown = self._result.camera(camera)
         figure = _figure()
         over, along = figure.subplots(1, 2, width_ratios=(3, 2))
-        plane, moved = _displacement(shown)
+        plane, moved = displacement(shown)
         pixel = plane_to_pixel(shown.size_px, shown.pitch, plane)
         to_px = np.array([1.0, -1.0]) / np.array(shown.pitch)
         u, v = (moved * to_px).T
@@ -156,7 +156,7 @@ def _figure(high: float = _HIGH_IN) -> Figure:
     return Figure(figsize=(_WIDE_IN, high), dpi=150, layout="constrained")
 
 
-def _displacement(camera: Camera) -> tuple[Any, Any]:
+def displacement(camera: Camera) -> tuple[Any, Any]:
     """Places of the format in the image plane, and by how much the lens displaces their rays."""
     width, height = camera.size_px
     half = np.array([width, height]) / 2 * np.array(camera.pitch)

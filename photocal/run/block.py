@@ -46,11 +46,12 @@ def block_stage(project: Project, exposures: Path | None, measurements: Path) ->
         if exposures is not None:
             block = _flown(block, exposures, project.rig.mounting(), project.crs)
             check_rays(block, project.control.points)
-        write_block(folder, block)
+        write_block(folder, _chosen(block, project, folder))
         if (measurements / RECORD).exists():
             shutil.copyfile(measurements / RECORD, folder / RECORD)
 
     chosen: dict[str, Any] = {} if bent is None else {"refraction": bent}
+    chosen |= _left_out(project)
     inputs = {} if distances is None else {"distances": distances}
     if exposures is None:
         return Stage("block", "the block", make, inputs, chosen, (measurements,))
@@ -142,8 +143,26 @@ def _refuse(bad: Flags, what: str, names: list[str], remedy: str) -> None:
         raise InputMalformedError(f"the {what} of image {name} has no standard deviation", remedy)
 
 
-def given_block_stage(source: Path) -> Stage:
-    """Describe the stage that takes a ready block folder over."""
+def _left_out(project: Project) -> dict[str, Any]:
+    """What a person leaves out, as settings of the stage."""
+    chosen = project.contents.leave_out
+    return {"leave_out": [entry.model_dump(mode="json") for entry in chosen]} if chosen else {}
+
+
+def _chosen(block: Block, project: Project, folder: Path) -> Block:
+    """The block without what a person leaves out, which is told beside it."""
+    from photocal.findings.listed import Findings
+    from photocal.run.left_out import LEFT_OUT, left_out
+
+    if not project.contents.leave_out:
+        return block
+    block, findings = left_out(block, project.contents.leave_out)
+    Findings(findings).write(folder / LEFT_OUT)
+    return block
+
+
+def given_block_stage(project: Project, source: Path) -> Stage:
+    """Describe the stage that takes a ready block folder over, but for what a person leaves out."""
 
     def make(folder: Path, _: Progress) -> None:
         """Make the files of the stage."""
@@ -151,6 +170,12 @@ def given_block_stage(source: Path) -> Stage:
             raise InputNotFoundError(
                 "has no block.toml", "name a block folder in [measurements]", where=source
             )
-        shutil.copytree(source, folder, dirs_exist_ok=True)
+        if not project.contents.leave_out:
+            shutil.copytree(source, folder, dirs_exist_ok=True)
+            return
+        from photocal.block.folder import read_block
+        from photocal.block.writer import write_block
 
-    return Stage("block", "the block", make, {"block": source})
+        write_block(folder, _chosen(read_block(source), project, folder))
+
+    return Stage("block", "the block", make, {"block": source}, _left_out(project))

@@ -42,7 +42,7 @@ def stages(project: Project, day: dt.date) -> tuple[Stage, ...]:
     block, calibration, read = work / "block", work / "calibration", block_reader()
     given = project.contents.measurements
     if given is not None and given.block is not None:
-        first: tuple[Stage, ...] = (given_block_stage(given.block),)
+        first: tuple[Stage, ...] = (given_block_stage(project, given.block),)
     else:
         ppk, exposures, measurements = (work / name for name in ("ppk", "exposures", "measurements"))
         # Observations that were given have no other start values than those of a flight.

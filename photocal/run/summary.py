@@ -26,6 +26,7 @@ from photocal.results.origin import changed_inputs
 from photocal.results.result import Result
 from photocal.run.exposures import FIGURES as EXPOSED
 from photocal.run.exposures import ExposureFigures
+from photocal.run.left_out import LEFT_OUT, settled
 from photocal.run.stage import StageResult, is_stage
 
 # With two thirds of the positions fixed, it is they that carry what is found.
@@ -53,7 +54,7 @@ def gather(work: Path, stages: Container[str] | None = None) -> tuple[Finding, .
         add_new(listed, found, stage)
         sought = sought or (stage == "georeferencing" and _has_sought(path))
     ppk = work / "ppk" / PPK
-    return causes_first(listed, PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
+    return causes_first(settled(listed), PpkFigures.read(ppk).fixed_percent if ppk.is_file() else 100.0)
 
 
 def _has_sought(path: Path) -> bool:
@@ -100,12 +101,29 @@ def project_verdict(work: Path, stages: Container[str] | None = None) -> Verdict
     if not (run / RESULT).is_file():
         return None
     result, findings = read_result(run), gather(work, stages)
-    estimated = any(finding.code == "sigmas-from-residuals" for finding in findings)
-    accepted = None if result.global_test is None else result.global_test.accepted
-    figures = result.chi_squared, result.degrees_of_freedom
     calibrated = any(camera.free for camera in result.cameras.values())
     known = Known(len(result.images), result.block.datum != "free", calibrated)
-    return judge((*findings, of_global_test(*figures, accepted, estimated=estimated)), known)
+    return judge((*findings, _tested(result, findings)), known)
+
+
+def _tested(result: Result, findings: Iterable[Finding]) -> Finding:
+    """The global test; where sigmas come from the residuals themselves it tests nothing."""
+    estimated = any(finding.code == "sigmas-from-residuals" for finding in findings)
+    accepted = None if result.global_test is None else result.global_test.accepted
+    return of_global_test(result.chi_squared, result.degrees_of_freedom, accepted, estimated=estimated)
+
+
+def project_findings(work: Path) -> tuple[Finding, ...]:
+    """Give what decides over a project, and its notes: what stages, adjustment and analysis found."""
+    certified = read_json(work / "certificate" / "certificate.json")
+    verdict = None if certified is None else read_verdict(certified["verdict"], work / "certificate")
+    analysed = work / "analysis" / "analysis.json"
+    found = Findings.read(analysed).listed if analysed.is_file() else ()
+    gathered, run = gather(work), work / "calibration"
+    tested = [_tested(read_result(run), gathered)] if (run / RESULT).is_file() else []
+    # What a certificate derives beside, its lines tell.
+    lines = () if verdict is None else verdict.lines
+    return (*gathered, *tested, *found, *(line.worst for line in lines))
 
 
 def outdated(work: Path) -> bool:
@@ -209,6 +227,7 @@ _SOURCES: tuple[tuple[str, str, Callable[[Path], Iterator[Finding]]], ...] = (
     ("ppk", PPK, _stored),
     ("exposures", EXPOSED, _stored),
     ("measurements", "measurement.json", _stored),
+    ("block", LEFT_OUT, _stored),
     ("calibration", RESULT, _of_calibration),
     ("flown", "flown.json", _stored),
     ("georeferencing", "check.json", _stored),

@@ -1,0 +1,230 @@
+"""The map and the 3-D view: stations, footprints, overlap, ellipses, differences of points and positions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from photocal.adjustment.ellipses import ellipses, ellipsoids
+from photocal.adjustment.mounting import BORESIGHT, antennas
+from photocal.base.arrays import Floats, Integers
+from photocal.block.model import ROLES
+from photocal.block.network import local_positions
+from photocal.desk.views.shown import PROBABILITY, Shown, numbers
+from photocal.navigation.exposures import Exposures
+from photocal.planning.flown import BORDER, GroundCells, cells_seen, directions, level_ground
+from photocal.run.exposures import EXPOSURES
+
+# Cells of the overlap on the map; it is a picture, not a measurement.
+_MOST_CELLS = 40_000
+# Beyond so many heights an oblique image has no footprint worth drawing.
+_FARTHEST = 4.0
+
+
+def overview(shown: Shown) -> dict[str, Any]:
+    """All that the map and the 3-D view need but tie points and overlap, which come as arrays."""
+    result, block = shown.result, shown.block
+    return {
+        "name": block.name,
+        "system": block.frame,
+        "height": block.height,
+        "in_metres": shown.in_metres,
+        "placed": block.datum != "free",
+        "probability": PROBABILITY,
+        "images": _images(shown),
+        "points": _points(shown),
+        "ties": int(np.sum(np.array(result.points.role) == "tie")),
+        "rays": len(result.residuals),
+        "cameras": list(result.cameras),
+    }
+
+
+def _images(shown: Shown) -> dict[str, Any]:
+    images = shown.result.images
+    count, rms = shown.result.residuals.rms()
+    camera = [shown.result.cameras[images.cameras[k].id] for k in images.camera]
+    pitch = np.array([c.pitch for c in camera]).reshape(-1, 2) if _in_mm(shown) else 1.0
+    place = shown.on_map(images.station)
+    covariance = shown.covariance_on_map(images.station, images.covariances[:, 3:, 3:])
+    residual, sigma, strip = position_residuals(shown)
+    return {
+        "names": list(images.names),
+        "camera": images.camera.tolist(),
+        "x": numbers(place[:, 0], 3),
+        "y": numbers(place[:, 1], 3),
+        "z": numbers(place[:, 2], 3),
+        "footprint": numbers(footprints(shown), 2),
+        "rays": count.tolist(),
+        "rms_px": numbers(np.sqrt(((rms / pitch) ** 2).sum(axis=1)), 3),
+        "strip": strip.tolist(),
+        "position_m": numbers(residual, 4),
+        "position_sigma_m": numbers(sigma, 4),
+        "fix": _fixes(shown),
+        **_spread(covariance),
+    }
+
+
+def _in_mm(shown: Shown) -> bool:
+    return shown.result.block.observation_unit == "mm"
+
+
+def _spread(covariance: Floats) -> dict[str, Any]:
+    """Ellipse in the plane, ellipsoid, and the standard deviation in height."""
+    known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
+    safe = np.where(known[:, None, None], covariance, 0.0)
+    flat, space = ellipses(safe, PROBABILITY), ellipsoids(safe, PROBABILITY)
+    return {
+        "ellipse": numbers(np.column_stack([flat.semi_axes, flat.azimuth]), 5),
+        "ellipsoid": numbers(np.column_stack([space.semi_axes, space.directions.reshape(-1, 9)]), 5),
+        "sigma_z_m": numbers(np.where(known, np.sqrt(safe[:, 2, 2]), np.nan), 5),
+    }
+
+
+def footprints(shown: Shown) -> Floats:
+    """Corners and side middles of each image on the middle height of the points, (n, 8, 2); NaN beyond."""
+    local = shown.images
+    level = _level(shown)
+    rays = directions(local, BORDER)
+    drop = (local.station[:, 2] - level)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ground = local.station[:, None, :2] + rays[..., :2] / -rays[..., 2:] * drop[..., None]
+    far = np.linalg.norm(ground - local.station[:, None, :2], axis=2) > _FARTHEST * np.abs(drop)
+    bad = (far | (rays[..., 2] >= 0)).any(axis=1) | ~np.isfinite(ground).all(axis=(1, 2))
+    places = np.concatenate([ground, np.full((*ground.shape[:2], 1), level)], axis=2)
+    places[bad] = np.nan
+    flat = np.nan_to_num(places.reshape(-1, 3))
+    given = shown.on_map(shown.frame.to_given(flat)).reshape(places.shape)
+    return np.where(bad[:, None, None], np.nan, given[..., :2])
+
+
+def _level(shown: Shown) -> float:
+    values = shown.result.points.values
+    return float(np.nanmedian(shown.frame.to_local(values)[:, 2])) if len(values) else 0.0
+
+
+def position_residuals(shown: Shown) -> tuple[Floats, Floats, Integers]:
+    """Adjusted minus observed positions of the antenna, east, north, up, m, of each image.
+
+    returns residual, sigma (images, 3): NaN without an observed position; sigma as it was stated.
+    returns strip (images,): 0 where no strip is known.
+    """
+    block, mounting = shown.block, shown.result.mounting
+    count = len(shown.images)
+    residual, sigma = np.full((2, count, 3), np.nan)
+    strip = np.zeros(count, dtype=np.int64)
+    place = np.array([shown.image_rows.get(name, -1) for name in block.images.names], dtype=np.int64)
+    rows = np.flatnonzero(place[block.positions.image] >= 0)
+    if not len(rows) or mounting is None or block.heads:
+        return residual, sigma, strip
+    observed = local_positions(block.positions.rows(rows), shown.frame)
+    image = place[observed.image]
+    values = np.array([entry.value for entry in mounting.values()])
+    values[BORESIGHT] = np.radians(values[BORESIGHT])
+    poses = shown.images.rotation[image], shown.images.station[image]
+    each = replace(observed, image=np.arange(len(image)))
+    computed = antennas(each, block.mounting, values, *poses)
+    residual[image] = computed - observed.values
+    sigma[image] = np.sqrt(np.diagonal(observed.covariance, axis1=1, axis2=2))
+    strip[image] = observed.strip
+    return residual, sigma, strip
+
+
+def _fixes(shown: Shown) -> list[str] | None:
+    """Whether the positions of the images were fixed, float or single; None without a flight."""
+    path = shown.work / "exposures" / EXPOSURES
+    if not path.is_file():
+        return None
+    events = Exposures.read(path)
+    fixed = {
+        name: str(status)
+        for names, status in zip(events.images, events.placed.status, strict=True)
+        for name in names
+    }
+    return [fixed.get(name, "") for name in shown.result.images.names]
+
+
+def _points(shown: Shown) -> dict[str, Any]:
+    """Control and check points: adjusted places, and adjusted minus surveyed coordinates."""
+    points, surveyed = shown.result.points, shown.block.points
+    rows = [k for k, role in enumerate(points.role) if role != "tie"]
+    given = {name: k for k, name in enumerate(surveyed.names)}
+    at = [given.get(points.names[k], -1) for k in rows]
+    values = points.values[rows]
+    known = np.vstack([surveyed.values, np.full(3, np.nan)])[at]
+    place, survey = shown.on_map(values), shown.on_map(np.nan_to_num(known))
+    difference = np.where(np.isfinite(known), place - survey, np.nan)
+    sigma = np.vstack([surveyed.sigma, np.full(3, np.nan)])[at]
+    unseen = [k for k, name in enumerate(surveyed.names) if _unseen(shown, k, name)]
+    return {
+        "names": [points.names[k] for k in rows],
+        "role": [points.role[k] for k in rows],
+        "rays": points.rays[rows].tolist(),
+        "x": numbers(place[:, 0], 4),
+        "y": numbers(place[:, 1], 4),
+        "z": numbers(place[:, 2], 4),
+        "difference_m": numbers(difference, 5),
+        "survey_sigma_m": numbers(sigma, 5),
+        **_spread(shown.covariance_on_map(values, points.covariance[rows])),
+        "unseen": {
+            "names": [surveyed.names[k] for k in unseen],
+            "place": numbers(shown.on_map(surveyed.values[unseen].reshape(-1, 3)), 4),
+        },
+    }
+
+
+def _unseen(shown: Shown, k: int, name: str) -> bool:
+    role = ROLES[int(shown.block.points.role[k])]
+    known = bool(np.isfinite(shown.block.points.values[k]).all())
+    return role != "tie" and name not in shown.point_rows and known
+
+
+def ties(shown: Shown) -> bytes:
+    """Tie points: x, y, z from `origin` (m), largest standard deviation (m), rays; float32 (n, 5)."""
+    points = shown.result.points
+    rows = np.flatnonzero(np.array(points.role) == "tie")
+    place = shown.on_map(points.values[rows]) - origin(shown)
+    sigma = np.nanmax(points.sigma[rows], axis=1, initial=0.0)
+    return np.column_stack([place, sigma, points.rays[rows]]).astype("<f4").tobytes()
+
+
+def tie_names(shown: Shown) -> list[str]:
+    """Names of the tie points in the order of `ties`."""
+    points = shown.result.points
+    return [name for name, role in zip(points.names, points.role, strict=True) if role == "tie"]
+
+
+def origin(shown: Shown) -> Floats:
+    """What single precision is counted from: the first station, in full metres."""
+    place = shown.on_map(shown.result.images.station[:1])
+    return np.round(place[0]) if len(place) and np.isfinite(place).all() else np.zeros(3)
+
+
+def overlap(shown: Shown) -> tuple[dict[str, Any], bytes]:
+    """How many images show each cell of the level ground: rows from the south, one byte a cell.
+
+    returns the places of the first cell and of those one column, one row on, in the metres of the map.
+    """
+    ground = _coarse(level_ground(shown.images, _level(shown)))
+    count = np.bincount(np.concatenate([np.zeros(0, np.int64), *cells_seen(shown.images, ground)]))
+    seen = np.zeros(len(ground.places), dtype=np.uint8)
+    seen[: len(count)] = np.minimum(count, 255)
+    corner = ground.places[[0, 1, ground.columns]]
+    first, column, row = shown.on_map(shown.frame.to_given(corner))[:, :2]
+    head = {
+        "columns": ground.columns,
+        "rows": len(seen) // ground.columns,
+        "first": first.tolist(),
+        "column": (column - first).tolist(),
+        "row": (row - first).tolist(),
+    }
+    return head, seen.tobytes()
+
+
+def _coarse(ground: GroundCells) -> GroundCells:
+    """Every second, third ... cell, until there are few enough for a picture."""
+    rows = len(ground.places) // ground.columns
+    step = int(np.ceil(np.sqrt(len(ground.places) / _MOST_CELLS)))
+    kept = ground.places.reshape(rows, ground.columns, 3)[::step, ::step]
+    return GroundCells(kept.reshape(-1, 3), ground.cell_m * step, kept.shape[1])

@@ -1,0 +1,195 @@
+"""What answers for the step Look: views of the last run, remembered until there is another."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+from photocal.base.errors import ConfigurationError, InputNotFoundError, PhotocalError
+from photocal.base.web_answers import checked
+from photocal.desk.session import Desk
+from photocal.desk.views import concerns, overview, pictures
+from photocal.desk.views.plots import plots
+from photocal.desk.views.shown import Shown, adjusted_in, read_shown
+from photocal.findings.texts import LANGUAGES, catalogue
+from photocal.measurement.marking.scene import Picture, read_pictures, scene_of_project
+from photocal.measurement.marking.service import MarkingService
+from photocal.measurement.marking.store import MarkStore
+from photocal.measurement.marking.tiles import TILE_PX, TileAddress, Tiles, coarsest_level
+from photocal.project import LeaveOutKeys
+from photocal.results.folder import RESULT
+from photocal.run.left_out import LEFT_OUT, leave_out, take_back
+from photocal.run.summary import read_json
+
+Made = TypeVar("Made")
+
+
+class Look:
+    """The project as its last run left it; read again when another run was made.
+
+    A view is made once for each run: the map, plots and findings of a large block take a second each.
+    """
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk, self._tiles = desk, Tiles(desk.cache)
+        self._lock = threading.RLock()
+        self._state: object = None
+        self._shown: Shown | None = None
+        self._views: dict[object, Any] = {}
+        self._pictures: tuple[object, dict[str, Picture]] = (None, {})
+
+    def shown(self) -> Shown:
+        """Give what the last run left; raises InputNotFoundError before one."""
+        work = self._desk.project().output
+        with self._lock:
+            state = _state(work)
+            if self._shown is None or state != self._state:
+                self._shown, self._state, self._views = read_shown(work), state, {}
+            return self._shown
+
+    def view(self, key: object, make: Callable[[Shown], Made]) -> Made:
+        """Give a view, made or remembered."""
+        shown = self.shown()
+        with self._lock:
+            if key not in self._views:
+                self._views[key] = make(shown)
+            made: Made = self._views[key]
+        return made
+
+    def plots(self) -> dict[str, Any]:
+        """All plots as numbers."""
+        return self.view("plots", plots)
+
+    def tie_names(self) -> list[str]:
+        """Names of the tie points, in the order of `ties`."""
+        return self.view("tie names", overview.tie_names)
+
+    def ties(self) -> bytes:
+        """Tie points as an array."""
+        return self.view("ties", overview.ties)
+
+    def overlap(self) -> tuple[dict[str, Any], bytes]:
+        """Where the cells of the overlap lie, and how many pictures show each."""
+        return self.view("overlap", overview.overlap)
+
+    def overview(self) -> dict[str, Any]:
+        """What map and 3-D view begin with."""
+        made = self.view("overview", overview.overview)
+        known = self._known_pictures()
+        return {
+            **made,
+            "origin": self.view("origin", overview.origin).tolist(),
+            "pictures": {name: not picture.reason for name, picture in known.items()},
+            "coarsest": {name: coarsest_level(picture.size_px) for name, picture in known.items()},
+            "tile_px": TILE_PX,
+            "marking": self._desk.project().control.marks is not None and bool(known),
+            "left_out": self.left_out(),
+        }
+
+    def warm(self) -> None:
+        """Make what is asked for first, before anybody asks; without a run there is nothing to make."""
+        with suppress(PhotocalError, OSError):
+            self.overview()
+
+    def findings(self, asked: dict[str, str]) -> dict[str, Any]:
+        """All findings in a language."""
+        language = asked.get("language", "en")
+        say = catalogue(language if language in LANGUAGES else "en")
+        return self.view(("findings", say.language), lambda shown: concerns.findings(shown, say))
+
+    def picture(self, asked: dict[str, str]) -> dict[str, Any]:
+        """Observations of one picture; without any where it takes no part."""
+        name = asked.get("name", "")
+        known = self._known_pictures().get(name)
+        try:
+            told = pictures.picture(self.shown(), name)
+        except InputNotFoundError:
+            if known is None:
+                raise
+            told = {"name": name, "size_px": list(known.size_px), "place": [], "points": [], "predicted": []}
+        reason = "is not in the folder of pictures" if known is None else known.reason
+        return {**told, "reason": reason, "turn": 0 if known is None else known.turn_deg}
+
+    def point(self, asked: dict[str, str]) -> dict[str, Any]:
+        """Observations of one point."""
+        return pictures.point(self.shown(), asked.get("name", ""))
+
+    def tile(self, image: str, place: tuple[int, int, int]) -> bytes:
+        """A tile of a picture of the project, by level, column and row; no other file is ever opened."""
+        picture = self._known_pictures().get(image)
+        missing = InputNotFoundError.at(image)
+        if picture is None:
+            raise missing("is no picture of this project", "choose one of the list")
+        if picture.reason:
+            raise missing(picture.reason, "choose another picture")
+        return self._tiles.tile(picture.path, TileAddress(*place))
+
+    def tidy(self) -> None:
+        """Keep the tiles on disk within their bounds."""
+        self._tiles.tidy()
+
+    def _known_pictures(self) -> dict[str, Picture]:
+        """The pictures by name; read again when their folder has changed."""
+        images = self._desk.project().contents.images
+        folder = None if images is None else images.folder
+        if folder is None or not folder.is_dir():
+            return {}
+        state = (folder, folder.stat().st_mtime_ns)
+        with self._lock:
+            if self._pictures[0] != state:
+                self._pictures = state, read_pictures(folder)
+            return self._pictures[1]
+
+    def marking(self) -> MarkingService:
+        """What marks points in the pictures of the project, by the orientation of its last run.
+
+        raises ConfigurationError: when the project names no table of marks.
+        """
+        self.shown()
+        with self._lock:
+            if "marking" not in self._views:
+                project = self._desk.project()
+                scene, marks = scene_of_project(project, adjusted_in(project.output))
+                self._views["marking"] = MarkingService(scene, MarkStore(marks), self._desk.cache)
+            made: MarkingService = self._views["marking"]
+        return made
+
+    def left_out(self) -> dict[str, Any]:
+        """What is left out by hand, and whether the last run knew it."""
+        entries = [entry.model_dump() for entry in self._desk.project().contents.leave_out]
+        known = read_json(self._desk.project().output / "block" / LEFT_OUT) or {}
+        computed = [
+            {key: given["figures"][key] or None for key in ("image", "point")}
+            | {"reason": given["figures"]["reason"]}
+            for given in known.get("findings", ())
+        ]
+        return {"entries": entries, "waiting": entries != computed}
+
+    def leave_out(self, body: bytes) -> dict[str, Any]:
+        """Leave something out with a reason."""
+        return self._changed(leave_out, body)
+
+    def take_back(self, body: bytes) -> dict[str, Any]:
+        """Take something in again."""
+        return self._changed(take_back, body)
+
+    def _changed(self, change: Callable[[Path, LeaveOutKeys], None], body: bytes) -> dict[str, Any]:
+        entry = checked(LeaveOutKeys, body)
+        shown = self.shown()
+        for name, known in ((entry.image, shown.block.images.names), (entry.point, shown.block.points.names)):
+            if change is leave_out and name is not None and name not in known:
+                raise ConfigurationError("is not in the block", "choose what takes part", where=name)
+        with self._desk.lock:
+            change(self._desk.file, entry)
+        return self.left_out()
+
+
+def _state(work: Path) -> object:
+    """What changes when another run was made."""
+    paths = (adjusted_in(work) / RESULT, work / "block" / "block.toml")
+    certified = work / "certificate" / "certificate.json"
+    seen = [path.stat() for path in (*paths, *([certified] if certified.is_file() else []))]
+    return (str(work), tuple((state.st_mtime_ns, state.st_size, state.st_ino) for state in seen))

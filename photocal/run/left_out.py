@@ -1,0 +1,150 @@
+"""What a person leaves out of a block with a reason, and how it stands in the project file."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT
+
+from photocal.base.arrays import Flags
+from photocal.base.errors import ConfigurationError, InputMalformedError
+from photocal.base.files import output_file
+from photocal.block.model import ROLES, Block
+from photocal.findings.finding import Finding
+from photocal.measurement.start_block import without_images
+from photocal.project import LeaveOutKeys
+
+# Beside the tables of the block, where something was left out.
+LEFT_OUT = "left_out.json"
+_SECTION = "leave_out"
+_ON_MARKS = ("mark-off", "mark-left-out", "marks-apart", "control-off", "control-far")
+
+
+def left_out(block: Block, chosen: Sequence[LeaveOutKeys]) -> tuple[Block, tuple[Finding, ...]]:
+    """Take out what a person chose, and tie points that are then seen once; tell each with its reason."""
+    seen, points, images = block.observations, block.points.names, block.images.names
+    ray, point, image = (np.zeros(len(part), dtype=np.bool_) for part in (seen.image, points, images))
+    findings = []
+    for entry in chosen:
+        here = np.ones(len(ray), dtype=np.bool_)
+        if entry.point is not None:
+            here &= np.array([name == entry.point for name in points], dtype=np.bool_)[seen.point]
+        if entry.image is not None:
+            here &= np.array([name == entry.image for name in images], dtype=np.bool_)[seen.image]
+        ray |= here
+        if entry.image is None:
+            point |= np.array([name == entry.point for name in points])
+        if entry.point is None:
+            image |= np.array([name == entry.image for name in images])
+        place = " / ".join(filter(None, (entry.point, entry.image)))
+        figures = {"place": place, "rays": float(here.sum()), "reason": entry.reason}
+        figures |= {"point": entry.point or "", "image": entry.image or ""}
+        clauses = () if here.any() else ("takes-no-part",)
+        findings.append(Finding("left-out-by-hand", "note", place, figures, clauses))
+    return _without(block, ray, point, image), tuple(findings)
+
+
+def settled(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Give findings without those on single marks and points that a person has left out since."""
+    given = tuple(findings)
+    by_hand = {(f.figures["point"], f.figures["image"]) for f in given if f.code == "left-out-by-hand"}
+
+    def stays(finding: Finding) -> bool:
+        """Whether what it tells of still takes part; one line on many marks tells of others, too."""
+        if finding.code not in _ON_MARKS or "n" in finding.figures:
+            return True
+        point, image = finding.figures.get("point", finding.subject), finding.figures.get("image", "")
+        return by_hand.isdisjoint({(point, image), (point, ""), *([("", image)] if image else [])})
+
+    return tuple(finding for finding in given if stays(finding))
+
+
+def _without(block: Block, ray: Flags, point: Flags, image: Flags) -> Block:
+    seen = block.observations.rows(~ray)
+    rays = np.bincount(seen.point, minlength=len(point))
+    lonely = (rays == 1) & (block.points.role != ROLES.index("control"))
+    gone = point | ((lonely | (rays == 0)) & block.points.of_role("tie"))
+    seen = seen.rows(~(gone | lonely)[seen.point])
+    place, names = np.cumsum(~gone) - 1, block.points.names
+    relations, checks = (
+        part.moved(place).rows(~np.append(gone, False)[part.ends].any(axis=1)) if len(part.kind) else part
+        for part in (block.relations, block.check_distances)
+    )
+    staying = {name for name, out in zip(names, gone, strict=True) if not out}
+    left = replace(
+        block,
+        points=block.points.only(~gone),
+        observations=replace(seen, point=place[seen.point]),
+        relations=relations,
+        check_distances=checks,
+        datum_points=tuple(name for name in block.datum_points if name in staying),
+    )
+    return left if not image.any() else _of_images(left, image)
+
+
+def _of_images(block: Block, gone: Flags) -> Block:
+    """Without whole images: what was observed at their exposures goes with them, and strips without one."""
+    place = np.cumsum(~gone) - 1
+    positions = block.positions.rows(~gone[block.positions.image])
+    attitudes = block.attitudes.rows(~gone[block.attitudes.image])
+    _, strip = np.unique(positions.strip, return_inverse=True)
+    positions = replace(positions, image=place[positions.image], strip=strip.astype(np.int64))
+    attitudes = replace(attitudes, image=place[attitudes.image])
+    return replace(without_images(block, gone), positions=positions, attitudes=attitudes)
+
+
+def leave_out(path: Path, entry: LeaveOutKeys) -> None:
+    """Write what is left out into a project file; all else in it stays as it is, comments and order too.
+
+    What is left out already gets the new reason.
+
+    raises InputMalformedError, OutputError: when the file cannot be read, or written.
+    """
+    document = _parsed(path)
+    _take_back(document, entry)
+    if _SECTION not in document:
+        document.add(tomlkit.nl())
+        document.append(_SECTION, tomlkit.aot())
+    table = tomlkit.table()
+    table.update(entry.model_dump(exclude_none=True))
+    document[_SECTION].append(table)
+    _write(path, document)
+
+
+def take_back(path: Path, entry: LeaveOutKeys) -> None:
+    """Take something into the block again; errors as of `leave_out`.
+
+    raises ConfigurationError: when it is not left out.
+    """
+    document = _parsed(path)
+    if not _take_back(document, entry):
+        raise ConfigurationError("is not left out by hand", "look at [[leave_out]]", where=path)
+    _write(path, document)
+
+
+def _take_back(document: tomlkit.TOMLDocument, entry: LeaveOutKeys) -> bool:
+    listed = document.get(_SECTION)
+    if not isinstance(listed, AoT):
+        return False
+    keys = entry.image, entry.point
+    same = [k for k, table in enumerate(listed) if (table.get("image"), table.get("point")) == keys]
+    for k in reversed(same):
+        del listed[k]
+    if not listed:
+        document.remove(_SECTION)
+    return bool(same)
+
+
+def _parsed(path: Path) -> tomlkit.TOMLDocument:
+    try:
+        return tomlkit.parse(path.read_text(encoding="utf-8"))
+    except (TOMLKitError, UnicodeDecodeError, OSError) as refusal:
+        raise InputMalformedError(f"is no TOML ({refusal})", "correct it", where=path) from refusal
+
+
+def _write(path: Path, document: tomlkit.TOMLDocument) -> None:
+    with output_file(path) as aside:
+        aside.write_text(tomlkit.dumps(document), encoding="utf-8")

@@ -1,0 +1,177 @@
+"""Step Look: 581 images open, the map is dragged, 300 pictures of 20 megapixels are browsed.
+
+What is measured is written beside the other figures (`look.json`); the frames are those of Chromium without a
+graphics card, drawn by the processor.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.photocal.desk.look.surveys import large, with_pictures
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+RESULTS = Path(__file__).resolve().parents[2] / ".benchmarks"
+IMAGES, RAYS = 581, 108_000
+LONGEST_OPEN_S, LEAST_FRAMES_S = 3.0, 30.0
+PICTURES, MOST_BYTES = 300, 1 << 30
+PATIENCE_MS = 120_000
+# The map stands when its overlap has come and two frames have passed.
+_DRAWN = """new Promise((done) => {
+  const wait = () => {
+    const map = document.getElementById("view-map")?.blockMap;
+    const drawn = map?.getLayers().item(0).getSource() && map.getView().getResolution();
+    if (drawn) requestAnimationFrame(() => requestAnimationFrame(done));
+    else setTimeout(wait, 20);
+  };
+  wait();
+})"""
+# Times at which the map was drawn while it is moved to and fro, a step each frame, as dragging does.
+_PAN = """new Promise((done) => {
+  const map = document.getElementById("view-map").blockMap;
+  const view = map.getView();
+  const [x, y] = view.getCenter();
+  const times = [];
+  map.on("postrender", () => times.push(performance.now()));
+  const step = (k) => {
+    if (k === 150) return done(times);
+    const reach = 90 * view.getResolution();
+    view.setCenter([x + reach * Math.sin(k / 7), y + reach * Math.cos(k / 9)]);
+    requestAnimationFrame(() => step(k + 1));
+  };
+  step(0);
+})"""
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = large(tmp_path_factory.mktemp("look") / "site", IMAGES, RAYS)
+    command = [sys.executable, "-m", "photocal", "run", str(folder), "--until", "calibration"]
+    subprocess.run(command, check=True, capture_output=True)
+    return folder
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    made = browser.new_page(viewport={"width": 1366, "height": 768}, locale="en-US")
+    made.set_default_timeout(PATIENCE_MS)
+    yield made
+    made.close()
+
+
+def keep(name: str, figures: dict[str, Any]) -> None:
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / "look.json"
+    known = json.loads(path.read_text()) if path.exists() else {}
+    path.write_text(json.dumps({**known, name: figures}, indent=1, sort_keys=True) + "\n")
+    print(f"\n{name}: {figures}")
+
+
+def drawn(page: Page) -> None:
+    """Wait until the map has drawn all that it shows."""
+    page.locator(".findings .summary").wait_for()
+    page.evaluate(_DRAWN)
+
+
+def test_a_large_block_opens_and_pans(block: Path, page: Page, tmp_path: Path) -> None:
+    figures: dict[str, Any] = {"images": IMAGES, "load": round(os.getloadavg()[0], 1)}
+    with serving(block, tmp_path) as (url, _):
+        began = time.perf_counter()
+        page.goto(f"{url}#/look")
+        drawn(page)
+        figures["first_open_s"] = round(time.perf_counter() - began, 2)
+        opens = []
+        for _ in range(3):
+            page.goto("about:blank")
+            began = time.perf_counter()
+            page.goto(f"{url}#/look")
+            drawn(page)
+            opens.append(time.perf_counter() - began)
+        figures["open_s"] = round(min(opens), 2)
+        page.wait_for_timeout(2000)
+        times = np.array(page.evaluate(_PAN))
+        figures["frames_per_s"] = round(float((len(times) - 1) / (times[-1] - times[0]) * 1000), 1)
+        figures["slowest_frame_ms"] = round(float(np.diff(times).max()), 0)
+    keep("block", figures)
+    assert figures["open_s"] < LONGEST_OPEN_S
+    assert figures["frames_per_s"] > LEAST_FRAMES_S
+
+
+def test_many_large_pictures_need_little_memory(page: Page, tmp_path: Path) -> None:
+    """Server and browser together, while each picture is opened and the strip runs along."""
+    folder = with_pictures(large(tmp_path / "site", PICTURES, 20_000), picture())
+    command = [sys.executable, "-m", "photocal", "run", str(folder), "--until", "calibration"]
+    subprocess.run(command, check=True, capture_output=True)
+    with serving(folder, tmp_path) as (url, process):
+        page.goto(f"{url}#/look")
+        drawn(page)
+        most, began = 0, time.perf_counter()
+        for k in range(PICTURES):
+            page.keyboard.press(".")
+            page.wait_for_timeout(150)
+            if k % 10 == 0:
+                most = max(most, held(process) + sum(map(held, renderers())))
+        seconds = time.perf_counter() - began
+    keep("pictures", {"pictures": PICTURES, "peak_mib": most >> 20, "seconds": round(seconds)})
+    assert most < MOST_BYTES
+
+
+def picture() -> bytes:
+    """A picture of 20 megapixels with detail, as a drone camera writes."""
+    rng = np.random.default_rng(0)
+    coarse = rng.normal(0, 30, (3648 // 8, 5472 // 8, 3)).repeat(8, 0).repeat(8, 1)
+    grain = rng.normal(128, 12, (3648, 5472, 3))
+    out = BytesIO()
+    Image.fromarray(np.clip(coarse + grain, 0, 255).astype(np.uint8)).save(out, "JPEG", quality=80)
+    return out.getvalue()
+
+
+@contextmanager
+def serving(folder: Path, aside: Path) -> Iterator[tuple[str, int]]:
+    """Serve the window in a process of its own; gives its address and number."""
+    more = ["--address", "127.0.0.1:0", "--cache", str(aside / "cache")]
+    command = [sys.executable, "-m", "photocal", "desk", str(folder), *more]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            yield server.stdout.readline().split()[1], server.pid
+        finally:
+            server.terminate()
+
+
+def renderers() -> list[int]:
+    """Processes of Chromium that draw pages."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            try:
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+            except OSError:
+                continue
+            if b"--type=renderer" in words and any(b"chrom" in word for word in words[:1]):
+                found.append(int(entry.name))
+    return found
+
+
+def held(process: int) -> int:
+    """Memory of a process, shared pages by their part."""
+    try:
+        text = Path(f"/proc/{process}/smaps_rollup").read_text()
+    except OSError:
+        return 0
+    return 1024 * next((int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:")), 0)

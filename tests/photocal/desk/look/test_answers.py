@@ -1,0 +1,96 @@
+"""What Look answers over the wire: refusals in words, tiles of the project alone, and leaving out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+from PIL import Image
+
+from photocal.project import read_project
+from tests.photocal.desk.client import Client, opened
+from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT, small
+
+MARK = {"image": GROSS_IMAGE, "point": GROSS_POINT}
+
+
+@pytest.fixture
+def client(finished: Path, tmp_path: Path) -> Iterator[Client]:
+    with opened(finished, tmp_path / "cache") as asked:
+        yield asked
+
+
+def test_before_a_run_it_says_so(tmp_path: Path) -> None:
+    with opened(small(tmp_path / "site"), tmp_path / "cache") as client:
+        answer = client.get("/api/look")
+        assert answer.status == 404
+        assert "run the project first" in answer.json["error"]
+
+
+def test_every_view_answers(client: Client) -> None:
+    overview = client.get("/api/look").json
+    assert overview["pictures"] == {f"p{k}.png": True for k in range(1, 9)}
+    assert overview["left_out"] == {"entries": [], "waiting": False}
+    assert client.get("/api/look/ties.bin").headers["content-type"] == "application/octet-stream"
+    assert len(client.get("/api/look/tie-names").json) == overview["ties"]
+    assert client.get("/api/look/plots").json["cameras"].keys() == {"cam"}
+    assert client.get("/api/look/findings?language=pt-BR").json["lines"]
+
+
+def test_tiles_are_those_of_the_pictures_and_of_nothing_else(client: Client, finished: Path) -> None:
+    whole = Image.open(BytesIO(client.get("/api/look/tiles/p1.png/0/0/0").body))
+    assert whole.size == (480, 360)
+    (finished / "images" / "link.png").symlink_to("/etc/passwd")
+    for name in (
+        "../project.toml",
+        "..%2Fproject.toml",
+        "%2Fetc%2Fpasswd",
+        "project.toml",
+        "none.png",
+        "link.png",
+    ):
+        answer = client.get(f"/api/look/tiles/{name}/0/0/0")
+        assert answer.status == 404, name
+        assert b"root:" not in answer.body
+
+
+@pytest.mark.parametrize(
+    ("entry", "word"),
+    [
+        ({**MARK, "reason": ""}, "reason"),
+        (MARK, "reason"),
+        ({"reason": "why"}, "name an image"),
+        ({"point": "P99", "reason": "why"}, "not in the block"),
+        ({**MARK, "reason": "two\nlines"}, "not printed"),
+        ({**MARK, "reason": "why", "more": 1}, "more"),
+    ],
+)
+def test_what_cannot_be_left_out_is_refused_and_nothing_is_written(
+    client: Client, finished: Path, entry: dict[str, str], word: str
+) -> None:
+    before = (finished / "project.toml").read_bytes()
+    answer = client.post("/api/look/leave-out", entry)
+    assert answer.status == 422
+    assert word in answer.json["error"]
+    assert (finished / "project.toml").read_bytes() == before
+
+
+def test_leaving_out_waits_for_a_run_and_can_be_taken_back(client: Client, finished: Path) -> None:
+    entry = {**MARK, "reason": "wrong corner"}
+    assert client.post("/api/look/leave-out", entry).json == {"entries": [entry], "waiting": True}
+    (kept,) = read_project(finished).contents.leave_out
+    assert kept.reason == "wrong corner"
+    assert client.post("/api/look/take-back", entry).json == {"entries": [], "waiting": False}
+    assert client.post("/api/look/take-back", entry).status == 422
+
+
+@pytest.mark.parametrize("name", ["none", "<img src=x onerror=alert(1)>", "../p1.png"])
+def test_what_takes_no_part_is_refused_in_words(client: Client, name: str) -> None:
+    for kind in ("picture", "point"):
+        answer = client.get(f"/api/look/{kind}?name={quote(name)}")
+        assert answer.status == 404
+        assert answer.headers["content-type"].startswith("application/json")
+        assert "takes no part" in answer.json["error"]
