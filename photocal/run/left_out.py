@@ -86,12 +86,11 @@ def _without(block: Block, ray: Flags, point: Flags, image: Flags) -> Block:
 def _of_images(block: Block, gone: Flags) -> Block:
     """Without whole images: what was observed at their exposures goes with them, and strips without one."""
     place = np.cumsum(~gone) - 1
-    positions, attitudes = (
-        replace(part, image=place[part.image]).rows(~gone[part.image])
-        for part in (block.positions, block.attitudes)
-    )
+    positions = block.positions.rows(~gone[block.positions.image])
+    attitudes = block.attitudes.rows(~gone[block.attitudes.image])
     _, strip = np.unique(positions.strip, return_inverse=True)
-    positions = replace(positions, strip=strip.astype(np.int64))
+    positions = replace(positions, image=place[positions.image], strip=strip.astype(np.int64))
+    attitudes = replace(attitudes, image=place[attitudes.image])
     return replace(without_images(block, gone), positions=positions, attitudes=attitudes)
 
 
@@ -109,7 +108,7 @@ def leave_out(path: Path, entry: LeaveOutKeys) -> None:
         document.append(_SECTION, tomlkit.aot())
     table = tomlkit.table()
     table.update(entry.model_dump(exclude_none=True))
-    document[_SECTION].append(table)  # type: ignore[union-attr]
+    document[_SECTION].append(table)
     _write(path, document)
 
 

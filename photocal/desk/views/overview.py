@@ -72,7 +72,7 @@ def _in_mm(shown: Shown) -> bool:
 
 def _spread(covariance: Floats) -> dict[str, Any]:
     """Ellipse in the plane, ellipsoid, and the standard deviation in height."""
-    known = np.isfinite(covariance).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     safe = np.where(known[:, None, None], covariance, 0.0)
     flat, space = ellipses(safe, PROBABILITY), ellipsoids(safe, PROBABILITY)
     return {
@@ -115,7 +115,7 @@ def position_residuals(shown: Shown) -> tuple[Floats, Floats, Integers]:
     residual, sigma = np.full((2, count, 3), np.nan)
     strip = np.zeros(count, dtype=np.int64)
     place = np.array([shown.image_rows.get(name, -1) for name in block.images.names], dtype=np.int64)
-    rows = np.flatnonzero(place[block.positions.image] >= 0) if len(block.positions.image) else []
+    rows = np.flatnonzero(place[block.positions.image] >= 0)
     if not len(rows) or mounting is None or block.heads:
         return residual, sigma, strip
     observed = local_positions(block.positions.rows(rows), shown.frame)
