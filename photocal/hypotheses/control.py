@@ -257,7 +257,7 @@ def _chosen(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[int, .
     n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES)
     if freedom < 1 or misfit(d, covariance, common, ()) <= stats.chi2.isf(policy.SIGNIFICANCE, freedom):
         return nobody
-    options = []
+    options = list[tuple[float, tuple[int, ...], tuple[int, ...], bool]]()
     for axes in _WRONG:
         best, agreed = tuple[int, ...](), math.inf
         for size in range(1, max(n // 3, 1) + 1):
