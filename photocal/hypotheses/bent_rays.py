@@ -32,4 +32,4 @@ def _raised(state: State, c: Floats, image: Integers, apart: Floats, rise: Float
     """Displacement on the image plane of points that seem to lie higher, distortion left out, (n, 2)."""
     q = np.einsum("nij,nj->ni", state.rotation[image], apart)
     dq = state.rotation[image][:, :, 2] * rise[:, None]
-    return -c * (dq[:, :2] / q[:, 2:] - q[:, :2] * dq[:, 2:] / q[:, 2:] ** 2)
+    return np.asarray(-c * (dq[:, :2] / q[:, 2:] - q[:, :2] * dq[:, 2:] / q[:, 2:] ** 2))

@@ -27,7 +27,7 @@ _HARDLY = 1e4
 _ALL_SUBSETS = 4000
 # Coordinates of a point that a mistake concerns: its height, its place in plane, or all of them.
 _ALL_AXES = (0, 1, 2)
-_WRONG = ((2,), (0, 1), _ALL_AXES)
+_WRONG: tuple[tuple[int, ...], ...] = ((2,), (0, 1), _ALL_AXES)
 # Factors by which the sigmas of a survey may be too small.
 _FACTORS = np.geomspace(1.2, 60.0, 24)
 # Random errors that are drawn to see how often a slip fits by chance.
@@ -257,7 +257,7 @@ def _chosen(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[int, .
     n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES)
     if freedom < 1 or misfit(d, covariance, common, ()) <= stats.chi2.isf(policy.SIGNIFICANCE, freedom):
         return nobody
-    options = []
+    options = list[tuple[float, tuple[int, ...], tuple[int, ...], bool]]()
     for axes in _WRONG:
         best, agreed = tuple[int, ...](), math.inf
         for size in range(1, max(n // 3, 1) + 1):
