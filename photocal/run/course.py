@@ -55,6 +55,7 @@ class Course:
         self._began = self._stage_began = self._piece_began = clock()
         self._stage, self._title, self._expected = "", "", 0.0
         self._done, self._total = 0.0, float("nan")
+        self._share = 0.0
         self._took = self._meant = _AS_EXPECTED_S
 
     def begin(self, stage: str) -> None:
@@ -97,9 +98,12 @@ class Course:
         if self._expected:
             left = max(left, _OVERDUE * stage_s)
         left += pace * sum(self._ahead.values())
-        of_run = elapsed / (elapsed + left) if elapsed + left > 0.0 else 0.0
+        # What turns out to be longer stops the bar and does not turn it back.
+        self._share = max(self._share, elapsed / (elapsed + left) if elapsed + left > 0.0 else 0.0)
         piece_share = share if known else None
-        return Standing(self._stage, self._title, piece_share, piece_left, piece_s, of_run, left, elapsed)
+        return Standing(
+            self._stage, self._title, piece_share, piece_left, piece_s, self._share, left, elapsed
+        )
 
 
 @contextmanager

@@ -261,13 +261,22 @@ def needed_modules(start: str, known: Mapping[str, Path]) -> set[str]:
             if name in _PACKAGES:
                 # The face of a package offers all of it, and loads what is asked for.
                 continue
-            waiting += [name.rpartition(".")[0], *_named(name, known[name])]
+            state = known[name].stat()
+            waiting += [name.rpartition(".")[0], *_named(name, known[name], state.st_mtime_ns, state.st_size)]
     return seen
 
 
-def _named(module: str, path: Path) -> Iterator[str]:
-    """What a source imports, or names in a text: tables name what they load, also within their package."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
+@functools.cache
+def _named(module: str, path: Path, *_: int) -> frozenset[str]:
+    """What a source imports, or names in a text: tables name what they load, also within their package.
+
+    Stages have most of their modules in common, and each is read once while it keeps its time and size.
+    """
+    return frozenset(_names_in(module, ast.parse(path.read_bytes())))
+
+
+def _names_in(module: str, source: ast.Module) -> Iterator[str]:
+    for node in ast.walk(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
