@@ -17,7 +17,6 @@ import re
 import shutil
 import sys
 import tempfile
-import time
 import traceback
 import warnings
 from collections import Counter
@@ -280,9 +279,7 @@ def _kind(line: str) -> str:
     return re.sub(r"'[^']*'|\"[^\"]*\"|[-+\d.,]*\d", "#", words).split(";")[0][:90]
 
 
-def page(
-    count: int, ended: Counter[tuple[str, str]], folders: Counter[str], broken: Sequence[str], s: float
-) -> str:
+def page(count: int, ended: Counter[tuple[str, str]], folders: Counter[str], broken: Sequence[str]) -> str:
     """Write the outcomes as a table."""
     lines = [
         "# Mutilated control lists",
@@ -290,7 +287,7 @@ def page(
         f"Made by `python -m tests.evidence.mutilated_lists`: {count} lists, each with up to five accidents",
         "in its rows (cells that are no number, cut and doubled rows, exchanged axes, pictures and points of",
         "other names, decimal commas, marks of another size), in fourteen systems and three encodings, some",
-        f"cut; in three of ten cases something happens to the folder, too. {s:.0f} s beside other work.",
+        "cut; in three of ten cases something happens to the folder, too.",
         "",
         "Asked: no exception that nobody catches, a refusal in one line, and no row that is neither used nor",
         f"named, by `new` and by `run --until control`. Seen: {len(broken)} cases that break this.",
@@ -318,7 +315,6 @@ def outcome(made: Path, scratch: Path, seed: int) -> tuple[Case, list[str], str,
 def main(count: int, workers: int) -> None:
     """Run the study."""
     ended, folders, broken = Counter[tuple[str, str]](), Counter[str](), list[str]()
-    began = time.monotonic()
     with (
         tempfile.TemporaryDirectory() as scratch,
         ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as crew,
@@ -332,7 +328,7 @@ def main(count: int, workers: int) -> None:
             broken += [f"{case.seed} ({case.folder}): {line}" for line in wrong]
             for line in wrong:
                 print(f"{case.seed} ({case.folder}): {line}", flush=True)
-    written = page(count, ended, folders, broken, time.monotonic() - began)
+    written = page(count, ended, folders, broken)
     if count >= COUNT:
         OUTPUT.write_text(written, encoding="utf-8", newline="\n")
     print(written)

@@ -156,7 +156,9 @@ def test_our_own_figures_come_back(
     assert report["mean reprojection error of tie points"]["theirs"] == 0.391
     assert report["rms of check points, Z"]["theirs"] == 0.023
     assert "check points by field 3_report.html" in " ".join(figures["remarks"])
-    assert read_foreign_project(params).block.frame == SYSTEM
+    block = read_foreign_project(params).block
+    assert (block.frame, block.height) == (SYSTEM, "unstated")
+    assert any("do not say what their heights count from" in line for line in figures["remarks"])
     text = adoption_text(figures)
     assert "beside ours" in text
     assert not re.search(r"\de-\d\d\s+\+-\s+\d+e-2\d", text)

@@ -240,6 +240,29 @@ def test_the_answers_to_a_question_are_taken(pictures: Path, tmp_path: Path, pho
         check_project(read_project(project))
 
 
+@pytest.mark.parametrize(
+    ("first", "height", "asked"),
+    [
+        ("EPSG:4978", "", "crs: 'EPSG:4978' (WGS 84) has no map coordinates"),
+        ("EPSG:2180+5773", "ellipsoidal", "height: EPSG:2180+5773 has heights of its own (EGM96 height)"),
+        ("EPSG:2180+5773", "", ""),
+        ("EPSG:2180+5773", "orthometric", ""),
+    ],
+)
+def test_what_run_would_refuse_is_asked_before(
+    pictures: Path, tmp_path: Path, photocal: Photocal, first: str, height: str, asked: str
+) -> None:
+    """Without positions no grid is needed: a system with heights of its own is answer enough."""
+    site_folder(pictures, tmp_path / "f", first=first)
+    found = new(photocal, tmp_path / "f", *(("--height", height) if height else ()))
+    if asked:
+        (line,) = found["asked"]
+        assert line.startswith(asked)
+        return
+    assert found["asked"] == []
+    check_project(read_project(tmp_path / "f/project.toml"))
+
+
 def test_heights_of_precise_positions_ask_for_their_geoid(
     pictures: Path, tmp_path: Path, photocal: Photocal
 ) -> None:
