@@ -16,12 +16,12 @@ from photocal.navigation.baseline_network import Baseline, GroundMark, NetworkSo
 from photocal.navigation.engine import ProcessingOptions, Rtklib
 from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajectory_of
 from photocal.navigation.flight_log import FlightLog
-from photocal.navigation.mark_frames import MarkFrame, frame_of_orbits, frame_told, in_system
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import converted
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
+from photocal.navigation.survey_frames import MovedMark, frame_of_orbits, frame_told, in_system
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
 from photocal.project import AirAtBase
@@ -113,7 +113,7 @@ class Survey:
         return None if self.setup.antex is None else self.folder / self.setup.antex
 
 
-def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], list[MarkFrame]]:
+def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], list[MovedMark]]:
     """Compute precise points, then the baselines one after the other, and adjust them.
 
     returns: also figures of each session, and what was taken from one frame to another.

@@ -14,14 +14,14 @@ from photocal.base.geodesy import geodetic
 from photocal.geometry.ground_scale import combined_factor, has_scale
 from photocal.navigation.baseline_network import NetworkSolution
 from photocal.navigation.exposure_files import in_frame
-from photocal.navigation.mark_frames import MarkFrame
+from photocal.navigation.survey_frames import MovedMark
 from photocal.navigation.trajectory import enu_axes_at
 
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "sXY", "sXZ", "sYZ", "role")
 
 
 def survey_figures(
-    solution: NetworkSolution, sessions: list[dict[str, Any]], frames: Sequence[MarkFrame] = ()
+    solution: NetworkSolution, sessions: list[dict[str, Any]], frames: Sequence[MovedMark] = ()
 ) -> dict[str, Any]:
     """Return the figures of a survey, ready for JSON."""
     per_baseline = {

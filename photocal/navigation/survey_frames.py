@@ -13,7 +13,7 @@ from photocal.navigation.time import GpsTime
 
 
 @dataclass(frozen=True)
-class MarkFrame:
+class MovedMark:
     """Where the coordinates of a mark count, and where they were taken to.
 
     moved: None where they stay: nobody tells a frame, or nothing known leads to that of the survey.
@@ -56,7 +56,7 @@ def frame_of_orbits(products: tuple[Path, ...]) -> Realization | None:
 
 def in_system(
     mark: GroundMark, source: Realization | None, crs: str | None, time: GpsTime | None = None
-) -> tuple[GroundMark, MarkFrame | None]:
+) -> tuple[GroundMark, MovedMark | None]:
     """Take a mark from its frame to that of a system, with the uncertainty of the way.
 
     time: of the observations, at whose epoch a precise position counts.
@@ -68,7 +68,7 @@ def in_system(
     known = BaseFrame.of(mark.xyz_m, source, crs, source.epoch if time is None else decimal_year(time))
     if known.target is None or known.source is None or known.source == known.target:
         return mark, None
-    done = MarkFrame(mark.name, known.source, known.target, known.moved)
+    done = MovedMark(mark.name, known.source, known.target, known.moved)
     if known.moved is None:
         return mark, done
     spread = mark.covariance_m2 + known.moved.sigma_m**2 * np.eye(3)
