@@ -7,8 +7,6 @@ from typing import Any
 from photocal.base.checked_toml import Table, checked_tables
 from photocal.base.errors import ConfigurationError, InputNotFoundError
 
-RESULT_FILES = ("result.json", "certificate.json")
-
 
 class _Parameter(Table, extra="ignore"):
     value: float
@@ -44,14 +42,9 @@ class Calibration(Table, extra="ignore"):
 def read_prior(path: Path, camera: str) -> Calibration:
     """Read the calibration of a camera: of that name, or the only one.
 
-    path: result.json of a run, certificate.json, or the folder of one.
+    path: what a run or a certificate wrote as JSON.
     raises InputNotFoundError, ConfigurationError: when there is none.
     """
-    if path.is_dir():
-        found = next((path / name for name in RESULT_FILES if (path / name).is_file()), None)
-        if found is None:
-            raise InputNotFoundError("has no result.json", "name a run or a certificate", where=path)
-        path = found
     if not path.is_file():
         raise InputNotFoundError("does not exist", "name the result.json of a calibration", where=path)
     wrong = ConfigurationError.at(path)

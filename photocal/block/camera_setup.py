@@ -94,7 +94,7 @@ class CameraKeys(Table):
     """One `[[camera]]`, of a block or of a file of calibrations.
 
     prior_correlation: between the parameters with a prior sigma.
-    prior_from: result.json or certificate.json of another calibration, or its folder, relative to this file:
+    prior_from: result.json or certificate.json of another calibration, relative to this file:
         its values, standard deviations and all its correlations are the prior.
     shake_rad: sigmas of the turns of an image during its readout, by their degree from 1 on.
     sigma, correlation: of values that were adjusted; `given`: what those were before.

@@ -9,7 +9,6 @@ from photocal.adjustment.network import ANGLES, NO_RELATIONS, RELATIONS, Relatio
 from photocal.base.arrays import Floats
 from photocal.base.checked_toml import read_toml
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError, InputNotFoundError
-from photocal.block.camera_prior import RESULT_FILES
 from photocal.block.camera_setup import make_camera
 from photocal.block.model import (
     ROLES,
@@ -204,7 +203,6 @@ def _priors(folder: Path, setup: Setup) -> list[str]:
         if not keys.prior_from:
             continue
         path = folder / keys.prior_from
-        path = next((path / name for name in RESULT_FILES if (path / name).is_file()), path)
         if not path.resolve().is_relative_to(folder.resolve()):
             raise ConfigurationError(
                 f"prior_from of camera {keys.id} lies outside of the block folder",

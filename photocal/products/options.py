@@ -83,6 +83,9 @@ class VolumeOptions(Options):
     wall_thickness: Annotated[
         float, Option("Taken from the measured radii, m, where the points lie outside.")
     ] = 0.0
+    filling: Annotated[
+        float | None, Option("With sections: filling table, a level every so many metres, with sigmas.")
+    ] = None
     plot: Annotated[Path | None, Option("Residual ring plot to write: .pdf, .svg, .png.")] = None
 
     def __post_init__(self) -> None:

@@ -7,6 +7,7 @@ from typing import Any, Literal, cast
 from photocal.base.errors import ConfigurationError
 from photocal.products import sections as tanks
 from photocal.products.closed_sections import measure_closed
+from photocal.products.filling import Filled, filling_table, partial_volumes
 from photocal.products.options import VolumeOptions
 
 
@@ -72,16 +73,29 @@ def volume(sections: str | Path | None, options: VolumeOptions) -> Volume:
         figures |= tanks.tank_json(tank, points.axes, wall)
         lines.append(tanks.tank_text(tank, points.axes, wall))
         radius, radius_sigma = tank.radius, tank.radius_sigma
+        parts = partial_volumes(tank, wall)
+        figures["partial_volumes"] = [vars(part) for part in parts]
+        if len(parts) > 1:
+            lines += [f"between {p.from_m:.3f} and {p.to_m:.3f} m: {_told(p)}" for p in parts]
+        if options.filling is not None:
+            filled = filling_table(tank, options.filling, wall)
+            figures["filling"] = [vars(level) for level in filled]
+            lines.append("filling table, m above the lowest section:")
+            lines += [f"  {level.to_m:.3f}  {_told(level)}" for level in filled]
         if options.plot is not None:
             tanks.draw_rings(tank, points.axes, options.plot)
-    elif options.sigma is not None or options.plot is not None or options.wall_thickness != 0.0:
-        raise ConfigurationError("--sigma, --plot and --wall-thickness need a table of sections")
+    elif (options.sigma, options.plot, options.filling) != (None,) * 3 or options.wall_thickness != 0.0:
+        raise ConfigurationError("--sigma, --plot, --filling and --wall-thickness need a table of sections")
     if height is not None:
         # The pairs were checked: with a height there are all four.
         whole = tanks.cylinder_volume(radius or 0.0, radius_sigma or 0.0, height, options.height_sigma or 0.0)
         figures["by_mean_radius"] = tanks.volume_json(whole)
         lines.append(f"by mean radius and height: {tanks.volume_text(whole)}")
     return Volume(figures, "\n".join(lines))
+
+
+def _told(part: Filled) -> str:
+    return f"{part.volume_m3:.3f} m3, sigma {part.sigma_m3:.3f} m3"
 
 
 def _points(sections: Path, options: VolumeOptions) -> tanks.RingPoints:
@@ -92,10 +106,10 @@ def _points(sections: Path, options: VolumeOptions) -> tanks.RingPoints:
 
 def _closed(sections: Path, options: VolumeOptions) -> Volume:
     points = _points(sections, options)
-    round_only = options.plot or options.height or options.wall_thickness
+    round_only = options.plot or options.height or options.wall_thickness or options.filling
     if options.shape not in ("curve", "polygon") or round_only:
         raise ConfigurationError(
-            f"--shape {options.shape} with --plot, --height or --wall-thickness makes no sense",
+            f"--shape {options.shape} with --plot, --height, --filling or --wall-thickness makes no sense",
             "use circle, or curve or polygon without them",
         )
     closed, text = measure_closed(points, cast("Literal['curve', 'polygon']", options.shape))

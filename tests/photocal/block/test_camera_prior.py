@@ -34,7 +34,7 @@ def block(run: Path, tmp_path: Path) -> Path:
     shutil.copy(run / "result.json", tmp_path / "block" / "may")
     setup = tmp_path / "block" / "block.toml"
     text = re.sub(r"parameters = .*\nestimate = .*\nprior_sigma = .*\n", "", setup.read_text("utf-8"))
-    setup.write_text(text + 'prior_from = "may"\n', "utf-8")
+    setup.write_text(text + 'prior_from = "may/result.json"\n', "utf-8")
     return tmp_path / "block"
 
 
@@ -62,13 +62,18 @@ def test_a_prior_of_the_same_photos_halves_the_variances(block: Path, run: Path,
 @pytest.mark.parametrize(
     ("old", "new", "kind", "message"),
     [
-        ('"may"', '"june"', InputNotFoundError, "does not exist"),
-        ('"may"', '"../elsewhere"', PhotocalError, "does not exist|outside"),
+        ('"may/', '"june/', InputNotFoundError, "does not exist"),
+        ('"may/', '"../elsewhere/', PhotocalError, "does not exist|outside"),
         ("size_px = [3060, 2036]", "size_px = [3060, 2000]", ConfigurationError, "size_px"),
-        ('prior_from = "may"', 'prior_from = "may"\nparameters = { c = 20.0 }', ConfigurationError, "beside"),
         (
-            'prior_from = "may"',
-            'prior_from = "may"\nestimate = ["c"]',
+            'prior_from = "may/result.json"',
+            'prior_from = "may/result.json"\nparameters = { c = 20.0 }',
+            ConfigurationError,
+            "beside",
+        ),
+        (
+            'prior_from = "may/result.json"',
+            'prior_from = "may/result.json"\nestimate = ["c"]',
             ConfigurationError,
             "lacks x0",
         ),
@@ -85,6 +90,8 @@ def test_what_cannot_be_a_prior(
 
 def test_a_calibration_outside_of_the_folder_is_refused(block: Path, run: Path) -> None:
     setup = block / "block.toml"
-    setup.write_text(setup.read_text("utf-8").replace('"may"', json.dumps(str(run))), "utf-8")
+    setup.write_text(
+        setup.read_text("utf-8").replace('"may/result.json"', json.dumps(str(run / "result.json"))), "utf-8"
+    )
     with pytest.raises(ConfigurationError, match="outside of the block folder"):
         read_block(block)
