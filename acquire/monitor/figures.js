@@ -120,6 +120,13 @@ function worst(words) {
   return words.slice().sort((a, b) => ORDER.indexOf(a.level) - ORDER.indexOf(b.level))[0];
 }
 
+function moving(vehicle, level) {
+  const speed = vehicle?.speed_m_s ?? null;
+  if (speed === null) return null;
+  const heading = vehicle.heading_deg === null ? "" : `, ${vehicle.heading_deg.toFixed(0)}\u00b0`;
+  return { text: `${speed.toFixed(1)} m/s${heading}`, level };
+}
+
 function tiles(view) {
   const [vehicle] = view.vehicles;
   const unknown = { text: "\u2013", level: "off" };
@@ -133,6 +140,7 @@ function tiles(view) {
   const level = worst(view.cameras.map((row) => row.state))?.level ?? "off";
   const shown = [
     ["above take-off", height === null ? unknown : { text: `${height.toFixed(0)} m`, level: stale }],
+    ["speed, heading", moving(vehicle, stale) ?? unknown],
     [vehicle?.armed ? "mode, armed" : "mode", vehicle?.mode ?? unknown],
     ["battery", worst(view.batteries.map((row) => row.state)) ?? unknown],
     ["fix", worst(view.receivers.map((row) => row.fix)) ?? unknown],

@@ -1,5 +1,6 @@
 """The state of a recording, as far as it is known from its log and from the computer."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -67,6 +68,8 @@ def place_at(track: Track, time_ns: int) -> tuple[float, float] | None:
 _HEARTBEAT, _POSITION = 0, 33
 _ARMED = 0x80
 _V2 = 0xFD
+# What MAVLink says of a heading that is not known.
+_NO_HEADING = 0xFFFF
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,7 @@ class VehicleState:
     mode: its mode of flight, as ground stations call it; empty before it was told.
     armed, flown: whether its motors may turn, and whether they ever might.
     height_m: above the take-off.
+    speed_m_s, heading_deg: over ground, and where its nose points, from north by east; None where not told.
     time_ns: when it told its mode last, UTC.
     """
 
@@ -84,6 +88,8 @@ class VehicleState:
     flown: bool = False
     height_m: float | None = None
     time_ns: int = 0
+    speed_m_s: float | None = None
+    heading_deg: float | None = None
 
 
 def vehicle_after(vehicle: VehicleState | None, part: LoggedMessages) -> VehicleState | None:
@@ -99,7 +105,10 @@ def vehicle_after(vehicle: VehicleState | None, part: LoggedMessages) -> Vehicle
         wanted.discard(kind)
         vehicle = vehicle or VehicleState()
         if kind == _POSITION:
-            vehicle = replace(vehicle, height_m=message.relative_alt * 1e-3)
+            heading = None if message.hdg == _NO_HEADING else message.hdg * 1e-2
+            speed = math.hypot(message.vx, message.vy) * 1e-2
+            height = message.relative_alt * 1e-3
+            vehicle = replace(vehicle, height_m=height, speed_m_s=speed, heading_deg=heading)
         else:
             from pymavlink import mavutil
 

@@ -156,12 +156,14 @@ class ClockRow:
 
 @dataclass(frozen=True)
 class VehicleRow:
-    """A vehicle: its mode of flight, and its height above the take-off."""
+    """A vehicle: its mode of flight, its height above the take-off, its speed over ground and its heading."""
 
     link: str
     mode: Word
     armed: bool
     height_m: float | None
+    speed_m_s: float | None = None
+    heading_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -253,7 +255,14 @@ def view_of(state: RecordingState) -> PageView:
             if link.clock_offset_s is not None
         ),
         vehicles=tuple(
-            VehicleRow(name, _mode(vehicle, now_ns), vehicle.armed, vehicle.height_m)
+            VehicleRow(
+                name,
+                _mode(vehicle, now_ns),
+                vehicle.armed,
+                vehicle.height_m,
+                vehicle.speed_m_s,
+                vehicle.heading_deg,
+            )
             for name, vehicle in sorted(state.vehicles.items())
         ),
         batteries=tuple(_battery(name, battery, now_ns) for name, battery in sorted(state.batteries.items())),

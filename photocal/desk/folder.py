@@ -22,7 +22,7 @@ from photocal.desk.jobs import FOLDER, asked
 from photocal.desk.session import Desk
 from photocal.measurement.image_facts import ImageFacts, read_facts
 from photocal.measurement.image_file import SUFFIXES, list_images
-from photocal.project import NAME
+from photocal.project import ASKED, NAME
 
 # What `photocal new` has said, kept for a window that is opened again.
 _SAID = "new.json"
@@ -73,6 +73,8 @@ def folders(desk: Desk, path: str) -> dict[str, Any]:
     inner = sorted(entry for entry in here.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     # A link may lead out: what it leads to is not shown.
     inside = [entry for entry in inner if entry.resolve().is_relative_to(desk.root)]
+    # What a run has made is nobody's flight.
+    inside = [entry for entry in inside if not (entry / ".digests.json").exists()]
     up = None if here == desk.root else desk.named(here.parent)
     return {
         "path": desk.named(here),
@@ -177,7 +179,12 @@ def _in_degrees(crs: str, places: Any) -> list[list[float] | None]:
 
 def _new(desk: Desk, told: _New) -> dict[str, Any]:
     arguments: list[str | Path] = ["new", desk.folder]
-    for name, value in (("--crs", told.crs), ("--height", told.height), ("--marks", told.marks)):
+    crs, height = _answered(desk)
+    for name, value in (
+        ("--crs", told.crs or crs),
+        ("--height", told.height or height),
+        ("--marks", told.marks),
+    ):
         arguments += [name, value] if value else []
     arguments += ["--again"] if desk.file.is_file() else []
     with desk.lock:
@@ -186,6 +193,20 @@ def _new(desk: Desk, told: _New) -> dict[str, Any]:
         with output_file(desk.folder / FOLDER / _SAID) as aside:
             aside.write_text(json.dumps({**answer, "line": desk.line(arguments)}), encoding="utf-8")
     return project(desk)
+
+
+def _answered(desk: Desk) -> tuple[str, str]:
+    """What was asked before and stands in the project by now: system and kind of heights."""
+    try:
+        given = read_tables(desk.file)["project"]
+    except (PhotocalError, LookupError, TypeError):
+        return "", ""
+    asked_before = [text.partition(":")[0] for text in (said(desk) or {}).get("asked", [])]
+    crs, height = (
+        str(given.get(key, "")) if key in asked_before and given.get(key) != ASKED else ""
+        for key in ("crs", "height")
+    )
+    return crs, height
 
 
 def systems(desk: Desk, text: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ MOST_POINTS = 2000
 
 
 @dataclass(frozen=True)
-class Field:
+class FormField:
     """One key of the project file in the form.
 
     kind: text, system, choice, or triple of numbers.
@@ -35,16 +35,16 @@ class Field:
 
 
 FIELDS = (
-    Field("project.name", "text"),
-    Field("project.crs", "system"),
-    Field("project.height", "height", ("ellipsoidal", "orthometric", "local")),
-    Field("images.lens", "choice", ("unknown", "given")),
-    Field("images.position_sigma_m", "triple"),
-    Field("rig.camera_to_antenna_m", "triple"),
-    Field("flight.base_position", "triple"),
-    Field("certificate.client", "text"),
-    Field("certificate.operator", "text"),
-    Field("certificate.language", "choice", ("en", "pt-BR")),
+    FormField("project.name", "text"),
+    FormField("project.crs", "system"),
+    FormField("project.height", "height", ("ellipsoidal", "orthometric", "local")),
+    FormField("images.lens", "choice", ("unknown", "given")),
+    FormField("images.position_sigma_m", "triple"),
+    FormField("rig.camera_to_antenna_m", "triple"),
+    FormField("flight.base_position", "triple"),
+    FormField("certificate.client", "text"),
+    FormField("certificate.operator", "text"),
+    FormField("certificate.language", "choice", ("en", "pt-BR")),
 )
 # Which words of an error belong to which field, the surer ones first.
 _MENDS = (

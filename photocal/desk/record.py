@@ -77,11 +77,12 @@ def state(desk: Desk, watch: Watch) -> dict[str, Any]:
         watch.on(folder, desk.folder / "work" / "debrief.json", None)
     settings = [path for path in files if path.suffix == ".toml" and _records(path)]
     shown: list[str | Path] = ["monitor", folder or desk.folder, "--page"]
+    shown += [] if plan is None else ["--plan", plan]
     return {
         "file": None if newest is None else desk.named(newest),
         "plan": None if plan is None else desk.named(plan),
         "configurations": [desk.named(path) for path in settings],
-        "line": desk.line([*shown, *(["--plan", plan] if plan is not None else [])], "acquire"),
+        "line": desk.line(shown, "acquire"),
         "begin": [
             desk.line([step, path], "acquire") for path in settings[:1] for step in ("check", "record")
         ],

@@ -12,6 +12,7 @@ from starlette.routing import BaseRoute
 from photocal.base.checked_toml import Table
 from photocal.base.errors import PhotocalError
 from photocal.base.web_answers import checked, doing, telling
+from photocal.desk.certificate import issued_as
 from photocal.desk.project_file import field_of
 from photocal.desk.session import Desk
 from photocal.project import Project
@@ -61,13 +62,11 @@ def state(desk: Desk) -> dict[str, Any]:
     progress = _kept(work / PROGRESS) if job["state"] == "busy" else {}
     names = [stage.name for stage in listed]
     said = told_stages(desk.job(JOB).log(), names) if job["state"] != "none" else {}
-    answer = desk.job(JOB).answer()
     return {
         **told,
         "stages": [*_stages(work, names, said, job)],
         "progress": {key: progress.get(key) for key in ("title", "share", "left_s", "elapsed_s")} or None,
-        "verdict": answer.get("verdict") if isinstance(answer, dict) and job["state"] == "done" else None,
-        "warnings": answer.get("warnings", [])[:50] if isinstance(answer, dict) else [],
+        "verdict": None if job["state"] == "busy" else (issued_as(work / "certificate") or {}).get("verdict"),
     }
 
 

@@ -56,7 +56,8 @@ def _processed(desk: Desk, project: Project) -> dict[str, Stands]:
         steps["run"] = _as("good", "stands.run")
     if issued is not None:
         signs = {"passed": "good", "note": "good", "doubtful": "warn"}
-        steps["look"] = _as(signs.get(issued["verdict"]["severity"] or "", "bad"), "stands.found")
+        look = signs.get(issued["verdict"]["severity"] or "", "bad")
+        steps["look"] = _as(look, f"stands.found-{look}")
         signed = issued["signed"]
         steps["certificate"] = _as("good", "stands.signed") if signed else _as("warn", "stands.unsigned")
     return steps

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from tests.docs import api_page, architecture_figure, command_pages, fault_page, picture_page
+from tests.docs import api_page, architecture_figure, command_pages, desk_pictures, fault_page, picture_page
 
 command_pages.main()
 architecture_figure.main()
 fault_page.main()
+desk_pictures.main()
 picture_page.main()
 api_page.main()

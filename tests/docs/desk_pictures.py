@@ -24,11 +24,10 @@ STEPS = {
     "folder": "#chart canvas",
     "check": "table.plain",
     "run": "ol.stages li",
-    "look": "canvas",
+    "look": "main canvas",
     "certificate": "iframe.preview",
-    "record": "main h1",
 }
-_PATIENCE_MS, _SETTLES_MS = 240_000, 2_000
+_PATIENCE_MS, _SETTLES_MS = 400_000, 3_000
 
 
 @contextlib.contextmanager

@@ -166,12 +166,21 @@ async function route(anew = false) {
 async function start() {
   for (const path of ["/texts.json", "/look/texts.json"]) Object.assign(texts, await (await fetch(path)).json());
   await context.renew();
+  await reopen();
   addEventListener("hashchange", () => route());
   document.getElementById("skip").addEventListener("click", (event) => {
     event.preventDefault();
     document.getElementById("step").focus();
   });
   await route();
+}
+
+// A program that was started again is shown the folder that was open.
+async function reopen() {
+  const kept = localStorage.getItem(`folder ${state.root}`);
+  if (!kept || state.folder !== "." || kept === ".") return;
+  await context.post("/api/open", { path: kept }).catch(() => localStorage.removeItem(`folder ${state.root}`));
+  await context.renew();
 }
 
 start();

@@ -462,3 +462,16 @@ def test_after_landing_links_that_are_switched_off_are_no_alarm() -> None:
 
 def test_a_vehicle_that_has_not_flown_yet_has_not_landed() -> None:
     assert not state_after(RecordingState(), [heartbeats(False, False)]).landed
+
+
+def test_speed_and_heading_are_those_of_the_last_position() -> None:
+    """Velocities north and east of 3 and 4 m/s in cm/s; a heading of hundredths, or of none."""
+    table = ardupilotmega()
+    number = table.number("GLOBAL_POSITION_INT")
+    for hdg, heading in ((27_050, 270.5), (0xFFFF, None)):
+        values = {"relative_alt": 60_000, "vx": 300, "vy": -400, "vz": 99, "hdg": hdg}
+        payload = encode(table, number, values, sequence=0, system=1, component=1)
+        at = np.array([START], dtype=np.int64)
+        part = LoggedMessages(Channel("/vehicle/raw", "mavlink"), [payload], at, at, np.array([0]))
+        (row,) = view_of(state_after(RecordingState(), [part])).vehicles
+        assert (row.height_m, row.speed_m_s, row.heading_deg) == (60.0, 5.0, heading)

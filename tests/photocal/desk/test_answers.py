@@ -11,6 +11,7 @@ import tomllib
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -280,7 +281,7 @@ def test_a_certificate_is_filled_in_issued_signed_sent_and_verified(
     assert (told["verified"], told["authentic"]) == (False, False)
 
 
-def verified(window: Client, octets: bytes) -> dict[str, object]:
+def verified(window: Client, octets: bytes) -> dict[str, Any]:
     answer = good(window.ask("/api/verify", "POST", octets, {"content-type": "application/zip"}))
     return dict(answer.json)
 

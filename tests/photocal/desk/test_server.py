@@ -68,6 +68,15 @@ def test_every_text_that_the_page_says_is_in_the_catalogue() -> None:
             assert any(key.startswith(beginning) for key in known), f"{path.name}: {beginning}"
 
 
+def test_every_word_of_how_a_step_stands_is_in_the_catalogue() -> None:
+    source = (PAGE.parent / "standing.py").read_text(encoding="utf-8")
+    words = set(re.findall(r'"(stands\.[a-z]+)"', source))
+    words |= {f"stands.{name}" for name in ("busy", "failed", "stopped")}
+    words |= {f"stands.found-{state}" for state in ("good", "warn", "bad")}
+    assert len(words) > 10
+    assert words <= texts().keys()
+
+
 def test_nothing_in_the_page_reads_text_as_html() -> None:
     for path in sorted(PAGE.rglob("*.js")):
         source = path.read_text(encoding="utf-8")

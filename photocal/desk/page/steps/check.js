@@ -18,6 +18,7 @@ export async function mount(element, context) {
   let timer = 0;
   let chart = null;
   let drawn = "";
+  const pictures = (await context.get("/api/places").catch(() => ({ pictures: [] }))).pictures;
 
   async function step(asking) {
     clearTimeout(timer);
@@ -55,7 +56,9 @@ export async function mount(element, context) {
     const busy = job.state === "busy";
     const start = (live) => () => step(context.post("/api/debrief/start", { live, language: context.language }));
     const area = h("div.chart", { tabindex: 0, role: "application", "aria-label": say("check.map") });
-    const places = (debrief?.exposures ?? []).filter((one) => one.place_deg);
+    const flown = (debrief?.exposures ?? []).filter((one) => one.place_deg).map((one) => ({ ...one, place_deg: [one.place_deg[1], one.place_deg[0]] }));
+    // Without a log pictures say themselves where they were taken.
+    const places = flown.length ? flown : pictures.map((one) => ({ image: one.name, place_deg: one.place_deg }));
     const key = JSON.stringify([places, debrief?.coverage?.holes_deg]);
     const kept = drawn === key && chart ? chart.getTargetElement() : null;
     fill(flight, h("h2", {}, say("check.flight")),
@@ -73,7 +76,7 @@ export async function mount(element, context) {
         !busy && h("button", { type: "button", onclick: start(true) }, say("check.live"))));
     if (places.length && !kept) {
       drawn = key;
-      drawMap(area, places, debrief.coverage);
+      drawMap(area, places, debrief?.coverage);
     }
   }
 

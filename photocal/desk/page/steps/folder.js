@@ -30,7 +30,7 @@ export async function mount(element, context) {
   async function choose(path, browse = path) {
     if (path !== null) {
       if (!(await act(context.post("/api/open", { path })))) return;
-      sessionStorage.setItem("folder", path);
+      localStorage.setItem(`folder ${context.state.root}`, path);
       await context.renew();
       await show();
     }

@@ -80,7 +80,7 @@ export async function mount(element, context) {
 
   function verdict(state) {
     const tone = { passed: "good", note: "good", doubtful: "warn" }[state.verdict.severity] ?? "bad";
-    return h("div.verdict", {}, said(tone, h("p", {}, state.verdict.paragraph), h("ul", {}, state.verdict.said.map((line) => h("li", {}, line)))),
+    return h("div.verdict", {}, said(tone, h("p", {}, state.verdict.paragraph), h("ul", {}, (state.verdict.said ?? []).map((line) => h("li", {}, line)))),
       h("a.button", { href: "#/look" }, say("run.look")), " ", h("a.button", { href: "#/certificate" }, say("run.certificate")));
   }
 
@@ -117,7 +117,7 @@ export async function mount(element, context) {
       const busy = stage.state === "busy";
       const share = STATES[stage.state] === "good" ? 1 : busy ? state.progress?.share ?? null : 0;
       const name = stage.ours ? say(`stage.${stage.name}`) : stage.name;
-      return h("li", { "aria-current": busy ? "step" : null },
+      return h("li", { class: STATES[stage.state], "aria-current": busy ? "step" : null },
         h("span.number", { "aria-hidden": "true" }, k + 1),
         h("span.name", {}, name, busy && state.progress?.title && h("span.hint", {}, state.progress.title)),
         h("progress", { max: 1, value: share === null ? undefined : share, "aria-label": name }),
