@@ -25,6 +25,7 @@ export function picturePane(shared) {
   let zoomTo = null;
   let shown = null;
   let last = null;
+  let drawnStrip = null;
   const chooser = h("select", { id: "picture-name", "aria-label": say("look.picture"), onchange: () => selection.image(chooser.value) }, h("option", { value: "" }, say("look.no-picture")), names.map((name) => h("option", { value: name }, name)));
   const enlarge = h("select", { id: "picture-factor", onchange: () => ((factor = Number(enlarge.value)), draw()) }, ENLARGED.map((n) => h("option", { value: n, selected: n === factor }, `× ${n}`)));
   const facts = h("span.facts", {});
@@ -39,6 +40,8 @@ export function picturePane(shared) {
   const seen = new ResizeObserver(() => draw());
   seen.observe(canvas.parentElement);
   const unlisten = selection.listen(changed);
+  // What was left out just now is told at its crop.
+  shared.leaving.listen(() => strip.dataset.kind?.startsWith("point ") && drawnStrip?.());
   overviewStrip();
   return { element, bar, step, leave: leavePane };
 
@@ -76,14 +79,19 @@ export function picturePane(shared) {
     }
     const more = block.marking && shown.of_role !== "tie" ? await unmarked(name, shown.images) : [];
     if (selection.now !== now) return;
-    const several = now.points.length > 1 && h("div.several", {}, now.points.map((other) => h("button.small", { type: "button", "aria-pressed": other === name, onclick: () => showPoint(other, now) }, other)));
-    const role = shown.refusal ? "" : ` ${say(`look.role.${shown.of_role ?? "tie"}`)}, ${say("look.n-images", { n: shown.images.length })}`;
-    strip.dataset.kind = `point ${name}`;
-    fill(strip, several, h("div.head", {}, h("b", {}, name), role), shown.refusal && h("p.quiet", {}, shown.refusal), h("div.crops", {}, shown.images.map((image, k) => cropOf(shown, image, k))), more.length > 0 && h("div.head", {}, say("look.predicted", { n: more.length })), more.length > 0 && h("div.crops", {}, more.map((one) => openOf(name, one))));
+    fillStrip(name, now, more);
     selection.seen(shown.images, shown.at);
     const wanted = now.observations.find(([, other]) => other === name)?.[0] ?? shown.images[0];
     const k = shown.images.indexOf(wanted);
     if (wanted) await goTo(wanted, k < 0 ? null : shown.place[k]);
+  }
+
+  function fillStrip(name, now, more) {
+    const several = now.points.length > 1 && h("div.several", {}, now.points.map((other) => h("button.small", { type: "button", "aria-pressed": other === name, onclick: () => showPoint(other, now) }, other)));
+    const role = shown.refusal ? "" : ` ${say(`look.role.${shown.of_role ?? "tie"}`)}, ${say("look.n-images", { n: shown.images.length })}`;
+    strip.dataset.kind = `point ${name}`;
+    fill(strip, several, h("div.head", {}, h("b", {}, name), role), shown.refusal && h("p.quiet", {}, shown.refusal), h("div.crops", {}, shown.images.map((image, k) => cropOf(shown, image, k))), more.length > 0 && h("div.head", {}, say("look.predicted", { n: more.length })), more.length > 0 && h("div.crops", {}, more.map((one) => openOf(name, one))));
+    drawnStrip = () => fillStrip(name, now, more);
   }
 
   /** Pictures that should show a surveyed point but have no mark of it, the most useful first. */
@@ -155,7 +163,7 @@ export function picturePane(shared) {
       told = answer;
     } catch (refusal) {
       told = null;
-      say_(refusal.message);
+      tell(refusal.message);
       return;
     }
     tellFacts();
@@ -163,16 +171,16 @@ export function picturePane(shared) {
     mark.disabled = Boolean(told.reason);
     if (told.reason) {
       viewer?.close();
-      say_(told.reason === "is not in the folder of pictures" ? say("look.no-picture-there") : told.reason);
+      tell(told.reason === "is not in the folder of pictures" ? say("look.no-picture-there") : told.reason);
       blank();
     } else {
-      say_("");
+      tell("");
       await show();
     }
     draw();
   }
 
-  function say_(text) {
+  function tell(text) {
     message.textContent = text;
     message.hidden = !text;
   }

@@ -101,7 +101,7 @@ export async function plotsPane(target, shared) {
   /** Residuals of the positions along the flight; a click chooses the picture. */
   function positions(holder) {
     const order = block.images.names.map((_, k) => k);
-    const of = (axis_) => order.map((k) => (block.images.position_m[k][axis_] === null ? null : 100 * block.images.position_m[k][axis_]));
+    const of = (n) => order.map((k) => (block.images.position_m[k][n] === null ? null : 100 * block.images.position_m[k][n]));
     const made = plot(holder, { scales: { x: { time: false } }, axes: [axis(say("look.axis.picture"), { size: 34 }), axis(say("look.axis.position"))], series: [{}, ...[[BLUE, "E"], [ORANGE, "N"], [GREEN, "h"]].map(([stroke]) => ({ stroke, width: 1.25, points: { show: order.length < 120, size: 4, fill: stroke } }))], plugins: [key([[BLUE, "ΔE"], [ORANGE, "ΔN"], [GREEN, "Δh"]]), chosenLine(() => selection.now.images.map((name) => selection.images.get(name)))] }, [order.map((k) => k + 1), of(0), of(1), of(2)]);
     made.over.addEventListener("click", () => made.cursor.idx !== null && selection.image(block.images.names[made.cursor.idx]));
     return made;

@@ -173,15 +173,15 @@ export async function spaceView(target, shared) {
   }
 
   function choose(event) {
-    const frame_ = holder.getBoundingClientRect();
-    const at = [event.clientX - frame_.left, event.clientY - frame_.top];
+    const room = holder.getBoundingClientRect();
+    const at = [event.clientX - room.left, event.clientY - room.top];
     let best = NEAR_PX;
     let found = null;
     const near = (places, names, kind) =>
       places.forEach((place, k) => {
         if (!place) return;
         const there = place.clone().project(camera);
-        const away = Math.hypot(((there.x + 1) / 2) * frame_.width - at[0], ((1 - there.y) / 2) * frame_.height - at[1]);
+        const away = Math.hypot(((there.x + 1) / 2) * room.width - at[0], ((1 - there.y) / 2) * room.height - at[1]);
         if (there.z < 1 && away < best) [best, found] = [away, { kind, name: names[k] }];
       });
     near(stations, block.images.names, "image");

@@ -7,12 +7,16 @@ from io import BytesIO
 from pathlib import Path
 from urllib.parse import quote
 
+import numpy as np
 import pytest
 from PIL import Image
 
+from photocal.measurement.marks import read_marks
 from photocal.project import read_project
 from tests.photocal.desk.client import Client, opened
-from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT, small
+from tests.photocal.desk.look.surveys import GROSS_IMAGE, GROSS_POINT, PLATES, small
+from tests.photocal.measurement.marking.conftest import plate
+from tests.photocal.measurement.site import flight, plate_place
 
 MARK = {"image": GROSS_IMAGE, "point": GROSS_POINT}
 
@@ -94,3 +98,44 @@ def test_what_takes_no_part_is_refused_in_words(client: Client, name: str) -> No
         assert answer.status == 404
         assert answer.headers["content-type"].startswith("application/json")
         assert "takes no part" in answer.json["error"]
+
+
+MARKING = """
+[project]
+name = "site"
+crs = "local"
+height = "local"
+output = "work"
+[images]
+folder = "images"
+[[camera]]
+id = "cam"
+model = "brown-ideal"
+unit = "px"
+size_px = [480, 360]
+parameters = { c = 450.0, K1 = -8e-8 }
+[control]
+points = "control.csv"
+marks = "marks.csv"
+"""
+
+
+def test_points_are_predicted_and_marked_in_the_same_pictures(finished: Path, tmp_path: Path) -> None:
+    places = {name: plate_place(plate(1), place) for name, place in PLATES.items()}
+    rows = [f"{name},{x:.4f},{y:.4f},0.0,0.01,0.01,0.01,control" for name, (x, y) in places.items()]
+    (finished / "control.csv").write_text("\n".join(["point,X,Y,Z,sX,sY,sZ,role", *rows]) + "\n")
+    (finished / "project.toml").write_text(MARKING, encoding="utf-8")
+    site = flight()
+    with opened(finished, tmp_path / "cache") as client:
+        assert client.get("/api/look").json["marking"] is True
+        seen = {one["name"]: one for one in client.get("/api/look/marks/images?point=P3").json["images"]}
+        k = max(range(8), key=lambda k: seen[site.names[k]].get("probability", 0.0))
+        truth = site.views.project(np.array([k]), np.array([[*places["P3"], 0.0]]))[0]
+        there = seen[site.names[k]]
+        assert [there["x"], there["y"]] == pytest.approx(truth, abs=3.0)
+        click = {"image": site.names[k], "point": "P3", "x": there["x"], "y": there["y"]}
+        assert client.post("/api/look/marks/mark", click).json["snapped"] == "hourglass"
+        (mark,) = client.get("/api/look/marks").json["marks"]
+        assert [mark["x"], mark["y"]] == pytest.approx(truth, abs=0.3)
+    (kept,) = read_marks(finished / "marks.csv")
+    assert (kept.image, kept.point) == (site.names[k], "P3")

@@ -86,6 +86,7 @@ def test_a_gross_mark_is_found_seen_left_out_and_its_reason_certified(
         page.get_by_label("Reason").fill(reason)
         page.get_by_role("dialog").get_by_role("button", name="Leave out").click()
         expect(page.locator(".left li")).to_contain_text(reason)
+        expect(page.locator(".crop").first.locator(".out")).to_have_text("left out")
         page.get_by_role("button", name="Run again").click()
         expect(page.locator(".summary .sign")).to_have_text("✓ usable", timeout=RUN_MS)
         expect(page.locator(".waiting")).to_have_count(0)
