@@ -52,7 +52,7 @@ from photocal.measurement.patch_matching import Source
 from photocal.measurement.picture_tests import judge_cameras
 from photocal.measurement.plain_targets import FoundTargets, targets_of_project
 from photocal.measurement.position_files import Given, local_places, map_places, read_positions
-from photocal.measurement.position_frame import in_project, moved_finding, shift_of_positions
+from photocal.measurement.position_frame import frames_of, in_project, moved_finding, shift_of_positions
 from photocal.measurement.recorded_turns import motion_while_read
 from photocal.measurement.release import HELD, HOLDING, with_released_cameras
 from photocal.measurement.settled_marks import settle_marks
@@ -420,6 +420,8 @@ def better_known(project: Project, names: Sequence[str]) -> Given:
     told = NO_LENS.of if path is None else read_positions(path, names)
     if frame is None:
         return told
+    # Said once for all, and not of each picture.
+    frames_of(frame, project.crs)
     shifts: list[FrameShift] = []
 
     def moved(facts: ImageFacts) -> ImageFacts:

@@ -7,17 +7,23 @@ import numpy as np
 from photocal.base.errors import ConfigurationError
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
 from photocal.findings.finding import Finding
-from photocal.geometry.realizations import FrameShift, frame_shift, known_realization, realization
+from photocal.geometry.realizations import (
+    FrameShift,
+    Realization,
+    frame_shift,
+    known_realization,
+    realization,
+)
 from photocal.measurement.image_facts import ImageFacts
 
 KEY = "position_frame in [images]"
 
 
-def shift_of_positions(frame: str, crs: str, facts: ImageFacts) -> FrameShift:
-    """Give the shift of a picture's position from a frame to that of a map system.
+def frames_of(frame: str, crs: str) -> tuple[Realization, Realization]:
+    """Give the realizations of positions and of a map system.
 
     frame: `FRAME[@EPOCH]`.
-    raises ConfigurationError: for an unknown frame or one without its epoch, and where no way is known.
+    raises ConfigurationError: for an unknown frame or one without its epoch, and for a system of none.
     """
     source, target = realization(frame), known_realization(crs)
     if source.moves and np.isnan(source.epoch):
@@ -26,8 +32,24 @@ def shift_of_positions(frame: str, crs: str, facts: ImageFacts) -> FrameShift:
             f'write "{source.frame}@2026.9" with the epoch of the flight in years',
             where=KEY,
         )
+    if target is None:
+        raise ConfigurationError(
+            f"{crs} does not say in which frame and epoch it counts: nothing known leads from {source} there",
+            "name a system of the national frame, such as EPSG:31982, or leave the key out",
+            where=KEY,
+        )
+    return source, target
+
+
+def shift_of_positions(frame: str, crs: str, facts: ImageFacts) -> FrameShift:
+    """Give the shift of a picture's position from a frame to that of a map system.
+
+    frame: `FRAME[@EPOCH]`.
+    raises ConfigurationError: as of `frames_of`, and where no way is known.
+    """
+    source, target = frames_of(frame, crs)
     place = geocentric(facts.latitude_deg, facts.longitude_deg, facts.altitude_m)
-    shift = None if target is None else frame_shift(place, source, target)
+    shift = frame_shift(place, source, target)
     if shift is None:
         raise ConfigurationError(
             f"nothing known leads from {source} to {crs}",

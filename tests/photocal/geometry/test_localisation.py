@@ -102,7 +102,8 @@ def test_few_points_fit_what_they_can() -> None:
     assert not two.tilted
     assert two.plan.redundancy == 0
     assert np.isnan(two.plan.probability).all()
-    # Nobody stated sigmas and nothing is left over: how sure it is is not known.
-    assert np.isnan(two.sigma_m(MAP)).all()
+    # Nobody stated sigmas and nothing is left over in plan: how sure it is, is not known.
+    assert np.isnan(two.sigma_m(MAP)[:, :2]).all()
+    assert two.height.redundancy == 1
     with pytest.raises(IllPosedError, match="1 common points"):
         localise(CommonPoints(("A",), MAP[:1], local_of(MAP[:1])))

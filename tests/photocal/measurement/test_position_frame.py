@@ -17,9 +17,9 @@ PICTURE = ImageFacts(
 def test_positions_of_a_caster_go_to_sirgas() -> None:
     shift = shift_of_positions("IGS20@2026.9", "EPSG:31982", PICTURE)
     moved = in_project(PICTURE, shift)
-    place = np.array([[moved.latitude_deg, moved.longitude_deg, moved.altitude_m]])
+    place = [np.array([v]) for v in (moved.latitude_deg, moved.longitude_deg, moved.altitude_m)]
     at = np.array([PICTURE.latitude_deg, PICTURE.longitude_deg, PICTURE.altitude_m])
-    assert enu_offsets(*place.T, at)[0] == pytest.approx(shift.shift_enu_m, abs=1e-6)
+    assert enu_offsets(place[0], place[1], place[2], at)[0] == pytest.approx(shift.shift_enu_m, abs=1e-6)
     # 26.5 years of the South American plate.
     assert 0.30 < shift.size_m < 0.40
     assert moved.position_sigma_m[2] == pytest.approx(np.hypot(0.02, shift.sigma_m))
