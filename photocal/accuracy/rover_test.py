@@ -146,7 +146,7 @@ def rover_test(
         freedom = (SERIES * SETS - 1) * POINTS
         s = np.sqrt(((sets.xyz - mean) ** 2).sum(axis=(0, 1)) / freedom)
     s_xy, s_h = float(np.hypot(s[0], s[1])), float(s[2])
-    limits = tuple(_LIMIT * math.sqrt(2.0) * sigma for sigma in (sigma_xy_m, sigma_h_m))
+    limits = _LIMIT * math.sqrt(2.0) * sigma_xy_m, _LIMIT * math.sqrt(2.0) * sigma_h_m
     apart = sets.xyz[:, 1] - sets.xyz[:, 0]
     deviations = tuple(
         Deviation(series, name, far, high, abs(far) <= limits[0] and abs(high) <= limits[1])
@@ -158,15 +158,10 @@ def rover_test(
             strict=True,
         )
     )
-    known = (s_xy, s_h) if full else None
-    return RoverTest(
-        full,
-        deviations,
-        *limits,
-        *((float(s[0]), float(s[1]), s_xy, s_h) if full else (None,) * 4),
-        freedom,
-        () if known is None else _tests(known, freedom, (sigma_xy_m, sigma_h_m), earlier_m),
-    )
+    if not full:
+        return RoverTest(False, deviations, *limits, None, None, None, None, 0, ())
+    tests = _tests((s_xy, s_h), freedom, (sigma_xy_m, sigma_h_m), earlier_m)
+    return RoverTest(True, deviations, *limits, float(s[0]), float(s[1]), s_xy, s_h, freedom, tests)
 
 
 def _tests(

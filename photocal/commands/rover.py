@@ -26,8 +26,9 @@ def rover_test(
 
     form = "PLANE,HEIGHT: metres, such as 0.010,0.015"
     plane, height = numbers_of(sigma, "--sigma", form)
-    before = tuple(numbers_of(earlier, "--earlier", form)) if earlier else None
-    made = test.rover_test(
-        test.read_sets(sets), distance, height_difference, plane, height, before and (before[0], before[1])
-    )
+    before = None
+    if earlier:
+        plane_before, height_before = numbers_of(earlier, "--earlier", form)
+        before = plane_before, height_before
+    made = test.rover_test(test.read_sets(sets), distance, height_difference, plane, height, before)
     answer(as_json, lambda: test.as_record(made), lambda: test.as_text(made))

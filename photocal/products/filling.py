@@ -61,7 +61,7 @@ def _filled(radius: Floats, height: Floats, covariance: Floats, level: float) ->
             moved = [np.stack([radius, height], axis=1) for _ in "+-"]
             moved[0][k, axis] += steps[k, axis]
             moved[1][k, axis] -= steps[k, axis]
-            above, below = (_volume(*one.T, one[0, 1] + level) for one in moved)
+            above, below = (_volume(one[:, 0], one[:, 1], one[0, 1] + level) for one in moved)
             gradient[k, axis] = (above - below) / (2 * steps[k, axis])
     variance = float(np.einsum("mi,mij,mj->", gradient, covariance, gradient))
     return _volume(radius, height, height[0] + level), float(np.sqrt(variance))

@@ -90,9 +90,10 @@ def _joint(first: Camera, second: Camera, pixels: Floats) -> JointTest:
     both = _covariance(first, names) + _covariance(second, names)
     scale = np.sqrt(np.diag(both))
     root = np.linalg.cholesky(both / np.outer(scale, scale))
-    z = np.linalg.solve(root, d / scale)
+    z: Floats = np.asarray(np.linalg.solve(root, d / scale), dtype=np.float64)
     vector = _against(float(z @ z), len(names))
-    image, rms_px = _in_image(first, second, names, scale[:, None] * root, z, pixels)
+    factor: Floats = np.asarray(scale[:, None] * root, dtype=np.float64)
+    image, rms_px = _in_image(first, second, names, factor, z, pixels)
     return JointTest(first.id, second.id, names, vector, image, rms_px)
 
 
