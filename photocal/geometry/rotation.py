@@ -81,11 +81,10 @@ def turned(matrix: Floats, turn: Floats) -> Floats:
 
 def skew(vector: Floats) -> Floats:
     """Cross product matrices of vectors (..., 3), shape (..., 3, 3)."""
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    cross = np.zeros((*vector.shape, 3))
-    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -z, y, -x
-    cross[..., 1, 0], cross[..., 2, 0], cross[..., 2, 1] = z, -y, x
-    return cross
+    x, y, z = vector.T
+    zero = np.zeros_like(x)
+    # Turned over as a whole, so that the axes of the vectors come first again.
+    return np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]).T
 
 
 def left_jacobian(turn: Floats) -> Floats:
