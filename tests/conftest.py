@@ -138,6 +138,8 @@ def pytest_xdist_auto_num_workers() -> int:
 SLOW_S, SLOW = 10.0, "photocal/slow"
 # Files that take longest, the longest first: begun last they would run alone at the end.
 LONGEST = (
+    "photocal/desk/test_window.py",
+    "photocal/desk/test_real_pictures.py",
     "docs/test_guide.py",
     "photocal/debrief/test_debrief.py",
     "photocal/run/test_campaign.py",

@@ -103,8 +103,8 @@ class Job:
             if not self._alive():
                 return
             self._note({**told, "stopped": time.time()})
-            for number in (signal.SIGINT, signal.SIGKILL):
-                _send(told["pid"], number)
+            for send in (_ask, _end):
+                send(told["pid"])
                 until = time.monotonic() + _GRACE_S
                 while self._alive() and time.monotonic() < until:
                     time.sleep(0.05)
@@ -177,20 +177,40 @@ def _born(pid: int) -> str:
     return "" if fields[0] in "ZX" else fields[19]
 
 
-def _there(pid: int) -> str:
-    """Whether a process is there, where the system does not tell more."""
-    if sys.platform == "win32" or Path("/proc/self/stat").exists():
-        return ""
-    try:
-        os.kill(pid, 0)
-    except OSError:
-        return ""
-    return "there"
+if sys.platform == "win32":
 
+    def _there(_: int) -> str:
+        """Say that it is not known: what another window has begun is taken for ended."""
+        return ""
 
-def _send(pid: int, number: int) -> None:
-    with contextlib.suppress(OSError):
-        if sys.platform == "win32":
-            os.kill(pid, signal.CTRL_BREAK_EVENT if number == signal.SIGINT else signal.SIGTERM)
-        else:
-            os.killpg(pid, number)
+    def _ask(pid: int) -> None:
+        """Ask a process and all that it has started to end."""
+        with contextlib.suppress(OSError):
+            os.kill(pid, signal.CTRL_BREAK_EVENT)
+
+    def _end(pid: int) -> None:
+        """End a process."""
+        with contextlib.suppress(OSError):
+            os.kill(pid, signal.SIGTERM)
+
+else:
+
+    def _there(pid: int) -> str:
+        """Whether a process is there, where the system does not tell more."""
+        if Path("/proc/self/stat").exists():
+            return ""
+        try:
+            os.kill(pid, 0)
+        except OSError:
+            return ""
+        return "there"
+
+    def _ask(pid: int) -> None:
+        """Ask a process and all that it has started to end."""
+        with contextlib.suppress(OSError):
+            os.killpg(pid, signal.SIGINT)
+
+    def _end(pid: int) -> None:
+        """End a process and all that it has started."""
+        with contextlib.suppress(OSError):
+            os.killpg(pid, signal.SIGKILL)
