@@ -197,6 +197,16 @@ def test_lines_of_a_run_tell_its_stages() -> None:
     assert error_of("x\nerror: it is so\n  because\n") == "it is so\nbecause"
 
 
+def test_the_command_tells_how_the_steps_stand(
+    photocal: Callable[..., Any], home: Path, tmp_path: Path
+) -> None:
+    said = photocal("desk", home / "site", "--json")
+    assert said.code == 0
+    assert json.loads(said.out)["steps"]["folder"] == {"state": "none", "word": "stands.choose"}
+    missing = photocal("desk", tmp_path / "nowhere")
+    assert (missing.code, "is no folder" in missing.err) == (3, True)
+
+
 def test_systems_are_found_by_name_number_and_country(window: Client) -> None:
     def codes(text: str) -> list[str]:
         found = good(window.get(f"/api/systems?text={text}")).json["systems"]

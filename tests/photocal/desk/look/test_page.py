@@ -161,10 +161,11 @@ def test_names_that_would_be_code_are_names(browser: Browser, finished: Path, tm
     """A control point of that name, from the tables to findings, map, crops and the dialogue."""
     for path in sorted((finished / "work").rglob("*")):
         if path.suffix in (".csv", ".json", ".toml"):
-            path.write_text(path.read_text(encoding="utf-8").replace("P4", HOSTILE), encoding="utf-8")
+            path.write_text(path.read_text(encoding="utf-8").replace(GROSS_POINT, HOSTILE), encoding="utf-8")
     with looking(browser, finished, tmp_path / "cache") as page:
         finding = page.locator(".finding", has_text=HOSTILE).first
         finding.get_by_role("button").first.click()
+        page.locator(".several button", has_text=HOSTILE).click()
         expect(page.locator(".strip .head")).to_contain_text(HOSTILE)
         page.locator(".crop").first.get_by_role("button").last.click()
         expect(page.get_by_role("dialog")).to_contain_text(HOSTILE)
