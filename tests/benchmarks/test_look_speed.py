@@ -160,10 +160,10 @@ def renderers() -> list[int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
             try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
+                words = (entry / "cmdline").read_bytes()
             except OSError:
                 continue
-            if b"--type=renderer" in words and any(b"chrom" in word for word in words[:1]):
+            if b"--type=renderer" in words and b"chrom" in words:
                 found.append(int(entry.name))
     return found
 

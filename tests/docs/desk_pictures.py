@@ -75,6 +75,8 @@ def main() -> None:
             page.wait_for_selector(shown)
             if step == "certificate":
                 page.get_by_text("Preview, number").wait_for()
+            if step == "look":
+                page.locator(".thumb").nth(2).click()
             page.wait_for_timeout(_SETTLES_MS)
             page.screenshot(path=GUIDE / f"desk-{step}.png")
         browser.close()

@@ -238,10 +238,15 @@ export function picturePane(shared) {
     fill(facts, `${say("look.n-rays", { n: lengths.length })} · rms ${number(rms, language)} px · σ ${told.station_sigma_m.map((s) => metres(s, language)).join(", ")}`);
   }
 
+  /** Pixels of the screen for one of the picture seen whole: vectors stay as long when one zooms. */
+  function shrunk() {
+    return Math.max(Math.min(canvas.clientWidth / told.size_px[0], canvas.clientHeight / told.size_px[1]), 0.1);
+  }
+
   /** The enlargement with which usual residuals are seen. */
   function suitFactor() {
     const usual = quantile((told.residual_px ?? []).map((v) => (v[0] === null ? NaN : Math.hypot(...v))), 0.7);
-    const wanted = usual > 0 ? USUAL_PX / usual / 0.35 : 100;
+    const wanted = usual > 0 ? USUAL_PX / usual / shrunk() : 100;
     factor = ENLARGED.filter((n) => n <= wanted).at(-1) ?? 1;
     enlarge.value = factor;
   }
@@ -261,9 +266,7 @@ export function picturePane(shared) {
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
     if (!told?.place || !viewer?.world.getItemCount()) return;
-    // Vectors are enlarged in pixels of the picture as it is seen whole, so that they stay as long when one zooms.
-    const whole = Math.min(width / told.size_px[0], height / told.size_px[1]);
-    const scale = factor * Math.max(whole, 0.35);
+    const scale = factor * shrunk();
     const chosen = new Set(selection.now.points);
     edge(pen);
     told.place.forEach((place, k) => {

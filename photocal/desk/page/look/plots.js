@@ -35,7 +35,7 @@ export async function plotsPane(target, shared) {
     const of = data.cameras[camera];
     const made = [
       card("radius", { max: fmt(of.rays) }, (holder) => radius(holder, of.radius)),
-      card("histogram", { n: fmt(of.standardised.n), rms: number(of.standardised.rms, language), beyond: of.standardised.beyond }, (holder) => histogram(holder, of.standardised)),
+      card("histogram", { rms: number(of.standardised.rms, language), beyond: of.standardised.beyond }, (holder) => histogram(holder, of.standardised)),
       card("vectors", {}, (holder) => vectors(holder, of.vectors, of.size_px, of.distortion.principal_px)),
       block.images.position_m.some((d) => d[0] !== null) && card("positions", {}, positions),
       card("distortion", {}, (holder) => vectors(holder, of.distortion.grid, of.size_px, of.distortion.principal_px)),
@@ -138,7 +138,7 @@ export async function plotsPane(target, shared) {
       const room = Math.max(0, height * ((here.width - 62) / (here.height - 78)) - width) / 2;
       return [-room, width + room];
     };
-    return plot(holder, { padding: [24, 16, 0, 0], cursor: { show: false }, scales: { x: { time: false, range: wide }, y: { range: [0, height], dir: -1 } }, axes: [axis(say("look.axis.column"), { size: 34 }), axis(say("look.axis.row"))], series: [{}, { paths: () => null, points: { show: false } }], hooks: { draw: [paint] } }, [[0, width], [0, height]]);
+    return plot(holder, { padding: [24, 16, 0, 0], cursor: { show: false }, scales: { x: { time: false, range: wide }, y: { range: [0, height], dir: -1 } }, axes: [axis(say("look.axis.column"), { size: 34, values: (_, ticks) => ticks.map((value) => (value < 0 || value > width ? "" : number(value, language, 4))) }), axis(say("look.axis.row"))], series: [{}, { paths: () => null, points: { show: false } }], hooks: { draw: [paint] } }, [[0, width], [0, height]]);
   }
 
   function matrix({ names: parameters, matrix: values }) {
