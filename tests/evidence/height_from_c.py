@@ -152,8 +152,14 @@ def page(simulations: int) -> str:
         "control)."
     )
     free = "c free: sigma of c, %, predicted"
-    heads = ("design", "held c wrong by 0.1 %: mean height, m", free, "simulated")
-    heads += ("mean height, m, predicted", "simulated")
+    heads = [
+        "design",
+        "held c wrong by 0.1 %: mean height, m",
+        free,
+        "simulated",
+        "mean height, m, predicted",
+        "simulated",
+    ]
     lines = ["# Height error from c", "", text, "", f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for design in DESIGNS:
         seen = study(design, simulations)

@@ -58,7 +58,9 @@ def rendered() -> str:
         rows = [f"{a},{b},{v:.5f},{TAPE_SIGMA_M}" for a, b, v in tapes(lab, np.random.default_rng(3))]
         (place / "tape.csv").write_text("\n".join(["from,to,value,sigma", *rows]) + "\n", encoding="utf-8")
         paths = list_images(place / "pictures")
-        found = measure_field(paths, "4x4_100", place / "tape.csv", "lab", GivenLens(), quiet)
+        found = measure_field(
+            paths, "4x4_100", place / "tape.csv", "lab", GivenLens(), place / "cache", quiet
+        )
         (place / "block").mkdir()
         found.write(place / "block")
         own = adjust_block(place / "block", place / "run").cameras["camera"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,7 +35,7 @@ class Field:
 
 
 def measured(
-    folder: Path, covered: dict[int, tuple[int, ...]], cache: Path, photocal: Callable[..., Answer]
+    folder: Path, covered: Mapping[int, tuple[int, ...]], cache: Path, photocal: Callable[..., Answer]
 ) -> Field:
     (folder / "pictures").mkdir(parents=True)
     for k in range(PICTURES):
