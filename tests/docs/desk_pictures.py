@@ -18,7 +18,8 @@ from photocal.run.campaign import run_project
 from photocal.run.new_project import new_project
 from tests.photocal.run.typed_site import site_folder
 
-GUIDE = Path(__file__).parents[2] / "docs" / "guide"
+ROOT = Path(__file__).parents[2]
+GUIDE = ROOT / "docs" / "guide"
 # What each step shows when it is there.
 STEPS = {
     "folder": "#chart canvas",
@@ -28,6 +29,11 @@ STEPS = {
     "certificate": "iframe.preview",
 }
 _PATIENCE_MS, _SETTLES_MS = 400_000, 3_000
+# Where the sources lie differs from one computer to the next.
+_WITHOUT_PLACE = """root => {
+    const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT)
+    while (texts.nextNode()) texts.currentNode.data = texts.currentNode.data.replaceAll(root, "~/photocal")
+}"""
 
 
 @contextlib.contextmanager
@@ -78,6 +84,7 @@ def main() -> None:
             if step == "look":
                 page.locator(".thumb").nth(2).click()
             page.wait_for_timeout(_SETTLES_MS)
+            page.evaluate(_WITHOUT_PLACE, str(ROOT))
             page.screenshot(path=GUIDE / f"desk-{step}.png")
         browser.close()
 
