@@ -146,6 +146,7 @@ def in_background(name: str, act: Callable[[], None]) -> "Future[None]":
     future: Future[None] = Future()
 
     def run() -> None:
+        """Do it, and keep how it ended."""
         try:
             act()
         except BaseException as failure:

@@ -97,6 +97,7 @@ def on_one_thread(function: Callable[Asked, Made]) -> Callable[Asked, Made]:
 
     @wraps(function)
     def alone(*arguments: Asked.args, **named: Asked.kwargs) -> Made:
+        """Call it so."""
         with one_thread():
             return function(*arguments, **named)
 
