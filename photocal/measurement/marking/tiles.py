@@ -57,9 +57,11 @@ class Tiles:
     """Tiles of pictures, on disk once they were made.
 
     most_bytes: that tiles of all projects may have on disk together.
+    held_px: of decoded levels in memory.
     """
 
-    def __init__(self, cache: Path, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, cache: Path, most_bytes: int = MOST_BYTES, held_px: int = _HELD_PX) -> None:
+        self._held_px = held_px
         self._folder, self._most_bytes = cache / f"tiles{VERSION}", most_bytes
         # What others left counts: the first tile that is made gives occasion to look.
         self._written = most_bytes
@@ -130,7 +132,7 @@ class Tiles:
             self._levels[key, level] = held
         self._levels.move_to_end((key, level))
         while len(self._levels) > 1 and (
-            sum(image.width * image.height for image in self._levels.values()) > _HELD_PX
+            sum(image.width * image.height for image in self._levels.values()) > self._held_px
         ):
             self._levels.popitem(last=False)
         return held

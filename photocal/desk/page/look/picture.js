@@ -210,7 +210,7 @@ export function picturePane(shared) {
       maxZoomPixelRatio: 40,
       minZoomImageRatio: 0.8,
       imageSmoothingEnabled: false,
-      maxImageCacheCount: 60,
+      maxImageCacheCount: 24,
       gestureSettingsMouse: { clickToZoom: false, dblClickToZoom: true },
       placeholderFillStyle: "#e4e8eb",
     });
