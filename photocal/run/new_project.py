@@ -28,7 +28,7 @@ from photocal.project import ASKED, NAME
 from photocal.run.camera_card import chosen_pictures
 from photocal.run.folder_survey import ASSUMED_M, ControlFile, FolderContents, survey
 from photocal.run.new_control import Told, settle
-from photocal.run.renewed_project import renewed, written_before
+from photocal.run.renewed_project import answered_height, renewed, written_before
 
 PICTURES = "pictures.csv"
 # Positions of a receiver without corrections; their heights count from another surface than those of control.
@@ -75,7 +75,10 @@ def new_project(
     raises InputNotFoundError: when the folder has neither pictures nor a log.
     raises OutputError: when one of the files is there already.
     """
-    told = Told(crs, height, parse_frame(marks) if marks else None)
+    # Whoever has stated the kind of heights is not asked for it again.
+    told = Told(
+        crs, height or (answered_height(folder) if again else ""), parse_frame(marks) if marks else None
+    )
     seen = survey(folder, written_before(folder) if again else ())
     if not seen.pictures and not seen.logs:
         raise InputNotFoundError(

@@ -29,6 +29,15 @@ def written_before(folder: Path) -> tuple[Path, ...]:
     return tuple(folder / str(name) for name in named if name)
 
 
+def answered_height(folder: Path) -> str:
+    """Kind of heights that the project file of a folder states; "" where it is still to be filled in."""
+    path = folder / NAME
+    if not path.exists():
+        return ""
+    stated = str(_parsed(path, path.read_text(encoding="utf-8")).get("project", {}).get("height", ASKED))
+    return "" if stated == ASKED else stated
+
+
 def _parsed(path: Path, text: str) -> tomlkit.TOMLDocument:
     try:
         return tomlkit.parse(text)

@@ -311,6 +311,7 @@ def test_again_keeps_what_a_person_wrote(pictures: Path, tmp_path: Path, photoca
     (folder / "gcp_list.txt").write_bytes((tmp_path / "later/gcp_list.txt").read_bytes())
     found = new(photocal, folder, "--again")
     assert project.read_text() == kept
+    assert not [line for line in found["asked"] if line.startswith("height")]
     assert [line for line in found["changed"] if line.startswith("+ control.csv: G6,")]
     assert control.read_text().count("check") == 1
     points = {mark.point for mark in read_marks(folder / "marks.csv")}
