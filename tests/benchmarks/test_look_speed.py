@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 RESULTS = Path(__file__).resolve().parents[2] / ".benchmarks"
 IMAGES, RAYS = 581, 108_000
-LONGEST_OPEN_S, LEAST_FRAMES_S = 3.0, 30.0
-PICTURES, MOST_BYTES = 300, 1 << 30
+PICTURES = 300
 PATIENCE_MS = 120_000
 # The map stands when its overlap has come and two frames have passed.
 _DRAWN = """new Promise((done) => {
@@ -88,7 +87,14 @@ def drawn(page: Page) -> None:
     page.evaluate(_DRAWN)
 
 
-def test_a_large_block_opens_and_pans(block: Path, page: Page, tmp_path: Path) -> None:
+def test_a_large_block_opens_and_pans(block: Path, page: Page, tmp_path: Path, benchmark: Any) -> None:
+    """Asked: open within 3 s, 30 frames a second."""
+    figures = benchmark.pedantic(_opened, (block, page, tmp_path), rounds=1)
+    benchmark.extra_info.update(figures)
+    keep("block", figures)
+
+
+def _opened(block: Path, page: Page, tmp_path: Path) -> dict[str, Any]:
     figures: dict[str, Any] = {"images": IMAGES, "load": round(os.getloadavg()[0], 1)}
     with serving(block, tmp_path) as (url, _):
         began = time.perf_counter()
@@ -107,13 +113,17 @@ def test_a_large_block_opens_and_pans(block: Path, page: Page, tmp_path: Path) -
         times = np.array(page.evaluate(_PAN))
         figures["frames_per_s"] = round(float((len(times) - 1) / (times[-1] - times[0]) * 1000), 1)
         figures["slowest_frame_ms"] = round(float(np.diff(times).max()), 0)
-    keep("block", figures)
-    assert figures["open_s"] < LONGEST_OPEN_S
-    assert figures["frames_per_s"] > LEAST_FRAMES_S
+    return figures
 
 
-def test_many_large_pictures_need_little_memory(page: Page, tmp_path: Path) -> None:
-    """Server and browser together, while each picture is opened and the strip runs along."""
+def test_memory_of_many_large_pictures(page: Page, tmp_path: Path, benchmark: Any) -> None:
+    """Server and browser together, while each picture is opened and the strip runs along; asked: 1 GiB."""
+    figures = benchmark.pedantic(_browsed, (page, tmp_path), rounds=1)
+    benchmark.extra_info.update(figures)
+    keep("pictures", figures)
+
+
+def _browsed(page: Page, tmp_path: Path) -> dict[str, Any]:
     folder = with_pictures(large(tmp_path / "site", PICTURES, 20_000), picture())
     command = [sys.executable, "-m", "photocal", "run", str(folder), "--until", "calibration"]
     subprocess.run(command, check=True, capture_output=True)
@@ -127,8 +137,7 @@ def test_many_large_pictures_need_little_memory(page: Page, tmp_path: Path) -> N
             if k % 10 == 0:
                 most = max(most, held(process) + sum(map(held, renderers())))
         seconds = time.perf_counter() - began
-    keep("pictures", {"pictures": PICTURES, "peak_mib": most >> 20, "seconds": round(seconds)})
-    assert most < MOST_BYTES
+    return {"pictures": PICTURES, "peak_mib": most >> 20, "seconds": round(seconds)}
 
 
 def picture() -> bytes:
