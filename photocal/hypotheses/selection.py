@@ -196,8 +196,9 @@ def left_to_seek(table: tuple[Fault, ...], accepted: Sequence[Cause]) -> tuple[F
 
 def _possible(cause: Cause, tested: Hypothesis) -> bool:
     """Whether nature makes such an amount: else it would be something else."""
-    if cause.field is None or not tested.estimates:
+    if (cause.field is None and cause.trend is None) or not tested.estimates:
         return True
+    # Without its own amount a trend is the shift that goes with it, which has a name of its own.
     amount, unsure = tested.estimates[0].correction, policy.TIMES_999 * tested.estimates[0].sigma
     if cause.fault.code == "rolling-shutter":
         # Rows are read one after the other, never backwards.
@@ -205,7 +206,7 @@ def _possible(cause: Cause, tested: Hypothesis) -> bool:
     if cause.fault.code == "earth-curvature":
         # The earth has one: it was neglected, or applied to coordinates that know of it.
         return abs(abs(amount) - 1.0) <= unsure
-    return abs(amount) - unsure <= cause.field.most
+    return abs(amount) > unsure if cause.field is None else abs(amount) - unsure <= cause.field.most
 
 
 def _noteworthy(cause: Cause, tested: Hypothesis) -> bool:

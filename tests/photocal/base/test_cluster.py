@@ -120,7 +120,7 @@ def test_no_scheduler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(DeviceError, match="no scheduler answers there"):
             list(run_tasks(len, ["a"], Cluster(address)))
     with pytest.raises(DeviceError, match="no scheduler answers there"):
-        list(run_tasks(len, ["a"], Cluster("nonsense://here")))
+        list(run_tasks(len, ["a"], Cluster("nonsense://localhost")))
 
 
 def test_the_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,8 +140,8 @@ def test_the_command_says_what_is_wrong_with_a_cluster(
     photocal: Callable[..., Answer], pictures: tuple[Path, ...], tmp_path: Path
 ) -> None:
     folder = pictures[0].parent
-    told = photocal("measure", "--images", folder, "-o", tmp_path / "b", "--cluster", "nonsense://here")
-    assert (told.code, "nonsense://here: no scheduler answers there" in told.err) == (10, True)
+    told = photocal("measure", "--images", folder, "-o", tmp_path / "b", "--cluster", "nonsense://localhost")
+    assert (told.code, "nonsense://localhost: no scheduler answers there" in told.err) == (10, True)
     told = photocal(
         "measure",
         "--images",

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from photocal.cli import app
 from photocal.report.derived_figures import check_printed
 
-STUDY = Path(__file__).parents[3] / "configs" / "studies" / "phantom4pro.toml"
+STUDY = Path(__file__).parents[3] / "configs" / "studies" / "phantom4pro" / "calibration.toml"
 
 
 def test_printed_calibration_is_refused_for_what_is_wrong_with_it() -> None:

@@ -72,7 +72,10 @@ def made(project: Project) -> Path:
 
 
 def test_the_stage_writes_figures_map_and_picture(made: Path) -> None:
-    assert {path.name for path in made.iterdir()} == {"flown.json", "flown.csv", "flown.gpkg", "flown.svg"}
+    assert {path.name for path in made.iterdir()} == {
+        *("flown.json", "flown.csv", "flown.gpkg", "flown.svg"),
+        *("positions.csv", "positions.gpkg", "positions.svg"),
+    }
     figures = json.loads((made / "flown.json").read_text(encoding="utf-8"))
     # 25 of 40 images at 90 m; their heights scatter by a metre.
     assert figures["height_m"]["median"] == pytest.approx(90.0, abs=2.5)
