@@ -198,7 +198,7 @@ def turned(movement: Floats, late: Floats) -> Floats:
     late (m, 1): in readouts from the middle.
     """
     turns = late * movement[:, 3:6]
-    shakes = movement[:, 6:].reshape(len(turns), -1, 3)
+    shakes = movement[:, 6:].reshape(len(turns), (movement.shape[1] - 6) // 3, 3)
     for degree, shake in zip(SHAKE_DEGREES, shakes.swapaxes(0, 1), strict=False):
         turns = turns + special.eval_legendre(degree, 2.0 * late) * shake
     return np.asarray(turns)
