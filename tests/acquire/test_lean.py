@@ -113,6 +113,8 @@ for name in ("getuid", "fork", "openpty", "ttyname", "O_NOCTTY"):
         delattr(os, name)
 sys.modules["msvcrt"] = types.SimpleNamespace(LK_NBLCK=2, locking=lambda *a: None)
 subprocess.CREATE_NEW_PROCESS_GROUP = 0
+import ctypes
+ctypes.windll = types.SimpleNamespace(kernel32=types.SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0))
 signal.CTRL_BREAK_EVENT, signal.SIGBREAK = signal.SIGINT, signal.SIGTERM
 sys.platform = "win32"
 import photocal.base.operating_system

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -77,7 +78,6 @@ def test_a_gross_mark_is_found_seen_left_out_and_its_reason_certified(
         expect(page.locator(".summary .sign")).to_contain_text("usable with reservations")
         finding = page.locator(".finding", has_text=GROSS_POINT).first
         finding.get_by_role("button").first.click()
-        page.get_by_role("button", name=GROSS_POINT, exact=True).click()
         worst = page.locator(".crop").first
         expect(worst).to_contain_text(GROSS_IMAGE)
         expect(worst).to_have_class("crop far")
@@ -128,9 +128,10 @@ def test_all_of_it_by_keyboard(browser: Browser, finished: Path, tmp_path: Path)
         expect(page.locator(".finding").nth(1)).to_have_class("finding chosen")
         page.keyboard.press("Escape")
         page.keyboard.press(".")
-        expect(page.locator("#picture-name")).to_have_value("p1.png")
+        expect(page.locator("#picture-name")).to_have_value(re.compile(r"p\d\.png"))
+        shown = page.locator("#picture-name").input_value()
         page.keyboard.press("l")
-        expect(page.get_by_role("dialog")).to_contain_text("Leave out picture p1.png")
+        expect(page.get_by_role("dialog")).to_contain_text(f"Leave out picture {shown}")
         page.keyboard.type("blurred")
         page.keyboard.press("Enter")
         expect(page.locator(".left li")).to_contain_text("blurred")
@@ -153,7 +154,7 @@ def test_axe_finds_nothing_serious(browser: Browser, made: Path, tmp_path: Path,
 def test_it_speaks_portuguese(browser: Browser, made: Path, tmp_path: Path) -> None:
     with looking(browser, made, tmp_path / "cache", "pt-BR") as page:
         expect(page.locator(".summary .sign")).to_contain_text("utilizável com ressalvas")
-        expect(page.locator(".finding").first).to_contain_text("resíduos")
+        expect(page.locator(".finding").first).to_contain_text("erros grosseiros")
         expect(page.locator("#tab-plots")).to_have_text("Gráficos")
 
 
@@ -165,7 +166,6 @@ def test_names_that_would_be_code_are_names(browser: Browser, finished: Path, tm
     with looking(browser, finished, tmp_path / "cache") as page:
         finding = page.locator(".finding", has_text=HOSTILE).first
         finding.get_by_role("button").first.click()
-        page.locator(".several button", has_text=HOSTILE).click()
         expect(page.locator(".strip .head")).to_contain_text(HOSTILE)
         page.locator(".crop").first.get_by_role("button").last.click()
         expect(page.get_by_role("dialog")).to_contain_text(HOSTILE)
