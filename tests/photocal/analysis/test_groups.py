@@ -61,7 +61,7 @@ def test_positions_with_wrong_sigmas_are_named_as_that(factor: float, code: str)
 
 
 def test_heights_of_control_that_are_worse_than_stated_are_named() -> None:
-    """Where four of sixteen errors happen to be large (the second flight), points are doubtful, never grave."""
+    """Where four of sixteen errors happen to be large, points are doubtful, and nothing is grave."""
     named = 0
     for seed in range(2, 8):
         network = fly(SMALL, seed).network
