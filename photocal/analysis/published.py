@@ -26,7 +26,7 @@ _OPTIONAL = ("set", "unit", "degrees_of_freedom", "sigma0", *_SIGMAS)
 
 
 @dataclass(frozen=True)
-class GlobalTest:
+class PrintedSigmaTest:
     """One-sided test of a printed standard deviation of unit weight against 1."""
 
     sigma0: float
@@ -60,7 +60,7 @@ class PublishedSet:
     components: Components | None
     component_values: Floats | None = None
     removal: Proposal | None = None
-    global_test: GlobalTest | None = None
+    global_test: PrintedSigmaTest | None = None
     one_angle: Finding | None = None
 
 
@@ -159,11 +159,11 @@ def one_angle(estimates: Estimates) -> Finding | None:
     return Finding("one-angle", "note", "omega-kappa", figures)
 
 
-def _global_test(one: "_Printed", alpha: float) -> GlobalTest | None:
+def _global_test(one: "_Printed", alpha: float) -> PrintedSigmaTest | None:
     if one.sigma0 is None or not np.isfinite(one.freedom):
         return None
     critical = float(chi2.ppf(1.0 - alpha, one.freedom))
-    return GlobalTest(one.sigma0, one.freedom * one.sigma0**2, critical)
+    return PrintedSigmaTest(one.sigma0, one.freedom * one.sigma0**2, critical)
 
 
 def _tests(

@@ -19,7 +19,7 @@ class _Correlation(Table):
     matrix: tuple[tuple[float, ...], ...]
 
 
-class Calibration(Table, extra="ignore"):
+class StoredCalibration(Table, extra="ignore"):
     """What the file of a calibration says of a camera."""
 
     model: str
@@ -39,7 +39,7 @@ class Calibration(Table, extra="ignore"):
         return tuple(n for n in self.correlation.names if known[n].estimated and known[n].sigma)
 
 
-def read_prior(path: Path, camera: str) -> Calibration:
+def read_prior(path: Path, camera: str) -> StoredCalibration:
     """Read the calibration of a camera: of that name, or the only one.
 
     path: what a run or a certificate wrote as JSON.
@@ -54,13 +54,13 @@ def read_prior(path: Path, camera: str) -> Calibration:
         chosen = cameras[camera] if camera in cameras or len(cameras) != 1 else next(iter(cameras.values()))
     except (ValueError, KeyError, TypeError, AttributeError):
         raise wrong(f"has no calibration of camera {camera}", "name that of this camera") from None
-    made = checked_tables(chosen, Calibration, path)
+    made = checked_tables(chosen, StoredCalibration, path)
     if set(made.correlation.names) - set(made.parameters):
         raise wrong("has correlations of other parameters", "is it the file that photocal wrote?")
     return made
 
 
-def prior_keys(made: Calibration) -> dict[str, Any]:
+def prior_keys(made: StoredCalibration) -> dict[str, Any]:
     """Give values, their meaning, estimate, prior sigmas and correlations in the keys of a `[[camera]]`."""
     free = made.free
     at = [made.correlation.names.index(name) for name in free]

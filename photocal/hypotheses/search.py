@@ -288,7 +288,9 @@ def _wrong_sigma(
     an error competes with it (Schwarz 1978). Too small residuals no error explains, and those of positions
     that share their errors tell nothing of their sigmas.
     """
-    unknown = math.log(given.solution.observations)
+    # As of causes: of the sigmas of control nothing tells but control.
+    of_control = math.log(max(3 * len(control_points(given.network)), 2))
+    of_all = math.log(given.solution.observations)
     significant = [one for one in tries.values() if one.significant]
     cause = max((one.value for one in significant), default=0.0)
     gain = max((one.gain for one in significant), default=0.0)
@@ -307,6 +309,7 @@ def _wrong_sigma(
             continue
         too_large = test.chi_squared - test.redundancy
         preferred = scaled and test.name in CONTROL
+        unknown = of_control if test.name in CONTROL else of_all
         if (
             not preferred
             and test.factor > 1.0

@@ -17,7 +17,7 @@ SCHEMA = "photocal.study/1"
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedFigure:
     """One printed figure.
 
     ours: None where no command gives it.
@@ -39,7 +39,7 @@ class ComparedTable:
     """All figures of one printed table."""
 
     printed: PrintedTable
-    figures: tuple[Compared, ...]
+    figures: tuple[ComparedFigure, ...]
 
     @property
     def agreeing(self) -> int:
@@ -55,7 +55,7 @@ class Repeated:
     tables: tuple[ComparedTable, ...]
 
     @property
-    def figures(self) -> tuple[Compared, ...]:
+    def figures(self) -> tuple[ComparedFigure, ...]:
         """All figures of all tables."""
         return tuple(figure for table in self.tables for figure in table.figures)
 
@@ -66,7 +66,7 @@ class Repeated:
         return sum(table.agreeing for table in tables), sum(len(table.figures) for table in tables)
 
     @property
-    def unexplained(self) -> tuple[Compared, ...]:
+    def unexplained(self) -> tuple[ComparedFigure, ...]:
         """Figures that differ without a known reason."""
         return tuple(figure for figure in self.figures if not figure.agrees and not figure.why)
 
@@ -97,7 +97,7 @@ def _table(table: PrintedTable, folder: Path, read: Any) -> ComparedTable:
             ours = _ours(read(figure.answer or table.answer), figure, named | {"row": str(number)}, path)
             agrees = _agree(printed, ours, figure, row)
             why = "" if agrees else _why(table.apart, figure.column, row)
-            figures.append(Compared(table.title, label, figure.column, printed, ours, agrees, why))
+            figures.append(ComparedFigure(table.title, label, figure.column, printed, ours, agrees, why))
     return ComparedTable(table, tuple(figures))
 
 
@@ -227,7 +227,7 @@ def as_text(repeated: Repeated) -> str:
     return "\n".join(lines)
 
 
-def grouped(figures: Iterable[Compared]) -> list[str]:
+def grouped(figures: Iterable[ComparedFigure]) -> list[str]:
     """Name the differing figures, those of one reason in one line."""
     by_reason: dict[str, list[str]] = {}
     for one in figures:

@@ -101,7 +101,7 @@ class NotRepeated(Table):
     why: str
 
 
-class Picture(Table):
+class DrawnPicture(Table):
     """A figure drawn anew by a command, and what the study concluded from its own."""
 
     file: str
@@ -124,7 +124,7 @@ class Study(Table):
     input: tuple[Input, ...]
     command: tuple[Command, ...] = Field(min_length=1)
     table: tuple[PrintedTable, ...] = ()
-    picture: tuple[Picture, ...] = ()
+    picture: tuple[DrawnPicture, ...] = ()
     not_repeated: tuple[NotRepeated, ...] = ()
 
     @property

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typer.main import get_command
 
 from photocal.cli import app
-from photocal.studies.comparison import Compared, Repeated, shown
+from photocal.studies.comparison import ComparedFigure, Repeated, shown
 from photocal.studies.repeat import repeat_study
 from photocal.studies.study import shipped
 
@@ -104,12 +104,12 @@ def _details(made: Repeated) -> list[str]:
     return parts
 
 
-def _figures(figures: list[Compared]) -> str:
+def _figures(figures: list[ComparedFigure]) -> str:
     rows = ((f.table, f"{f.label}, {f.column}", f.printed, _rounded(f), f.why) for f in figures)
     return _table(("table", "figure", "printed", "ours", "why not"), rows)
 
 
-def _rounded(figure: Compared) -> str:
+def _rounded(figure: ComparedFigure) -> str:
     """Write ours with one decimal more than the printed one: what is beyond says nothing."""
     found = re.fullmatch(r"[+-]?\d+\.?(\d*)", figure.printed)
     if found and isinstance(figure.ours, float):

@@ -31,7 +31,7 @@ class ChiSquared:
 
 
 @dataclass(frozen=True)
-class JointTest:
+class EqualityTest:
     """Whether two calibrations are equal, all parameters in one test.
 
     parameters: estimated in one of both, or both.
@@ -57,7 +57,7 @@ class JointComparison:
     together: of the deviations from the mean vector, sum of (x - mean)' S^-1 (x - mean); None for two.
     """
 
-    pairs: tuple[JointTest, ...]
+    pairs: tuple[EqualityTest, ...]
     together: ChiSquared | None
 
 
@@ -84,7 +84,7 @@ def _covariance(camera: Camera, names: Sequence[str]) -> Floats:
     return np.asarray(correlation * np.outer(sigma, sigma))
 
 
-def _joint(first: Camera, second: Camera, pixels: Floats) -> JointTest:
+def _joint(first: Camera, second: Camera, pixels: Floats) -> EqualityTest:
     names = _names((first, second))
     d = np.array([second.value(name) - first.value(name) for name in names])
     both = _covariance(first, names) + _covariance(second, names)
@@ -94,7 +94,7 @@ def _joint(first: Camera, second: Camera, pixels: Floats) -> JointTest:
     vector = _against(float(z @ z), len(names))
     factor: Floats = np.asarray(scale[:, None] * root, dtype=np.float64)
     image, rms_px = _in_image(first, second, names, factor, z, pixels)
-    return JointTest(first.id, second.id, names, vector, image, rms_px)
+    return EqualityTest(first.id, second.id, names, vector, image, rms_px)
 
 
 def _in_image(

@@ -28,7 +28,14 @@ export function say(key, values = {}) {
 /** A refusal of the server, in the words of the command line. */
 export class Refusal extends Error {}
 
-async function answered(asked) {
+// What no step has caught stands where the command line stands; that nobody answers is told by the window.
+addEventListener("unhandledrejection", (event) => {
+  if (!(event.reason instanceof Refusal)) return;
+  event.preventDefault();
+  fill(document.getElementById("command"), h("span", { role: "alert" }, event.reason.message));
+});
+
+async function reached(asked) {
   let answer;
   try {
     answer = await asked;
@@ -37,6 +44,11 @@ async function answered(asked) {
     throw new Refusal(say("desk.gone"));
   }
   offline(false);
+  return answer;
+}
+
+async function answered(asked) {
+  const answer = await reached(asked);
   const value = (answer.headers.get("content-type") ?? "").startsWith("application/json") ? await answer.json() : {};
   if (!answer.ok) throw new Refusal(value.error ?? `${answer.status}`);
   return value;
@@ -46,6 +58,12 @@ const context = {
   say,
   /** Ask the server; the answer as JSON. Throws Refusal. */
   get: (path) => answered(fetch(path)),
+  /** Ask the server for an array of bytes. Throws Refusal. */
+  async bytes(path) {
+    const answer = await reached(fetch(path));
+    if (!answer.ok) throw new Refusal(`${answer.status}`);
+    return answer.arrayBuffer();
+  },
   /** Have the server do something; the answer as JSON. Throws Refusal. */
   post: (path, value = {}) =>
     answered(fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(value) })),

@@ -60,20 +60,18 @@ def test_positions_with_wrong_sigmas_are_named_as_that(factor: float, code: str)
     assert one.size.figure == pytest.approx(1.0 / factor, rel=0.25)
 
 
-def test_heights_of_control_that_are_worse_than_stated_are_named() -> None:
-    """Where four of sixteen errors happen to be large, points are doubtful, and nothing is grave."""
-    named = 0
-    for seed in range(2, 8):
-        network = fly(SMALL, seed).network
-        noise = 0.05 * np.random.default_rng(seed).standard_normal(len(network.points.values))
-        known = np.diagonal(network.points.weight, axis1=1, axis2=2)[:, 2] > 0
-        values = network.points.values.copy()
-        values[known, 2] += noise[known]
-        listed = findings(search(fit(replace(network, points=replace(network.points, values=values)))))
-        assert not [finding for finding in listed if finding.severity == "grave"]
-        named += (listed[0].code, listed[0].subject) == ("sigmas-too-small", "control-Z")
-    # The other one: the first cause names points, with the sigmas as what explains it as well.
-    assert named >= 4
+@pytest.mark.parametrize("seed", range(6))
+def test_heights_of_control_that_are_worse_than_stated_are_named(seed: int) -> None:
+    """By four times what the images tell of them: sixteen such draws are no single wrong points."""
+    network = fly(SMALL, seed).network
+    noise = 0.15 * np.random.default_rng(seed).standard_normal(len(network.points.values))
+    known = np.diagonal(network.points.weight, axis1=1, axis2=2)[:, 2] > 0
+    values = network.points.values.copy()
+    values[known, 2] += noise[known]
+    listed = findings(search(fit(replace(network, points=replace(network.points, values=values)))))
+    assert ("sigmas-too-small", "control-Z") in {(finding.code, finding.subject) for finding in listed}
+    assert "control-mistyped" not in {finding.code for finding in listed}
+    assert "grave" not in {finding.severity for finding in listed}
 
 
 def test_the_factor_of_a_group_is_that_of_its_errors() -> None:

@@ -1,4 +1,4 @@
-"""A field of coded targets, some half covered, some at the border: 12 rendered pictures."""
+"""A field of coded targets, one corner of some covered, some at the border: 12 rendered pictures."""
 
 from __future__ import annotations
 

@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import pytest
 
@@ -15,16 +14,8 @@ from photocal.adjustment.network import RELATIONS
 from photocal.block.folder import read_block
 from photocal.results.folder import read_result
 from photocal.run.block import known_distances
-from tests.photocal.run.typed_site import Row, site_folder
-
-
-class Answer(Protocol):
-    """What a command said."""
-
-    code: int
-    out: str
-    err: str
-
+from tests.photocal.conftest import Answer
+from tests.photocal.run.typed_site import Row, resized, site_folder
 
 Photocal = Callable[..., Answer]
 
@@ -33,10 +24,6 @@ Photocal = Callable[..., Answer]
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The flight, rendered once."""
     return tmp_path_factory.mktemp("rendered")
-
-
-def halved(rows: list[Row]) -> list[Row]:
-    return [replace(row, x=(row.x + 0.5) / 2 - 0.5, y=(row.y + 0.5) / 2 - 0.5) for row in rows]
 
 
 def project_of(photocal: Photocal, folder: Path, *more: str) -> None:
@@ -76,7 +63,7 @@ def test_marks_of_other_pictures_are_told_before_any_work(
     pictures: Path, tmp_path: Path, photocal: Photocal
 ) -> None:
     folder = tmp_path / "f"
-    site_folder(pictures, folder, halved)
+    site_folder(pictures, folder, resized(0.5))
     # A person insists that they are as stored.
     project_of(photocal, folder, "--marks", "1")
     told = json.loads(photocal("run", folder, "--until", "control", "--json").out)
@@ -95,7 +82,7 @@ def test_a_run_takes_them_so_and_no_distance_ends_it(
     def spoil(rows: list[Row]) -> list[Row]:
         single = next(row for row in rows if row.name == "G6")
         x, y, z = single.place
-        return halved([row for row in rows if row.name != "G6"]) + halved(
+        return resized(0.5)([row for row in rows if row.name != "G6"]) + resized(0.5)(
             [replace(single, place=(x + 9, y, z))]
         )
 

@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import pytest
 from pyproj import Transformer
@@ -16,7 +15,8 @@ from photocal.geometry.systems import heights_at
 from photocal.measurement.marks import read_marks
 from photocal.project import read_project
 from photocal.run.project_checks import check_project
-from tests.photocal.run.typed_site import CRS, Row, site_folder
+from tests.photocal.conftest import Answer
+from tests.photocal.run.typed_site import CRS, Row, resized, site_folder
 
 WIDTH, HEIGHT = 480, 360
 # How viewers show a stored mark, by the EXIF standard, in pixels from the edges.
@@ -27,14 +27,6 @@ SHOWN = {
 }
 
 
-class Answer(Protocol):
-    """What a command said."""
-
-    code: int
-    out: str
-    err: str
-
-
 Photocal = Callable[..., Answer]
 
 
@@ -42,13 +34,6 @@ Photocal = Callable[..., Answer]
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The flight, rendered once."""
     return tmp_path_factory.mktemp("rendered")
-
-
-def resized(factor: float) -> Callable[[list[Row]], list[Row]]:
-    """Marks as in pictures of another size."""
-    return lambda rows: [
-        replace(row, x=(row.x + 0.5) * factor - 0.5, y=(row.y + 0.5) * factor - 0.5) for row in rows
-    ]
 
 
 def shown(orientation: int) -> Callable[[list[Row]], list[Row]]:

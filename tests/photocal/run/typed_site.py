@@ -73,6 +73,13 @@ def rows(site: Site) -> list[Row]:
     return found
 
 
+def resized(factor: float) -> Callable[[list[Row]], list[Row]]:
+    """Marks as in pictures of another size."""
+    return lambda rows: [
+        replace(row, x=(row.x + 0.5) * factor - 0.5, y=(row.y + 0.5) * factor - 0.5) for row in rows
+    ]
+
+
 def site_folder(
     pictures: Path,
     folder: Path,

@@ -76,7 +76,7 @@ export async function blockMap(target, shared) {
     };
     for (const name of LAYERS) made[name].setVisible(FIRST.has(name));
     shared.get("/api/look/overlap").then(async (place) => {
-      const cells = new Uint8Array(await (await fetch("/api/look/overlap.bin")).arrayBuffer());
+      const cells = new Uint8Array(await shared.bytes("/api/look/overlap.bin"));
       made.overlap.setSource(overlapSource(place, cells));
     });
     return made;
@@ -199,7 +199,7 @@ export async function blockMap(target, shared) {
   }
 
   async function tieSource() {
-    const values = new Float32Array(await (await fetch("/api/look/ties.bin")).arrayBuffer());
+    const values = new Float32Array(await shared.bytes("/api/look/ties.bin"));
     const sigmas = [];
     for (let k = 3; k < values.length; k += 5) sigmas.push(values[k]);
     const high = quantile(sigmas, 0.95) || 1;

@@ -75,7 +75,7 @@ export async function spaceView(target, shared) {
   }
 
   async function addTies() {
-    const values = new Float32Array(await (await fetch("/api/look/ties.bin")).arrayBuffer());
+    const values = new Float32Array(await shared.bytes("/api/look/ties.bin"));
     const count = values.length / 5;
     const [place, colour, sigma] = [new Float32Array(3 * count), new Float32Array(3 * count), new Float32Array(count)];
     for (let k = 0; k < count; k++) {
