@@ -37,6 +37,9 @@ DAMAGE_ENCODING = "octets"
 ARRIVED_ENCODING = "arrived"
 # Where in the stream of the link they begin, and up to where it was framed when they were written.
 ARRIVED_HEAD = struct.Struct("<QQ")
+# Table that says of which recording a file is a part: the name of its first file (`first_file`), and the
+# number of this one (`file`).
+PART_OF = "part of"
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from acquire.channels.decoded import SECOND_NS
 from acquire.log.reader import LoggedMessages, LogReader
-from acquire.log.records import MAGIC
+from acquire.log.records import MAGIC, PART_OF
 from acquire.monitor.reducer import state_after
 from acquire.monitor.state import ComputerState, RecordingState
 from acquire.monitor.traffic import looked
@@ -92,7 +92,9 @@ class Tail:
         logs = sorted((key, path) for path in paths if (key := _order(path)) is not None)
         if self._reader is not None:
             current = _order(self._reader.path)
-            return [path for key, path in logs if current is not None and key > current]
+            new = [path for key, path in logs if current is not None and key > current]
+            # Of a file that was just made it is not known yet which recording it belongs to.
+            return [path for path in new if _first_file(path) is not None]
         first = len(logs) - 1
         while first > 0 and _goes_on(logs[first - 1][1], logs[first][1]):
             first -= 1
@@ -105,12 +107,32 @@ def _goes_on(before: Path, path: Path) -> bool:
     The next file of a recorder does, and that of one which died and was started again at once. A log that was
     closed as it should be is followed by another flight.
     """
+    if (first := _first_file(path)) and first != path.name:
+        return first == (_first_file(before) or before.name)
     earlier, later = _order(before), _order(path)
-    if earlier is not None and later is not None and earlier[0] == later[0]:
+    if not first and earlier is not None and later is not None and earlier[0] == later[0]:
         return True
     last_s, begun_s = _written_s(before), _begun_s(path)
     soon = last_s is not None and begun_s is not None and begun_s - last_s <= SAME_FLIGHT_S
     return soon and not _has_end(before)
+
+
+def _first_file(path: Path) -> str | None:
+    """Return the first file of the recording that a log belongs to.
+
+    Empty where the log does not say so: those of older recorders; None where nothing was written yet.
+    """
+    reader = LogReader(path, wanted=lambda _: False)
+    try:
+        if path.stat().st_size <= len(MAGIC):
+            return None
+        begun = any(True for _ in reader.chunks())
+    except (OSError, PhotocalError):
+        return ""
+    part = reader.metadata.get(PART_OF)
+    if part is None:
+        return "" if begun or reader.complete else None
+    return part.get("first_file", "")
 
 
 def _has_end(path: Path) -> bool:

@@ -86,6 +86,8 @@ class LogFiles:
         # Deleted files that are being copied back, each with the name of its copy.
         self._rescues: list[tuple[OpenFile, Path, Future[None]]] = []
         self.paths: list[Path] = []
+        # By the name of its first file a recording is known in each that follows.
+        self._first, self._begun = "", 0
         try:
             self._file: OpenFile | None = self._new(0)
         except OSError as failure:
@@ -189,6 +191,8 @@ class LogFiles:
         path, stream = new_log(self._folders[place], self._clock_ns(), self._make)
         try:
             writer = LogWriter(stream)
+            first = self._first or path.name
+            writer.metadata(records.PART_OF, {"first_file": first, "file": f"{self._begun + 1}"})
             self._begin(writer)
             writer.define(self._open.definitions)
             made = OpenFile(path, stream, writer, self._steady_s(), stream.size)
@@ -199,6 +203,7 @@ class LogFiles:
             discard(path, stream)
             raise
         self._place = place
+        self._first, self._begun = first, self._begun + 1
         self.paths.append(path)
         return made
 

@@ -6,12 +6,13 @@ import datetime as dt
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from acquire.log.records import Channel
+from acquire.log.records import MAGIC, Channel
 from acquire.log.writer import LogWriter
 from acquire.monitor.state import RecordingState
 from acquire.monitor.tail import Tail, follow, tail_of
@@ -26,8 +27,8 @@ CHANNEL = Channel("/rover/raw", "ubx")
 class Recorder:
     """Writes numbered messages as the recorder does, to files of its own."""
 
-    def __init__(self, folder: Path, *, size: int = 0) -> None:
-        self.files = LogFiles([folder], lambda _: None, RotationLimits(size=size), time.time_ns)
+    def __init__(self, folder: Path, *, size: int = 0, clock_ns: Callable[[], int] = time.time_ns) -> None:
+        self.files = LogFiles([folder], lambda _: None, RotationLimits(size=size), clock_ns)
         self.written = 0
 
     def write(self, count: int = 5, *, safe: bool = True) -> None:
@@ -83,6 +84,27 @@ def test_a_recording_that_goes_on_in_the_next_file_is_one_flight(tmp_path: Path)
     late = Tail([tmp_path])
     assert read(late) == list(range(40))
     assert late.flight == tail.flight
+
+
+def test_files_of_one_recording_are_one_flight_however_long_each_lasts(tmp_path: Path) -> None:
+    """Each file has its own second in its name, and its end, before the next is read."""
+    seconds = iter(range(1_800_000_000, 1_800_001_000, 90))
+    recorder = Recorder(tmp_path, size=600, clock_ns=lambda: next(seconds) * SECOND)
+    tail = Tail([tmp_path])
+    seen = []
+    for _ in range(4):
+        recorder.write()
+        until(lambda: all(path.read_bytes().endswith(MAGIC) for path in recorder.files.paths[:-1]), "ends")
+        seen += read(tail)
+    recorder.files.close()
+    seen += read(tail)
+    names = [path.name for path in recorder.files.paths]
+    assert len({name.partition("_")[0] for name in names}) > 2
+    assert seen == list(range(20))
+    assert tail.flight == names[0]
+    late = Tail([tmp_path])
+    assert read(late) == seen
+    assert late.flight == names[0]
 
 
 def test_a_recorder_that_died_is_followed_by_the_next(tmp_path: Path) -> None:
