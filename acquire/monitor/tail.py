@@ -2,6 +2,7 @@
 
 import contextlib
 import datetime as dt
+import math
 import re
 import shutil
 import threading
@@ -31,6 +32,7 @@ class Tail:
         self._folders = [] if isinstance(source, Path) else list(source)
         self._waiting = [source] if isinstance(source, Path) else []
         self._reader: LogReader | None = None
+        self._seen: set[Path] = set()
         self.flight = ""
         self.trouble = ""
 
@@ -89,16 +91,20 @@ class Tail:
     def _new_files(self) -> list[Path]:
         """Return files newer than the one that is read; at the beginning those of the latest flight."""
         paths = [path for folder in self._folders if folder.is_dir() for path in folder.iterdir()]
-        logs = sorted((key, path) for path in paths if (key := _order(path)) is not None)
+        # Of a file that was just made it is not known yet which recording it belongs to.
+        unseen = {
+            path: _part(path) for path in paths if path not in self._seen and _NAME.fullmatch(path.name)
+        }
+        parts = {path: part for path, part in unseen.items() if part is not None}
+        self._seen.update(parts)
+        logs = sorted(parts, key=lambda path: (parts[path], path.name))
         if self._reader is not None:
-            current = _order(self._reader.path)
-            new = [path for key, path in logs if current is not None and key > current]
-            # Of a file that was just made it is not known yet which recording it belongs to.
-            return [path for path in new if _first_file(path) is not None]
+            current = _part(self._reader.path) or _named(self._reader.path)
+            return [path for path in logs if parts[path] > current]
         first = len(logs) - 1
-        while first > 0 and _goes_on(logs[first - 1][1], logs[first][1]):
+        while first > 0 and _goes_on(logs[first - 1], logs[first]):
             first -= 1
-        return [path for _, path in logs[max(first, 0) :]]
+        return logs[max(first, 0) :]
 
 
 def _goes_on(before: Path, path: Path) -> bool:
@@ -107,32 +113,36 @@ def _goes_on(before: Path, path: Path) -> bool:
     The next file of a recorder does, and that of one which died and was started again at once. A log that was
     closed as it should be is followed by another flight.
     """
-    if (first := _first_file(path)) and first != path.name:
-        return first == (_first_file(before) or before.name)
-    earlier, later = _order(before), _order(path)
-    if not first and earlier is not None and later is not None and earlier[0] == later[0]:
+    earlier, later = _part(before) or _named(before), _part(path) or _named(path)
+    if earlier[0] == later[0]:
         return True
-    last_s, begun_s = _written_s(before), _begun_s(path)
-    soon = last_s is not None and begun_s is not None and begun_s - last_s <= SAME_FLIGHT_S
-    return soon and not _has_end(before)
+    last_s = _written_s(before)
+    return last_s is not None and _begun_s(path) - last_s <= SAME_FLIGHT_S and not _has_end(before)
 
 
-def _first_file(path: Path) -> str | None:
-    """Return the first file of the recording that a log belongs to.
+# The name of the first file of a recording, and which of its files one is.
+_Part = tuple[str, int]
 
-    Empty where the log does not say so: those of older recorders; None where nothing was written yet.
-    """
+
+def _part(path: Path) -> _Part | None:
+    """Return which part of which recording a log is; None where nothing was written yet."""
     reader = LogReader(path, wanted=lambda _: False)
     try:
         if path.stat().st_size <= len(MAGIC):
             return None
         begun = any(True for _ in reader.chunks())
     except (OSError, PhotocalError):
-        return ""
-    part = reader.metadata.get(PART_OF)
-    if part is None:
-        return "" if begun or reader.complete else None
-    return part.get("first_file", "")
+        return _named(path)
+    table = reader.metadata.get(PART_OF, {})
+    if "first_file" in table and (number := table.get("file", "")).isdecimal():
+        return table["first_file"], int(number)
+    return _named(path) if begun or reader.complete else None
+
+
+def _named(path: Path) -> _Part:
+    """Return what the name of a log says: older recorders number the files of a second."""
+    match = _NAME.fullmatch(path.name)
+    return (f"flight-{match[1]}.mcap", int(match[2] or 1)) if match else (path.name, 1)
 
 
 def _has_end(path: Path) -> bool:
@@ -145,17 +155,11 @@ def _has_end(path: Path) -> bool:
         return False
 
 
-def _order(path: Path) -> tuple[str, int] | None:
-    """Return by what the logs of a recorder are ordered; None for other files."""
+def _begun_s(path: Path) -> float:
     match = _NAME.fullmatch(path.name)
-    return (match[1], int(match[2] or 1)) if match else None
-
-
-def _begun_s(path: Path) -> float | None:
-    order = _order(path)
-    if order is None:
-        return None
-    return dt.datetime.strptime(order[0], "%Y%m%dT%H%M%SZ").replace(tzinfo=dt.UTC).timestamp()
+    if match is None:
+        return math.inf
+    return dt.datetime.strptime(match[1], "%Y%m%dT%H%M%SZ").replace(tzinfo=dt.UTC).timestamp()
 
 
 def _written_s(path: Path) -> float | None:

@@ -86,9 +86,10 @@ def test_a_recording_that_goes_on_in_the_next_file_is_one_flight(tmp_path: Path)
     assert late.flight == tail.flight
 
 
-def test_files_of_one_recording_are_one_flight_however_long_each_lasts(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step_s", [90, -90], ids=["later", "the clock was set back"])
+def test_files_of_one_recording_are_one_flight_whatever_their_names(tmp_path: Path, step_s: int) -> None:
     """Each file has its own second in its name, and its end, before the next is read."""
-    seconds = iter(range(1_800_000_000, 1_800_001_000, 90))
+    seconds = iter(range(1_800_000_000, 1_800_000_000 + 40 * step_s, step_s))
     recorder = Recorder(tmp_path, size=600, clock_ns=lambda: next(seconds) * SECOND)
     tail = Tail([tmp_path])
     seen = []
