@@ -74,8 +74,10 @@ def survey(
     setup: Annotated[
         Path,
         argument(
-            "TOML: required_minutes, optional crs, outside_area; [[known]] name, lat_deg, lon_deg, height_m, "
-            "sigma_m, optional frame (IGS20@2026.9); "
+            "TOML: required_minutes, or [[required]] up_to_km, minutes, two_frequencies; optional crs, "
+            "outside_area, elevation_deg, systems, two_frequencies; "
+            "[[known]] name, lat_deg, lon_deg, height_m, sigma_m, optional frame (IGS20@2026.9); "
+            "[[station]] name, file (SINEX or .sum), site, frame; "
             "[[baseline]] name, start, end, base, rover (RINEX or flight logs, with base_link, rover_link), "
             "nav, products, base_antenna_m, rover_antenna_m; "
             "[[ppp]] name, rover, nav, products (SP3, CLK), rover_antenna_m; antex with base_antenna, "
@@ -96,8 +98,9 @@ def survey(
     from photocal.base.checked_toml import read_toml
     from photocal.base.files import output_folder, write_json
     from photocal.navigation.engine import Rtklib
-    from photocal.navigation.survey import Survey, SurveySetup, run_survey
+    from photocal.navigation.survey import Survey, run_survey
     from photocal.navigation.survey_report import survey_figures, survey_text, write_points
+    from photocal.navigation.survey_setup import SurveySetup
 
     plan = read_toml(setup, SurveySetup)
     with tempfile.TemporaryDirectory() as scratch:

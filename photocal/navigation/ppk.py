@@ -38,7 +38,7 @@ _AT_ONCE = 2
 _BASE_LIMIT_M = 10.0
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000
-_SYSTEMS = "GREJC"
+SYSTEMS = "GREJC"
 
 
 def between_directions(
@@ -127,7 +127,7 @@ def options_for(
 
     raises IllPosedError: when they share no satellite system.
     """
-    shared = "".join(letter for letter in _SYSTEMS if letter in rover.systems & base.systems)
+    shared = "".join(letter for letter in SYSTEMS if letter in rover.systems & base.systems)
     if not shared:
         raise IllPosedError(
             f"rover ({'+'.join(sorted(rover.systems))}) and base ({'+'.join(sorted(base.systems))}) observed "

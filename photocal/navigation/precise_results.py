@@ -19,6 +19,8 @@ from photocal.navigation.trajectory import enu_axes_at
 _GPS_EPOCH = dt.date(1980, 1, 6)
 _EPOCH_3 = pattern(r"> (\d{4}) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2}\d\.\d+)")
 _EPOCH_2 = pattern(r" (\d\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2,3}\.\d{7})  [01]")
+# Sites that a message names.
+_MOST_LISTED = 12
 _EPHEMERIS = pattern(r"(?:[GRECJIS][ \d]\d|[ \d]\d) +\d{2,4} +\d{1,2} +\d{1,2} ")
 
 
@@ -143,14 +145,17 @@ class PreciseResult:
         return f" ({self.frame or 'frame not told'}{epoch})"
 
 
-def read_precise_result(path: Path) -> PreciseResult:
-    """Read the result of a service: the summary (.sum) of CSRS-PPP, or SINEX of a single site."""
+def read_precise_result(path: Path, site: str = "") -> PreciseResult:
+    """Read the result of a service: the summary (.sum) of CSRS-PPP, or SINEX.
+
+    site: code of the site in a SINEX file of several, such as the weekly solution of a network.
+    """
     lines = _lines(path)
     try:
         if any(line.startswith("POS CRD") for line in lines):
             return _of_csrs(lines)
         if lines and lines[0].startswith("%=SNX"):
-            return _of_sinex(lines, path)
+            return _of_sinex(lines, path, site)
     except (ValueError, IndexError, KeyError) as refusal:
         raise InputMalformedError("is damaged", "fetch it again", where=path) from refusal
     raise InputMalformedError(
@@ -179,20 +184,28 @@ def _of_csrs(lines: list[str]) -> PreciseResult:
     return PreciseResult(position, covariance, rows["X"][2], _year(rows["X"][3]))
 
 
-def _of_sinex(lines: list[str], path: Path) -> PreciseResult:
+def _of_sinex(lines: list[str], path: Path, site: str) -> PreciseResult:
     first, last = (lines.index(f"{sign}SOLUTION/ESTIMATE") for sign in "+-")
     sites: dict[str, dict[str, list[str]]] = {}
     for line in lines[first + 1 : last]:
         cells = line.split()
         if len(cells) > 9 and cells[1] in ("STAX", "STAY", "STAZ"):
+            # Of a site with several solutions the last one counts.
             sites.setdefault(cells[2], {})[cells[1]] = cells
-    if len(sites) != 1:
+    wanted = [name for name in sites if not site or name.upper() == site.upper()]
+    if len(wanted) != 1:
+        near = difflib.get_close_matches(site.upper(), list(sites), 8, 0.0)
+        listed = ", ".join(sorted(sites)) if len(sites) <= _MOST_LISTED else ", ".join(near) + ", ..."
         raise ConfigurationError(
-            f"has {len(sites)} sites ({', '.join(sorted(sites)) or 'none'})",
-            "give a file of a single site, or its LAT,LON,H",
+            f"has no site {site}, but {listed or 'none'}"
+            if site
+            else f"has {len(sites)} sites ({listed or 'none'})",
+            "name one of its sites"
+            if site
+            else "name the site, give a file of a single one, or its LAT,LON,H",
             where=path,
         )
-    (rows,) = sites.values()
+    rows = sites[wanted[0]]
     axes = [rows[f"STA{axis}"] for axis in "XYZ"]
     sigma = np.array([float(cells[9]) for cells in axes])
     position = np.array([float(cells[8]) for cells in axes])

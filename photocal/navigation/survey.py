@@ -1,16 +1,16 @@
 """A control survey: static baselines and precise points computed, adjusted as a network."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from photocal.base.arrays import Floats, picked
-from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
-from photocal.base.geodesy import enu_axes, geocentric
+from photocal.base.geodesy import enu_axes, geocentric, geodetic
+from photocal.geometry.realizations import Realization, realization
 from photocal.geometry.systems import degrees_outside
 from photocal.navigation.baseline_network import Baseline, GroundMark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import ProcessingOptions, Rtklib
@@ -18,84 +18,29 @@ from photocal.navigation.engine_output import STATIC_FLOOR_M, in_order, trajecto
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process, with_antennas
 from photocal.navigation.ppk_inputs import converted
-from photocal.navigation.precise_results import ObservationFile, read_observation_file
+from photocal.navigation.precise_results import (
+    ObservationFile,
+    read_observation_file,
+    read_precise_result,
+)
 from photocal.navigation.receiver_recording import pick, read_receivers, refuse_unusable
 from photocal.navigation.rinex_files import navigation_ready, now, observations_ready
 from photocal.navigation.survey_frames import MovedMark, frame_of_orbits, frame_told, in_system
+from photocal.navigation.survey_setup import (
+    KnownMark,
+    MeasuredBaseline,
+    PrecisePoint,
+    PublishedMark,
+    RequiredTime,
+    Session,
+    SurveySetup,
+)
 from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
-from photocal.project import AirAtBase
 
 _LOG = ".mcap"
 # How the engine numbers precise positions.
 _PRECISE = 6
-
-
-class KnownMark(Table):
-    """A mark with a known position: degrees, ellipsoidal height, sigmas east, north, up (0: held).
-
-    frame: `FRAME[@EPOCH]` of it; empty: that of the survey's system.
-    """
-
-    name: str
-    lat_deg: float = Field(ge=-90, le=90)
-    lon_deg: float = Field(ge=-360, le=360)
-    height_m: float
-    sigma_m: tuple[float, float, float]
-    frame: str = ""
-
-
-class _Session(Table):
-    """A receiver on a mark; files relative to the set-up file.
-
-    rover: RINEX observations, or a flight log (MCAP) with raw frames.
-    nav: RINEX navigation files, beside the ephemerides that logs recorded.
-    products: precise orbits and clocks (SP3, CLK) that take the place of broadcast ones.
-    rover_antenna_m: height of the antenna reference point above the mark.
-    rover_antenna: type and radome in `antex`; empty: as the RINEX header names them.
-    """
-
-    name: str
-    rover: Path
-    rover_link: str = "rover"
-    nav: tuple[Path, ...] = ()
-    products: tuple[Path, ...] = ()
-    rover_antenna_m: float
-    rover_antenna: str = ""
-
-
-class MeasuredBaseline(_Session):
-    """A session between two marks, `start` of the base and `end` of the rover; base as rover."""
-
-    start: str
-    end: str
-    base: Path
-    base_link: str = "base"
-    base_antenna_m: float
-    base_antenna: str = ""
-
-
-class PrecisePoint(_Session):
-    """A mark that is positioned by itself with precise orbits and clocks."""
-
-    rover_link: str = "base"
-    products: tuple[Path, ...] = Field(min_length=1)
-
-
-class SurveySetup(Table):
-    """A survey; the weather is that of its time and place, None: the climate's; antex: antenna models.
-
-    outside_area: whether marks may lie outside the area of use of the system.
-    """
-
-    crs: str | None = None
-    outside_area: bool = False
-    required_minutes: float = Field(gt=0)
-    weather: AirAtBase | None = None
-    antex: Path | None = None
-    known: tuple[KnownMark, ...] = ()
-    ppp: tuple[PrecisePoint, ...] = ()
-    baseline: tuple[MeasuredBaseline, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -122,8 +67,10 @@ def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], l
     """
     sessions: list[dict[str, Any]] = []
     crs = survey.setup.crs
-    require_inside(survey.setup)
-    started = [in_system(_mark(mark), frame_told(mark.name, mark.frame), crs) for mark in survey.setup.known]
+    published = [_published(mark, survey.folder) for mark in survey.setup.station]
+    held = [(_mark(mark), frame_told(mark.name, mark.frame)) for mark in survey.setup.known] + published
+    require_inside(survey.setup, [mark for mark, _ in held])
+    started = [in_system(mark, frame, crs) for mark, frame in held]
     for point in survey.setup.ppp:
         mark, time, session = _precise(point, survey)
         orbits = frame_of_orbits(tuple(survey.folder / path for path in point.products))
@@ -148,19 +95,19 @@ def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], l
     return adjust_baselines(baselines, control), sessions, [done for _, done in started if done is not None]
 
 
-def require_inside(setup: SurveySetup) -> None:
+def require_inside(setup: SurveySetup, held: Sequence[GroundMark]) -> None:
     """Refuse known marks outside the area of use of the survey's system.
 
     raises ConfigurationError: with systems that have the place in theirs.
     """
-    if setup.crs is None or setup.outside_area or not setup.known:
+    if setup.crs is None or setup.outside_area or not held:
         return
-    latitude, longitude = np.array([[mark.lat_deg, mark.lon_deg] for mark in setup.known]).T
+    latitude, longitude, _ = geodetic(np.array([mark.xyz_m for mark in held]))
     outside = degrees_outside(setup.crs, latitude, longitude)
     worst = int(np.argmax(outside))
     if outside[worst] > 0:
         raise ConfigurationError(
-            f"mark {setup.known[worst].name} lies {outside[worst]:.2f} degrees outside the area of use of "
+            f"mark {held[worst].name} lies {outside[worst]:.2f} degrees outside the area of use of "
             f"{setup.crs}",
             "name the system of the place, check the signs of latitude and longitude, or say "
             "outside_area = true",
@@ -171,6 +118,16 @@ def _mark(mark: KnownMark) -> GroundMark:
     xyz = geocentric(mark.lat_deg, mark.lon_deg, mark.height_m)
     axes = enu_axes(mark.lat_deg, mark.lon_deg)
     return GroundMark(mark.name, xyz, axes.T @ np.diag(np.square(mark.sigma_m)) @ axes)
+
+
+def _published(mark: PublishedMark, folder: Path) -> tuple[GroundMark, Realization | None]:
+    """Return a mark from the file that has its position, and the frame and epoch of that."""
+    several = mark.file.suffix.lower() in (".snx", ".sinex")
+    result = read_precise_result(folder / mark.file, (mark.site or mark.name) if several else "")
+    told = realization(mark.frame) if mark.frame else result.realization
+    if told is not None and np.isnan(told.epoch) and not np.isnan(result.epoch):
+        told = replace(told, epoch=result.epoch)
+    return GroundMark(mark.name, result.position_m, result.covariance_m2), told
 
 
 def _observations(
@@ -198,7 +155,7 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     files = [*of_rover, *of_base, *named]
     inputs = Inputs(rover, base, files, start_m, f"mark {measured.start}", weather=survey.setup.weather)
     options = replace(
-        options_for(rover, base),
+        _options(rover, base, survey.setup),
         rover_antenna_m=measured.rover_antenna_m,
         base_antenna_m=measured.base_antenna_m,
         precise=bool(measured.products),
@@ -210,15 +167,32 @@ def _session(measured: MeasuredBaseline, survey: Survey, start_m: Floats) -> tup
     position, air_m = _through_air(result)
     end, covariance = _earth_centred(position)
     first, last = max(rover.time.ns[0], base.time.ns[0]), min(rover.time.ns[-1], base.time.ns[-1])
+    length_m = float(np.linalg.norm(end - start_m))
+    required = survey.setup.required_for(length_m)
     session = {
         **picked(measured, "name", "start", "end", "base_antenna_m", "rover_antenna_m"),
         "status": str(position.status[0]),
-        "length_m": float(np.linalg.norm(end - start_m)),
+        "length_m": length_m,
+        "two_frequencies": options.two_frequencies,
         "air_correction_m": air_m,
         "antenna_models": [options.base_antenna, options.rover_antenna],
-        **_duration(float(last - first) / 60e9, survey),
+        **_judged(float(last - first) / 60e9, options.two_frequencies, required),
     }
     return Baseline(measured.name, measured.start, measured.end, end - start_m, covariance), session
+
+
+def _options(rover: ObservationFile, base: ObservationFile, setup: SurveySetup) -> ProcessingOptions:
+    """Choose from what both receivers observed that which the survey takes."""
+    options = options_for(rover, base, elevation_deg=setup.elevation_deg)
+    systems = "".join(letter for letter in options.systems if letter in setup.systems)
+    if not systems:
+        raise ConfigurationError(
+            f'systems = "{setup.systems}", and the receivers share {"+".join(options.systems)}',
+            f"add one of them, as in {rover.path.name}",
+        )
+    return replace(
+        options, systems=systems, two_frequencies=options.two_frequencies and setup.two_frequencies
+    )
 
 
 def _through_air(result: PpkResult) -> tuple[Trajectory, float]:
@@ -238,10 +212,13 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, 
     folder = _own_folder(survey, f"ppp-{point.name}")
     observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, folder / "rover")
     named = [*_navigation(point, survey, folder), *(survey.folder / p for p in point.products)]
-    options = replace(options_for(observed, observed), rover_antenna_m=point.rover_antenna_m, precise=True)
+    options = replace(
+        _options(observed, observed, survey.setup), rover_antenna_m=point.rover_antenna_m, precise=True
+    )
     options = with_antennas(options, survey.antex, (observed, point.rover_antenna), None)
     result = _precise_point(observed, [*recorded, *named], options, survey.engine, folder)
     place, covariance = _earth_centred(result)
+    required = survey.setup.required_of_points()
     session = {
         "name": f"precise point {point.name}",
         "start": "",
@@ -249,12 +226,13 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, 
         "status": "precise point",
         "length_m": 0.0,
         "rover_antenna_m": point.rover_antenna_m,
-        **_duration(float(observed.time.ns[-1] - observed.time.ns[0]) / 60e9, survey),
+        "two_frequencies": True,
+        **_judged(float(observed.time.ns[-1] - observed.time.ns[0]) / 60e9, True, required),
     }
     return GroundMark(point.name, place, covariance), observed.time, session
 
 
-def _navigation(session: _Session, survey: Survey, folder: Path) -> list[Path]:
+def _navigation(session: Session, survey: Survey, folder: Path) -> list[Path]:
     return [
         navigation_ready(survey.folder / p, folder / f"navigation-{k}") for k, p in enumerate(session.nav)
     ]
@@ -267,9 +245,14 @@ def _own_folder(survey: Survey, name: str) -> Path:
     return folder
 
 
-def _duration(minutes: float, survey: Survey) -> dict[str, Any]:
-    required = survey.setup.required_minutes
-    return {"minutes": minutes, "required_minutes": required, "long_enough": minutes >= required}
+def _judged(minutes: float, two_frequencies: bool, required: RequiredTime | None) -> dict[str, Any]:
+    """Compare a session with what is asked of it; None: nothing is said of such a length."""
+    return {
+        "minutes": minutes,
+        "required_minutes": None if required is None else required.minutes,
+        "long_enough": required is not None and minutes >= required.minutes,
+        "enough_frequencies": required is not None and two_frequencies >= required.two_frequencies,
+    }
 
 
 def _earth_centred(t: Trajectory) -> tuple[Floats, Floats]:

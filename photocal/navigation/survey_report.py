@@ -104,7 +104,7 @@ def survey_text(figures: dict[str, Any]) -> str:
     """Return the summary in words."""
     lines = [f"{len(figures['marks'])} marks, {len(figures['sessions'])} sessions"]
     for s in figures["sessions"]:
-        short = "" if s["long_enough"] else f", SHORTER than the required {s['required_minutes']:g} min"
+        short = _missing(s)
         way = f": {s['start']} to {s['end']}, {s['length_m']:.3f} m" if s["start"] else ""
         lines.append(f"{s['name']}{way}, {s['status']}, {s['minutes']:.1f} min{short}")
     lines += map(_frame_text, figures["frames"])
@@ -145,6 +145,16 @@ def survey_text(figures: dict[str, Any]) -> str:
             f"{'too small' if figures['sigma0_squared'] > 1 else 'too large'}"
         )
     return "\n".join(lines)
+
+
+def _missing(session: dict[str, Any]) -> str:
+    """Return what a session lacks of what is asked of it."""
+    if session["required_minutes"] is None:
+        return ", longer than the lengths in [[required]]: the time is not judged"
+    short = (
+        "" if session["long_enough"] else f", SHORTER than the required {session['required_minutes']:g} min"
+    )
+    return short + ("" if session["enough_frequencies"] else ", ONE FREQUENCY where two are required")
 
 
 def _frame_text(frame: dict[str, Any]) -> str:

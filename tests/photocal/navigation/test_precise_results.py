@@ -75,6 +75,19 @@ def test_sinex_of_one_site(tmp_path: Path) -> None:
         read_precise_result(written(tmp_path, "two.snx", two))
 
 
+def test_a_site_is_taken_from_a_file_of_several(tmp_path: Path) -> None:
+    rows = SINEX.splitlines(keepends=True)
+    other = [row.replace("MTRK", "UFPR").replace("-2.6748", " 3.7630") for row in rows[3:6]]
+    path = written(tmp_path, "network.snx", "".join([*rows[:6], *other, *rows[6:]]))
+    alone = read_precise_result(written(tmp_path, "one.snx", SINEX))
+    assert read_precise_result(path, "mtrk").position_m == pytest.approx(alone.position_m)
+    assert read_precise_result(path, "UFPR").position_m[0] != alone.position_m[0]
+    with pytest.raises(ConfigurationError, match="has no site BRAZ, but MTRK, UFPR"):
+        read_precise_result(path, "BRAZ")
+    with pytest.raises(ConfigurationError, match="has 2 sites"):
+        read_precise_result(path)
+
+
 @pytest.mark.parametrize("text", ["hello\n", PROPAGATED.replace("-4012678.8820", "x"), "%=SNX 2.02\n"])
 def test_what_is_no_result_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(InputMalformedError):

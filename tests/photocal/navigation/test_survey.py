@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photocal.base.geodesy import enu_offsets
+from photocal.base.geodesy import enu_offsets, geocentric
 from tests.conftest import needs_engine
 from tests.photocal.conftest import Answer
 
@@ -62,10 +62,55 @@ def test_known_baseline(photocal: Photocal, shared: Path, tmp_path: Path) -> Non
     assert 0.0005 < float(point["sZ"]) < 0.01
 
 
+@pytest.mark.shared
+@pytest.mark.slow
+def test_a_station_from_a_file_and_times_by_length(photocal: Photocal, shared: Path, tmp_path: Path) -> None:
+    """The same baseline from a site in SINEX, with one system and frequency, against a table of times."""
+    needs_engine()
+    data = shared / "data/gnss-rinex-static-known"
+    lat, lon, height = map(float, (data / "base_position.txt").read_text().split())
+    x, y, z = geocentric(lat, lon, height)
+    rows = [
+        f" {n} STA{axis}   {site}  A    1 26:261:43200 m    2 {value:.14e} 1.00000e-03"
+        for site, shift in (("OTHR", 1e4), ("BRST", 0.0))
+        for n, (axis, value) in enumerate(zip("XYZ", (x + shift, y, z), strict=True), 1)
+    ]
+    text = "\n".join(["%=SNX 2.02 AUS", "+SOLUTION/ESTIMATE", *rows, "-SOLUTION/ESTIMATE", "%ENDSNX", ""])
+    (tmp_path / "week.snx").write_text(text)
+    known = setup_text(data)
+    table = known[known.index("[[known]]") : known.index("[[baseline]]")]
+    station = '[[station]]\nname = "BASE"\nfile = "week.snx"\nsite = "BRST"\n'
+    near = "{ up_to_km = 1000, minutes = 4, two_frequencies = true }"
+    asked = f"required = [{near}, {{ up_to_km = 2000, minutes = 9 }}]"
+    asked += '\nsystems = "G"\ntwo_frequencies = false'
+    path = tmp_path / "survey.toml"
+    path.write_text(known.replace(table, station).replace("required_minutes = 20", asked))
+    answer = photocal("survey", path, "-o", tmp_path / "out", "--json")
+    assert answer.code == 0, answer.err
+    session = json.loads(answer.out)["sessions"][0]
+    assert session["required_minutes"] == 4
+    assert session["long_enough"]
+    assert not session["enough_frequencies"]
+    with (tmp_path / "out" / "points.csv").open() as stream:
+        base, point = csv.DictReader(stream)
+    assert float(base["sX"]) == pytest.approx(0.001, rel=0.01)
+    places = [list(map(float, (data / f"{n}_position.txt").read_text().split())) for n in ("rover", "base")]
+    (lat, lon, height), origin = places
+    expected = enu_offsets(np.array([lat]), np.array([lon]), np.array([height]), np.array(origin))[0]
+    apart = [float(point[axis]) - float(base[axis]) for axis in "XYZ"]
+    assert np.linalg.norm(apart - expected) < 0.005
+    path.write_text(path.read_text().replace("km = 1000", "km = 0.0001").replace("km = 2000", "km = 0.0002"))
+    beyond = photocal("survey", path, "-o", tmp_path / "again")
+    assert beyond.code == 0, beyond.err
+    assert "longer than the lengths in [[required]]" in beyond.out
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (("required_minutes", "minutes"), "unknown key minutes"),
+        (("required_minutes = 20", ""), "required_minutes is missing"),
+        (("required_minutes", 'systems = "X"\nrequired_minutes'), "systems"),
         (('start = "BASE"', 'start = "P7"'), "no chain of baselines"),
         (("sigma_m = [0, 0, 0]", "sigma_m = 3"), "sigma_m"),
     ],

@@ -20,7 +20,8 @@ from photocal.navigation.common_errors import CommonErrors
 from photocal.navigation.engine import Rtklib
 from photocal.navigation.ppk import Inputs, PpkResult, options_for, process
 from photocal.navigation.precise_results import ObservationFile, read_observation_file
-from photocal.navigation.survey import KnownMark, MeasuredBaseline, Survey, SurveySetup, run_survey
+from photocal.navigation.survey import Survey, run_survey
+from photocal.navigation.survey_setup import KnownMark, MeasuredBaseline, SurveySetup
 from photocal.navigation.time import GpsTime
 from photocal.navigation.troposphere import (
     climate,
