@@ -28,11 +28,11 @@ from photocal.navigation.rinex_files import navigation_ready, now, observations_
 from photocal.navigation.survey_frames import MovedMark, frame_of_orbits, frame_told, in_system
 from photocal.navigation.survey_setup import (
     KnownMark,
+    MarkSession,
     MeasuredBaseline,
     PrecisePoint,
     PublishedMark,
     RequiredTime,
-    Session,
     SurveySetup,
 )
 from photocal.navigation.time import GpsTime
@@ -232,7 +232,7 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, 
     return GroundMark(point.name, place, covariance), observed.time, session
 
 
-def _navigation(session: Session, survey: Survey, folder: Path) -> list[Path]:
+def _navigation(session: MarkSession, survey: Survey, folder: Path) -> list[Path]:
     return [
         navigation_ready(survey.folder / p, folder / f"navigation-{k}") for k, p in enumerate(session.nav)
     ]

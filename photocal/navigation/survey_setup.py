@@ -24,7 +24,7 @@ class KnownMark(Table):
     frame: str = ""
 
 
-class Session(Table):
+class MarkSession(Table):
     """A receiver on a mark; files relative to the set-up file.
 
     rover: RINEX observations, or a flight log (MCAP) with raw frames.
@@ -43,7 +43,7 @@ class Session(Table):
     rover_antenna: str = ""
 
 
-class MeasuredBaseline(Session):
+class MeasuredBaseline(MarkSession):
     """A session between two marks, `start` of the base and `end` of the rover; base as rover."""
 
     start: str
@@ -54,7 +54,7 @@ class MeasuredBaseline(Session):
     base_antenna: str = ""
 
 
-class PrecisePoint(Session):
+class PrecisePoint(MarkSession):
     """A mark that is positioned by itself with precise orbits and clocks."""
 
     rover_link: str = "base"
