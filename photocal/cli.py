@@ -53,6 +53,7 @@ app.command()(project.adopt)
 app.command()(export.export)
 app.command()(products.volume)
 app.command()(products.ortho)
+app.command()(products.contours)
 app.command()(study.study)
 
 
