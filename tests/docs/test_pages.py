@@ -15,7 +15,7 @@ from photocal.base import errors
 from photocal.base.checked_toml import Table
 from photocal.block import camera_setup, setup
 from photocal.geometry.camera import PARAMETERS
-from tests.docs import fault_page, picture_page
+from tests.docs import evidence_page, fault_page, gallery_page, picture_page
 from tests.docs.command_pages import FOLDER, MORE, commands, pages
 
 ROOT = Path(__file__).parents[2]
@@ -35,6 +35,12 @@ def test_command_page_says_what_the_program_says(name: str) -> None:
 def test_page_of_faults_is_that_of_the_table() -> None:
     assert picture_page.PAGE.read_text(encoding="utf-8") == picture_page.page(), "run `make manual`"
     assert fault_page.PAGE.read_text(encoding="utf-8") == fault_page.page(), "run `make manual`"
+
+
+def test_lists_of_evidence_and_examples_are_those_of_the_folders() -> None:
+    assert evidence_page.PAGE.read_text(encoding="utf-8") == evidence_page.page(), "run `make manual`"
+    shown = gallery_page.without_output(gallery_page.PAGE.read_text(encoding="utf-8"))
+    assert shown == gallery_page.page(), "run `make manual`"
 
 
 def test_every_command_says_what_it_does_and_shows_an_example() -> None:
