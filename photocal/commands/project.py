@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from photocal.base.console import AsJson, Details, answer, argument, one_bar, option, printable, progress
-from photocal.base.progress import quiet
 
 if TYPE_CHECKING:
     from photocal.debrief.verdict import Debrief
@@ -99,7 +98,7 @@ def run(
     from photocal.run.summary import summary_text
 
     day = dt.datetime.now().astimezone().date()
-    figures = run_projects(projects, day, quiet, until, again, rehash, workers, cluster, one_bar(as_json))
+    figures = run_projects(projects, day, until, again, rehash, workers, cluster, one_bar(as_json))
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,

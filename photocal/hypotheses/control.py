@@ -162,7 +162,7 @@ def contradiction(seen: Predicted) -> Contradiction | WrongSigmas | None:
     pair = _exchange(seen)
     if pair is not None:
         return pair
-    removed, axes = _chosen(seen.d, seen.covariance, seen.common)
+    removed, axes = contradicting(seen.d, seen.covariance, seen.common)
     if not removed:
         return None
     likelier = _scale_beside_points(seen, removed, axes)
@@ -241,17 +241,10 @@ def _exchange(seen: Predicted) -> Contradiction | None:
     return _contradiction(seen, (i, j), error, sigma, exchanged=True)
 
 
-def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
-    """Choose the points without which the differences agree; none where that is not clear.
-
-    One, two, up to a third of them: all subsets are tried together, for two that err alike hide each other.
-    """
-    return _chosen(d, covariance, common)[0]
-
-
-def _chosen(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Points that contradict the others, and which of their coordinates: the height, the plane, or all.
 
+    One, two, up to a third of them: all subsets are tried together, for two that err alike hide each other.
     Of each kind as few as make the others agree, and more where each of these gains what chance does not
     (0.1 %, divided by the choices); of the kinds the most probable (Schwarz 1978).
     """

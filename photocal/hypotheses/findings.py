@@ -28,8 +28,6 @@ _UNKNOWN = 10.0
 _BODY_AXES = ("forward", "right", "down")
 # No model takes these up: what they do to c or to the points of a block withholds acceptance.
 _GRAVE = ("c-drift", "rolling-shutter", "refraction", "earth-curvature")
-# One observation, or those of one strip: taken out, the rest stands.
-_PARTS = ("position-contradicts", "strip-position")
 # Gross rays that make up a larger share of v'Pv have bent what was adjusted with them.
 _MANY = 0.1
 

@@ -12,8 +12,6 @@ from photocal.findings.finding import Figure, Finding, Severity, Size
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.findings import asked_of, ground_effect, in_sigmas
 
-ALPHA = 0.10
-
 
 def moved_with_c(fitted: AdjustedNetwork, camera: int, change: float) -> float:
     """By how many standard deviations points move when c is another and all observations are kept."""
@@ -132,8 +130,8 @@ def of_significance(search: Search) -> list[Finding]:
     for k, camera in enumerate(search.first.network.cameras):
         before, after = _honest(search.first, k), _honest(search.last, k)
         for name in before.names:
-            was = f_test(before, (name,), redundancy, ALPHA)
-            now = f_test(after, (name,), redundancy, ALPHA)
+            was = f_test(before, (name,), redundancy, policy.PARAMETER_SIGNIFICANCE)
+            now = f_test(after, (name,), redundancy, policy.PARAMETER_SIGNIFICANCE)
             if was.significant == now.significant:
                 continue
             at = after.names.index(name)
