@@ -274,7 +274,7 @@ def block_of_arrays(
     image_names
         Names of the images; 1, 2, 3 ... where not given.
     check
-        Names of points that take no part as control and are compared with the result.
+        Names of points not used as control, which are compared with the result.
 
     Returns
     -------

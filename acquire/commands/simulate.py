@@ -60,11 +60,13 @@ def flight(
         Path, argument("Its plan; `small` and `survey` are known.", metavar="CONFIG.toml|NAME")
     ],
     output: Annotated[Path, option("Folder to make: site/ and truth/.", "-o", "--output")],
-    level: Annotated[str | None, option("pictures, observations or block, instead of the file's.")] = None,
+    level: Annotated[
+        str | None, option("pictures, observations or block; overrides the configuration.")
+    ] = None,
     observations_only: Annotated[
         bool, option("The same as --level block: fast, for statistics.", "--observations-only")
     ] = False,
-    seed: Annotated[int | None, option("Instead of the file's.", min=0)] = None,
+    seed: Annotated[int | None, option("Random seed; overrides the configuration.", min=0)] = None,
     fault: Annotated[list[str] | None, option(FAULTS)] = None,
     as_json: AsJson = False,
 ) -> None:

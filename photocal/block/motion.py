@@ -121,7 +121,7 @@ def require_motion(block: Block, network: Network) -> None:
     for given, taken in zip(block.cameras, network.cameras, strict=True):
         if given.rolling and given.estimated[-1] and not taken.estimated[-1]:
             raise ConfigurationError(
-                f"the readout of camera {given.id} is estimated, but nothing tells how fast its images fly",
+                f"the readout of camera {given.id} is estimated, but the speed of its images is unknown",
                 "give vX, vY, vZ or time_s in images.csv, or vX, vY, vZ in positions.csv",
                 where="images.csv",
             )

@@ -118,11 +118,11 @@ def debrief(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Judge a flight before the crew drives home: complete, to be looked at, or to be flown again.
+    """Judge a flight before the crew drives home: complete, to be checked, or to be flown again.
 
     Exposures without pictures, blurred and badly exposed pictures, another camera or lens setting, positions
     that are not fixed, strips with too little overlap, ground that is not covered, and a quick calibration on
-    reduced pictures. Run it again while pictures come in: what was looked at is kept. The answer is also
+    reduced pictures. Run it again while pictures come in: finished checks are kept. The answer is also
     written as debrief.json into the project's work folder: `acquire monitor --page --debrief` shows it.
 
     With --live it follows the folder that a tethered camera or a picture link writes into, by the positions

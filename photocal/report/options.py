@@ -26,10 +26,10 @@ class CertificateOptions(Options):
         Path | None,
         Option("TOML file: camera, campaign, positioning system, equipment, validity, responsible."),
     ] = None
-    client: Annotated[str, Option("For whom.")] = ""
-    operator: Annotated[str, Option("By whom.")] = ""
+    client: Annotated[str, Option("Client.")] = ""
+    operator: Annotated[str, Option("Operator: who carried out the calibration.")] = ""
     images: Annotated[
-        Path | None, Option("Folder of the pictures: their EXIF tells camera, aperture, focus and firmware.")
+        Path | None, Option("Folder of the pictures: their EXIF gives camera, aperture, focus and firmware.")
     ] = None
 
     def day(self) -> dt.date:

@@ -174,16 +174,13 @@ def _frame(made: NewControl, choice: FrameChoice, *, useful: bool) -> MarkFrame:
         return AS_STORED
     as_stored = f"{own.outside} marks fall outside of their pictures" if own.outside else "they fit nowhere"
     if not np.isnan(own.miss):
-        as_stored += (
-            f", and {choice.pairs} pairs of marks miss each other by {100 * own.miss:.1f} % of the picture"
-        )
+        as_stored += f", and {choice.pairs} pairs of marks differ by {100 * own.miss:.1f} % of the picture"
     if choice.sure:
         fits = "all fall inside"
         if choice.pairs:
-            fits = f"{choice.pairs} pairs of marks meet to {100 * best.miss:.1f} % of the picture"
+            fits = f"{choice.pairs} pairs of marks agree to {100 * best.miss:.1f} % of the picture"
         made.known.append(
-            f"marks: made in pictures {choice.chosen.said()}, and taken so: {fits} "
-            f"(as they stand {as_stored})"
+            f"marks: made in pictures {choice.chosen.said()}, and converted: {fits} (as listed {as_stored})"
         )
         return choice.chosen
     if own.outside and not useful:

@@ -227,13 +227,13 @@ class _Text:
         kinds = {image.height_kind for image in self.placed}
         if kinds == {"ellipsoidal"}:
             return "  # the pictures say so"
-        text = "pictures do not say from where their altitudes count: heights may be off by the geoid"
+        text = "pictures do not state the reference of their altitudes: heights may be wrong by the geoid"
         if any(image.altitude_kind == ABOVE_TAKE_OFF for image in self.placed):
-            text = "pictures state their height above the take-off point alone: all heights count from there"
+            text = "pictures state their height above take-off only: all heights refer to that point"
         if "EGM96" in kinds:
-            text = "pictures state heights above the geoid EGM96: they are off by its height"
+            text = "pictures state heights above the geoid EGM96: ellipsoidal heights differ by its height"
         self.missing.append(text)
-        return f"  # taken as such: {text}"
+        return f"  # used as such: {text}"
 
     def _flight(self) -> Iterator[str]:
         seen = self.seen
@@ -323,7 +323,7 @@ class _Text:
             if not stated.camera.rolling:
                 yield 'shutter = "unknown"  # tested, and a readout is estimated when it rolls; or "global"'
             if stated.guessed:
-                self.missing.append(f"nothing tells the c of camera {name}: it is a guess, to be estimated")
+                self.missing.append(f"the c of camera {name} is not stated: it is a guess, to be estimated")
 
     def _computed(self) -> dict[tuple[int, int], tuple[Path, Camera]]:
         """Cameras of .cam files by the size of their pictures, where both leave no doubt."""
@@ -365,7 +365,7 @@ class _Text:
             yield f"time_s = {half:.4g}  # middle of its readout, where those of all begin together: assumed"
             yield f"time_sigma_s = {np.hypot(LATER_S, half):.3g}"
         self.missing.append(
-            f"nothing tells how far the cameras are apart: {APART_M} m assumed (centre_m in [[head]])"
+            f"the distance between the cameras is not stated: {APART_M} m assumed (centre_m in [[head]])"
         )
 
     def pictures_table(self) -> str:

@@ -199,7 +199,7 @@ def _check_heights(project: Project, control: ObjectPoints) -> None:
         return
     raise ConfigurationError(
         f"the heights of all {len(heights)} control points are {heights[0]:g}, which no survey gives",
-        "give their heights, or leave sZ empty: then they count in plane only",
+        "give their heights, or leave sZ empty: then they serve horizontally only",
         where=project.control.points,
     )
 
@@ -289,8 +289,8 @@ def check_near(project: Project, control: ObjectPoints, places: Floats) -> None:
     gap = np.linalg.norm(points[:, None, :2] - places[None, :, :2], axis=2).min(axis=1)
     if gap.min() > reach:
         raise ConfigurationError(
-            f"the control points lie beside the pictures: the nearest is {gap.min():.0f} m from the nearest "
-            f"position, {height:.0f} m below it",
+            f"the control points lie away from the pictures: the nearest is {gap.min():.0f} m from the "
+            f"nearest position, {height:.0f} m below it",
             "are they of this flight, and in the datum of crs?",
             where=project.control.points,
         )

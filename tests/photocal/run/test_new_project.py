@@ -252,6 +252,6 @@ def test_the_readout_that_a_maker_states(tmp_path: Path) -> None:
 
 
 def test_a_folder_stands_for_the_project_file_in_it(folder: Path) -> None:
-    with pytest.raises(InputNotFoundError, match=r"holds no project.toml; photocal new .* writes one"):
+    with pytest.raises(InputNotFoundError, match=r"has no project.toml; photocal new .* writes one"):
         read_project(folder)
     assert read_project(new_project(folder).path.parent).path == folder / "project.toml"
