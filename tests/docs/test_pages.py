@@ -87,6 +87,15 @@ def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) < 150
 
 
+def test_figures_of_the_readme_stand_on_the_pages_behind_them() -> None:
+    """A figure in bold is followed by the page that it was taken from."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    cited = re.findall(r"\*\*(\S*\d[^*]*)\*\*[^\n]*?\]\((docs/evidence/[^)#]+)\)", text)
+    assert len(cited) > 10
+    for figure, page in cited:
+        assert figure in (ROOT / page).read_text(encoding="utf-8"), f"{figure} is not in {page}"
+
+
 def _links(page: Path) -> list[str]:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     found = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r'(?:src|href)="([^"]+)"', text)
@@ -108,7 +117,8 @@ def _places(page: Path) -> set[str]:
 
 
 def test_exit_codes_are_those_of_the_errors() -> None:
-    told = set(re.findall(r"^\| (\d+) \|", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE))
+    page = (ROOT / "docs" / "exit-codes.md").read_text(encoding="utf-8")
+    told = set(re.findall(r"^\| (\d+) \|", page, re.MULTILINE))
     classes = [one for one in vars(errors).values() if isinstance(one, type)]
     ours = {one.exit_code for one in classes if issubclass(one, errors.PhotocalError)}
     # 0 and 2 are those of every command line.
