@@ -22,8 +22,14 @@ _TAILS = (
     (-2.706056, 4.434685, -2.07119, -0.147981, 0.221157, 0.0),
     (-3.582633, 5.682633, -1.752461, -0.293762, 0.042981, 0.0),
 )
-_SMALL = ((-0.0006714, 0.025054, -0.39978, 0.544), (-0.0020322, 0.062767, -0.77857, 1.3822))
-_LARGE = ((0.0038915, -0.083751, -0.31082, -1.5861), (0.0030302, -0.082676, -0.4803))
+_SMALL: tuple[tuple[float, ...], ...] = (
+    (-0.0006714, 0.025054, -0.39978, 0.544),
+    (-0.0020322, 0.062767, -0.77857, 1.3822),
+)
+_LARGE: tuple[tuple[float, ...], ...] = (
+    (0.0038915, -0.083751, -0.31082, -1.5861),
+    (0.0030302, -0.082676, -0.4803),
+)
 # A smaller range is no measurement: all values are equal.
 _NO_RANGE_M = 1e-9
 # More outliers than this are no outliers any more but another distribution.
@@ -278,12 +284,12 @@ def _shapiro_wilk(x: Floats) -> tuple[float, float]:
     if n == 3:
         return w, max(6.0 / math.pi * (math.asin(math.sqrt(w)) - math.asin(math.sqrt(0.75))), 0.0)
     left, size = math.log(max(1.0 - w, 1e-300)), math.log(n)
-    mean, spread = _LARGE
     if n <= 11:
-        most, size, (mean, spread) = 0.459 * n - 2.273, float(n), _SMALL
+        most, size = 0.459 * n - 2.273, float(n)
         if left >= most:
             return w, 0.0
         left = -math.log(most - left)
+    mean, spread = _SMALL if n <= 11 else _LARGE
     return w, float(special.ndtr((np.polyval(mean, size) - left) / math.exp(np.polyval(spread, size))))
 
 

@@ -169,3 +169,22 @@ def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     np.minimum.at(first, strip, seconds)
     np.maximum.at(last, strip, seconds)
     return strip, np.asarray(seconds - ((first + last) / 2)[strip])
+
+
+def lines_of_places(centre: Floats) -> Integers:
+    """Tell strips by the places of exposures alone, in their order: a step across, or a corner, ends one.
+
+    centre (n, 3): m.
+    returns strip (n,).
+    """
+    if len(centre) < 3:
+        return np.zeros(len(centre), dtype=np.int64)
+    step = np.diff(centre[:, :2], axis=0)
+    heading = np.degrees(np.arctan2(step[:, 0], step[:, 1]))
+    turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG
+    # Before and after each step; the ends turn with their only neighbour.
+    before, after = np.concatenate([turned[:1], turned]), np.concatenate([turned, turned[-1:]])
+    across = before & after
+    # At a corner no step leads across: the exposure there ends its strip.
+    corner = np.concatenate([[False], turned & ~across[:-1] & ~across[1:]])
+    return np.concatenate([[0], np.cumsum(across | corner)]).astype(np.int64)

@@ -37,7 +37,7 @@ _OF_CAMERA = frozenset((
 # What concerns only coordinates: no camera parameter follows from it.
 _OF_BLOCK = frozenset((
     "check-outside-prediction", "check-as-control", "check-at-control",
-    "no-check-points", "no-image", "one-image-only",
+    "no-check-points", "strips-without-control", "no-image", "one-image-only",
     "image-left-out", "unknown-mark", "unknown-target", "mark-outside", "marks-reframed",
     "control-off", "control-far", "marks-apart", "mark-left-out", "control-in-corner", "distance-left-out",
     "mark-off", "targets-not-sought", "target-ambiguous",
