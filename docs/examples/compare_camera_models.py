@@ -1,4 +1,4 @@
-"""Two camera models of one block, judged by check points that took no part."""
+"""Two camera models of one block, judged by check points that were not adjusted."""
 
 import numpy as np
 
