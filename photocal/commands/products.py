@@ -25,7 +25,7 @@ def ortho(
 ) -> None:
     """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.
 
-    The terrain hides nothing from the images here: houses that are not in the model lean.
+    Occlusions are not modelled: houses that are missing from the terrain model lean.
 
     Example: `photocal ortho block --run run --images photos --dtm dtm.tif --cell 0.1 -o ortho.tif`
     """

@@ -12,7 +12,7 @@ from photocal.report.issue import FORMS, issue
 from photocal.report.keys import own_key
 from photocal.report.options import CertificateOptions
 from photocal.results.origin import CARRIED
-from photocal.run.summary import flown_beside, told_beside
+from photocal.run.summary import flown_figures, stage_findings
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,9 @@ def certificate(
             client=asked.client,
             operator=asked.operator,
             key=key.fingerprint if key else "",
-            warnings=told_beside(run),
+            warnings=stage_findings(run),
             pictures=pictures,
-            flown=flown_beside(run),
+            flown=flown_figures(run),
             done=lambda: step(1),
         )
     written = tuple(output / name for name in (*FORMS, CARRIED) if (output / name).exists())
