@@ -7,7 +7,7 @@ import numpy as np
 from photocal.adjustment.envelope import border_inverse
 from photocal.adjustment.equations import Equations
 from photocal.adjustment.factored import Factored
-from photocal.adjustment.kernels.data import Structure
+from photocal.adjustment.kernels.data import Cofactors, Structure
 from photocal.adjustment.kernels.ray import element_address
 from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.network import own_parameters
@@ -30,9 +30,8 @@ def complete(at: Factored, iterations: tuple[Iteration, ...]) -> Solution:
     point_covariance = np.zeros((len(state.points), 3, 3))
     residuals, redundancy = np.zeros((2, *network.rays.plane.shape))
     values = values_of(problem, state)
-    statistics(
-        problem.design, values, structure, inverse, normal.kept, point_covariance, residuals, redundancy
-    )
+    cofactors = Cofactors(structure, inverse, normal.kept)
+    statistics(problem.design, values, cofactors, point_covariance, residuals, redundancy)
     rays = Group(
         "image", residuals.size, float(np.sum(problem.design.weight * residuals**2)), float(redundancy.sum())
     )

@@ -14,8 +14,8 @@ from photocal.adjustment.datum import full_solution
 from photocal.adjustment.envelope import clear, factorise, product, solve
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.factored import Factored, factored
-from photocal.adjustment.kernels.data import Design
-from photocal.adjustment.kernels.removal import remove_images
+from photocal.adjustment.kernels.data import Design, Reduced, point_room
+from photocal.adjustment.kernels.removal import Removed, remove_images
 from photocal.adjustment.normal import Normal, diagonal_addresses, eliminated, other_equations, values_of
 from photocal.adjustment.parallax import determined
 from photocal.adjustment.rank import weakest_pivot
@@ -23,7 +23,6 @@ from photocal.adjustment.solver import SINGULAR_PIVOT, Near, chords, moved_along
 from photocal.adjustment.state import State
 from photocal.base.arrays import Flags
 from photocal.base.errors import IllPosedError, NotConvergedError
-from photocal.geometry.lens import scratch
 
 
 def with_held(at: Factored, column: int, change: float, near: float) -> Near:
@@ -132,13 +131,12 @@ class Removals:
         lost = affected & ~determined(problem.network, stays)
         stays &= ~lost[point]
         points = np.flatnonzero(affected)
-        left, singular = eliminated(problem, 0, len(points)), np.zeros(len(points), dtype=np.bool_)
+        left = eliminated(problem, 0, len(points))
         np.copyto(self._room, self._matrix)
         gradient = self._gradient.copy()
-        lenses = max(problem.layout.width, problem.structure.lens)
-        remove_images(design, self._values, problem.structure, out, stays, points, lost, kept, left,
-                      self._room, gradient, singular, scratch(problem.layout.width), np.zeros((3, 3)),
-                      np.zeros((3, lenses)), np.zeros((3, lenses)))  # fmt: skip
+        reduced, removed = Reduced(problem.structure, self._room, gradient), Removed(out, stays, points, lost)
+        room = point_room(problem.layout.width, max(problem.layout.width, problem.structure.lens))
+        remove_images(design, self._values, reduced, removed, kept, left, room)
         before = [whole[points] for whole in kept[1:]]
         try:
             for whole, part in zip(kept[1:], left[1:], strict=True):
@@ -147,7 +145,7 @@ class Removals:
             nothing = np.zeros(0, dtype=np.int64)
             touched = np.zeros(problem.layout.size, dtype=np.bool_)
             touched[design.image_column[design.ray_image[affected[point]]]] = True
-            yield design, Normal(self._room, gradient, 0.0, nothing, kept), bool(singular.any()), touched
+            yield design, Normal(self._room, gradient, 0.0, nothing, kept), bool(left.singular.any()), touched
         finally:
             for whole, part in zip(kept[1:], before, strict=True):
                 whole[points] = part

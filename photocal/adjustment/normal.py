@@ -8,7 +8,7 @@ import numpy as np
 from photocal.adjustment import observations
 from photocal.adjustment.equations import Equations, add_equations
 from photocal.adjustment.kernels.data import WIDTHS, Design, Eliminated, Structure, Values
-from photocal.adjustment.kernels.elimination import accumulate, join
+from photocal.adjustment.kernels.elimination import Contribution, accumulate, join
 from photocal.adjustment.layout import Layout, layout
 from photocal.adjustment.network import Network, own_parameters
 from photocal.adjustment.state import State, lens_by_image, lenses, turn_basis
@@ -181,28 +181,32 @@ def eliminated(problem: Problem, rays: int, points: int) -> Eliminated:
         np.empty((points, 3, problem.structure.lens)),
         np.empty((points, 3, 3)),
         np.empty((points, 3)),
+        np.zeros(points, dtype=np.bool_),
     )
 
 
 def add_rays(
     problem: Problem, design: Design, values: Values, kept: Eliminated, matrix: Floats, damping: float = 0.0
-) -> tuple[Floats, float, Flags]:
+) -> tuple[Floats, float]:
     """Add the reduced normal equations of rays and weighted points alone to a matrix.
 
     returns gradient (layout.size,), chi_squared.
-    returns singular (points,): points that their rays do not determine.
     """
     structure, strips = problem.structure, problem.strips
     first, last = design.reach.T
     start = np.concatenate([[0], np.cumsum(strips.offset[last] - strips.offset[first])])
     room = np.zeros((int(start[-1]), problem.layout.width))
     corners = np.zeros((len(first), structure.border, structure.border))
-    gradients, totals = np.zeros((len(first), problem.layout.size)), np.zeros(len(first))
-    singular = np.zeros(len(design.point_free), dtype=np.bool_)
-    accumulate(design, values, strips, damping, start, room, corners, gradients, totals, kept, singular)
+    gradients = np.zeros((len(first), problem.layout.size))
+    parts = []
+    for base, corner, gradient in zip(start[:-1] - strips.offset[first], corners, gradients, strict=True):
+        of_images, of_cameras = np.split(gradient, [structure.band])
+        of_images = of_images.reshape(-1, problem.layout.width)
+        parts.append(Contribution(int(base), room, corner, of_images, of_cameras))
+    total = accumulate(design, values, strips, damping, parts, kept)
     join(design, strips, structure, start, room, matrix)
     matrix[structure.offset[-2] :] += corners.sum(axis=0).ravel()
-    return gradients.sum(axis=0), float(totals.sum()), singular
+    return gradients.sum(axis=0), total
 
 
 def normal_equations(
@@ -213,7 +217,7 @@ def normal_equations(
     kept = room or eliminated(problem, len(design.ray_image), len(design.point_free))
     matrix = np.zeros(int(structure.offset[-1]))
     values = values_of(problem, state)
-    gradient, total, singular = add_rays(problem, design, values, kept, matrix, damping=damping)
+    gradient, total = add_rays(problem, design, values, kept, matrix, damping=damping)
     for equations in other_equations(problem, state).values():
         add_equations(*equations, structure, matrix, gradient)
         total += equations.chi_squared()
@@ -222,7 +226,7 @@ def normal_equations(
     matrix[diagonal[problem.held]] = 1.0
     # As many pseudo-observations as the datum has defects are met exactly, whatever their weight.
     matrix[diagonal[problem.stiffened]] *= 2.0
-    return Normal(matrix, gradient, total, np.flatnonzero(singular), kept)
+    return Normal(matrix, gradient, total, np.flatnonzero(kept.singular), kept)
 
 
 def diagonal_addresses(problem: Problem) -> Integers:

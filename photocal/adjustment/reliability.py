@@ -12,6 +12,7 @@ from scipy import special
 
 from photocal.adjustment.envelope import selected_inverse
 from photocal.adjustment.factored import Factored, covariance_column, factored
+from photocal.adjustment.kernels.data import Cofactors
 from photocal.adjustment.kernels.statistics import statistics
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import values_of
@@ -147,14 +148,14 @@ def _on_c(at: Factored, directions: list[tuple[Floats, Floats]]) -> Floats:
 def _on_own_points(at: Factored) -> Floats:
     """Change of a ray's own point per unit of each image coordinate, shape (rays, 2, 3)."""
     problem, normal, state = at.problem, at.normal, at.state
-    design, structure = problem.design, problem.structure
-    values = values_of(problem, state)
+    design, values = problem.design, values_of(problem, state)
     inverse = selected_inverse(problem.layout.envelope, normal.matrix)
+    cofactors = Cofactors(problem.structure, inverse, normal.kept)
     covariance = np.zeros((len(state.points), 3, 3))
     spare = np.empty((2, *design.weight.shape))
-    statistics(design, values, structure, inverse, normal.kept, covariance, spare[0], spare[1])
+    statistics(design, values, cofactors, covariance, spare[0], spare[1])
     effect = np.zeros((*design.weight.shape, 3))
-    point_effects(design, values, structure, inverse, normal.kept, covariance, effect)
+    point_effects(design, values, cofactors, covariance, effect)
     datum = at.datum
     if datum is None:
         return effect

@@ -1,11 +1,12 @@
 """Kernels that tell how unknowns follow a change of one ray's measurement."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
-from photocal.adjustment.kernels.elimination import most_rays
+from photocal.adjustment.kernels.data import Cofactors, Design, PointRoom, Structure, Values, columns, width
 from photocal.adjustment.kernels.ray import ray_rows
-from photocal.adjustment.kernels.statistics import eliminated_spread, gather
+from photocal.adjustment.kernels.statistics import eliminated_spread, gather, room_of
 from photocal.base.arrays import Floats
 from photocal.base.compiled import compiled, each_piece, inlined
 from photocal.geometry.lens import Scratch, scratch
@@ -64,24 +65,30 @@ def along(
     each_piece(len(design.pieces) - 1, work)
 
 
+class RightSides(NamedTuple):
+    """Right-hand sides of the normal equations: reduced (t, n), and of the points (t, points, 3)."""
+
+    reduced: Floats
+    points: Floats
+
+
 @inlined
 def add_pull(
     design: Design,
     structure: Structure,
     t: int,
     r: int,
-    i: int,
     j: int,
-    dx: float,
-    dy: float,
+    change: tuple[float, float],
     room: Scratch,
-    reduced: Floats,
-    points: Floats,
+    right: RightSides,
 ) -> None:
     """Add what a change of ray r, whose derivatives are in the scratch room, gives to right-hand side t."""
     by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
+    reduced, points = right
+    i = design.ray_image[r]
     k = design.image_lens[i]
-    px, py = design.weight[r, 0] * dx, design.weight[r, 1] * dy
+    px, py = design.weight[r, 0] * change[0], design.weight[r, 1] * change[1]
     column, border = design.image_column[i], structure.band + design.active_column[k]
     for b in range(columns(design)):
         reduced[t, column + b] += by_image[0, b] * px + by_image[1, b] * py
@@ -104,6 +111,7 @@ def across_piece(
     points: Floats,
 ) -> None:
     """What one piece's rays give to the right-hand side, see `across`."""
+    right = RightSides(reduced, points)
     for j in range(design.spans[piece], design.spans[piece + 1]):
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             i, derived = design.ray_image[r], False
@@ -114,7 +122,7 @@ def across_piece(
                 if not derived:
                     ray_rows(design, values, r, i, j, room)
                     derived = True
-                add_pull(design, structure, t, r, i, j, dx, dy, room, reduced, points)
+                add_pull(design, structure, t, r, j, (dx, dy), room, right)
 
 
 def across(
@@ -147,7 +155,7 @@ def pulls_piece(
     points: Floats,
 ) -> float:
     """What the residuals of one piece's rays give, see `pulls`."""
-    total = 0.0
+    total, right = 0.0, RightSides(reduced, points)
     for j in range(design.spans[piece], design.spans[piece + 1]):
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             if design.weight[r, 0] > 0.0 or design.weight[r, 1] > 0.0:
@@ -156,7 +164,7 @@ def pulls_piece(
                 total += design.weight[r, 0] * vx * vx + design.weight[r, 1] * vy * vy
                 if not room.depth[0] > 0.0:
                     total = np.inf
-                add_pull(design, structure, 0, r, i, j, vx, vy, room, reduced, points)
+                add_pull(design, structure, 0, r, j, (vx, vy), room, right)
     return total
 
 
@@ -197,24 +205,19 @@ def ray_effect(
 def point_effects_piece(
     design: Design,
     values: Values,
-    structure: Structure,
+    cofactors: Cofactors,
     piece: int,
-    inverse: Floats,
-    kept: Eliminated,
     covariance: Floats,
     effect: Floats,
-    room: Scratch,
-    mixed: Floats,
-    spread: Floats,
-    local: Floats,
-    block: Floats,
+    space: PointRoom,
 ) -> None:
     """Effects of one piece's rays, see `point_effects`."""
+    room, block, spread = space.ray, space.block, space.spread
     for nth in range(design.pieces[piece], design.pieces[piece + 1]):
         j = design.order[nth]
         begin, end = design.ray_start[j], design.ray_start[j + 1]
-        m = gather(design, structure, j, inverse, local)
-        eliminated_spread(design, structure, j, kept, local, m, mixed, spread)
+        m = gather(design, cofactors, j, space.local)
+        eliminated_spread(design, cofactors, j, m, space)
         for a in range(3):
             for b in range(3):
                 block[a, b] = covariance[j, a, b]
@@ -229,21 +232,13 @@ def point_effects_piece(
 
 
 def point_effects(
-    design: Design,
-    values: Values,
-    structure: Structure,
-    inverse: Floats,
-    kept: Eliminated,
-    covariance: Floats,
-    effect: Floats,
+    design: Design, values: Values, cofactors: Cofactors, covariance: Floats, effect: Floats
 ) -> None:
     """Change of the point that a ray belongs to per unit of change of the ray's coordinates."""
 
     def work(piece: int) -> None:
         """The rays of one piece; pieces run side by side."""
-        size = width(design) * most_rays(design, piece) + structure.border
-        point_effects_piece(design, values, structure, piece, inverse, kept, covariance, effect,
-                            scratch(width(design)), np.zeros((3, size)), np.zeros((3, size)),
-                            np.zeros((size, size)), np.zeros((3, 3)))  # fmt: skip
+        room = room_of(design, cofactors, piece)
+        point_effects_piece(design, values, cofactors, piece, covariance, effect, room)
 
     each_piece(len(design.pieces) - 1, work)

@@ -10,6 +10,7 @@ import numpy as np
 from photocal.analysis.correlation import ExteriorCorrelation, StrongCorrelation
 from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import ANALYSIS, Analysis, ExteriorDifference, Outcome, analyse_network
+from photocal.base import policy
 from photocal.base.arrays import as_plain
 from photocal.base.files import output_file, write_json
 from photocal.block.model import Block, digest
@@ -27,9 +28,6 @@ from photocal.results.adjusted import network_of, state_of
 from photocal.results.folder import RESULT, read_result
 from photocal.results.origin import block_of_run
 from photocal.results.result import Result
-
-ALPHA = 0.10
-THRESHOLD = 0.8
 
 
 def analysis_record(analysis: Analysis, say: Catalogue) -> dict[str, Any]:
@@ -61,8 +59,8 @@ def _words(part: object, say: Catalogue) -> dict[str, Any]:
 def analyse_run(
     folder: Path,
     block: Path | None = None,
-    alpha: float = ALPHA,
-    threshold: float = THRESHOLD,
+    alpha: float = policy.PARAMETER_SIGNIFICANCE,
+    threshold: float = policy.STRONG_CORRELATION,
     done: Callable[[float], None] = lambda _: None,
     say: Catalogue | None = None,
     draws: int = 0,

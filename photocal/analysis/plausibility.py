@@ -20,8 +20,6 @@ OVERLAP_TOLERANCE = 0.10
 # Sides of a pixel that differ by more than this come from rounded dimensions of the frame, not from a sensor.
 SQUARE_TOLERANCE = 1e-4
 PRIOR_SHARE = 0.95
-# A calibration of a usual network gives c to better than a thousandth; five times that is weak.
-WEAK = 0.005
 RADIAL = ("K1", "K2", "K3", "K4")
 
 
@@ -231,7 +229,7 @@ def _base(record: CalibrationRecord) -> list[Finding]:
 def _weakness(record: CalibrationRecord) -> list[Finding]:
     """Find a principal distance that the network hardly tells from the distance of the object."""
     share = record.sigmas.get("c", 0.0) / record.values["c"]
-    if share <= WEAK:
+    if share <= policy.WEAK_C:
         return []
     figures = {"percent": 100.0 * share}
     if record.convergence_deg is None or record.depth_spread is None:

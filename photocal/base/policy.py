@@ -13,6 +13,9 @@ POWER = 0.80
 # Probability that one family of the analysis (all image axes, all strips, all fields of a lens) alarms on a
 # clean block: ten families make one false finding in twenty calibrations.
 FAMILY_SIGNIFICANCE = 0.005
+# Significance of a camera's parameter, where nobody asks for another: one that is kept in vain costs less
+# than one that is left out.
+PARAMETER_SIGNIFICANCE = 0.10
 # A head that stayed is said to have moved, a calibration that repeats to differ, in one comparison of
 # twenty.
 REPEAT_SIGNIFICANCE = 0.05
@@ -48,8 +51,6 @@ EXPLAINED_GROUP, EXPLAINED = 0.8, 0.9
 PATTERN, EQUIVALENT = 0.1, 1.05
 # Models of a lens are alike when Akaike's criterion differs by no more (Burnham and Anderson 2002, 2.6).
 ALIKE_MODELS = 4.0
-# Displacements of two candidates count as alike when they are this parallel and their F this close.
-ALIKE_FIELDS = 0.9
 
 # --- How large is worth a word ----------------------------------------------------------------------------
 
@@ -57,11 +58,9 @@ ALIKE_FIELDS = 0.9
 # it and as much of chance the target is still met. Where nothing was asked for, from one pixel on.
 HARM_SHARE = 0.5
 # Standard deviations that are wrong by a smaller share are no finding, however sure it is; beyond the
-# second they are no longer small; beyond the third causes are judged with those that residuals agree with,
-# too.
+# second they are no longer small.
 WRONG_SIGMA = 0.1
 BADLY_WRONG_SIGMA = 1.2
-JUDGED_ANEW = 1.25
 # An axis, a camera or an image is listed from this ratio of scatter on, and not called small from the
 # second.
 WORTH_A_LINE = 1.05
@@ -86,9 +85,8 @@ STATED = 2.0
 # correlated tie points do that, too. A smaller shift is no mistake of a person, m.
 OTHER_C = 5e-4
 OTHER_PLACE_M = 0.03
-# A coordinate that is off by fewer of its stated sigmas is a poor one, not a wrong one; a slip (digits
-# swapped, a metre) explains it when it comes this near, in standard deviations.
-MISTYPED_SIGMAS = 10.0
+# A slip (digits swapped, a metre) explains a wrong coordinate when it comes this near, in standard
+# deviations.
 SLIP_SIGMAS = 4.0
 # A position with a larger sigma is one of code: its errors are metres and last for minutes.
 COARSE_M = 0.5
@@ -99,6 +97,8 @@ COMMON_HEIGHT_M = 0.02
 REFRACTION = 0.5
 # A correlation of parameters that is called strong.
 STRONG_CORRELATION = 0.8
+# A calibration of a usual network gives c to better than a thousandth; five times that share is weak.
+WEAK_C = 0.005
 # Sine of phi from which on omega and kappa of a photo are one angle (82 degrees).
 ONE_ANGLE = 0.99
 
@@ -115,8 +115,6 @@ SINGLE_POINTS = 1.0 / 3.0
 FEWEST_CONTROL = 3
 # Three points orient an image in up to four ways, and nothing checks them.
 FEWEST_RAYS_OF_IMAGE = 4
-# On either side of a change of the camera; fewer images say nothing of a principal distance.
-FEWEST_IMAGES_OF_CAMERA = 4
 # Below this number of check points the standard deviation is known to worse than a quarter of itself (95
 # %).
 SMALL_SAMPLE = 30

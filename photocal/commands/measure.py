@@ -7,10 +7,8 @@ from typing import Annotated, Any
 
 from photocal.base.console import answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
+from photocal.base.policy import WEAK_C
 from photocal.measurement.options import MeasureOptions
-
-# A principal distance that is known no better than this is worth a warning.
-WEAK = 0.005
 
 
 @spread
@@ -103,7 +101,7 @@ def _corner_lines(record: dict[str, Any]) -> list[str]:
         *(
             f"the views determine the principal distance to {100 * ratio:.2g} % only: take more, tilted ones"
             for ratio in record["principal_distance_sigma_ratio"]
-            if ratio > WEAK
+            if ratio > WEAK_C
         ),
         *_rejected(record.get("rejected", [])),
         *_left_out(record),

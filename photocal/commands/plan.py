@@ -1,4 +1,4 @@
-"""`photocal plan`, `flown`: a photo flight over a polygon, and what it covered of it."""
+"""`photocal plan`, `plan-network`, `flown`: photo flights and close-range networks, what a flight covered."""
 
 from pathlib import Path
 from typing import Annotated
@@ -33,6 +33,33 @@ def plan(
     names = made.write(output, mission)
     missing = "" if made.takeoff else "\nno mission written: give --home LAT,LON,HEIGHT and --ground-height"
     answer(as_json, made.figures, lambda: f"{made}\nwritten to {output}: {', '.join(names)}{missing}")
+
+
+def plan_network(
+    network: Annotated[Path, argument("TOML file: camera, object, stations, datum, distances.")],
+    output: Annotated[
+        Path | None, option("Folder for figures, picture, block and adjustment.", "-o", "--output")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Expect the precision of a close-range network before the photos are taken.
+
+    Stations around an object or a test field, with their rolls, are adjusted without errors: sigmas of the
+    targets, of the stations and of the camera follow, and the correlations of its parameters. [camera] has
+    focal_mm, pixel_um, image_px, image_sigma_px, estimate; [object] field, cylinder or points (a CSV) and
+    steepest_deg; [[stations]] ring or at, target, rolls_deg; [datum] control and control_sigma_m, or held
+    (a photo); without both inner constraints; [[distance]] between and sigma_m. The folder `block` is what
+    `photocal adjust` takes. Examples to begin with: configs/networks.
+
+    Example: `photocal plan-network configs/networks/test-field.toml -o planned`
+    """
+    from photocal.planning.close_range import plan_network as planned
+
+    with progress("adjusting the planned network", None):
+        made = planned(network)
+    names = () if output is None else made.write(output)
+    written = f"\nwritten to {output}: {', '.join(names)}" if names else ""
+    answer(as_json, made.figures, lambda: f"{made}{written}")
 
 
 def flown(

@@ -16,7 +16,6 @@ from photocal.base.console import (
     printable,
     progress,
 )
-from photocal.base.progress import quiet
 
 if TYPE_CHECKING:
     from photocal.debrief.verdict import Debrief
@@ -116,7 +115,7 @@ def run(
 
     say = catalogue(spoken(language))
     day = dt.datetime.now().astimezone().date()
-    figures = run_projects(projects, day, quiet, until, again, rehash, workers, cluster, one_bar(as_json))
+    figures = run_projects(projects, day, until, again, rehash, workers, cluster, one_bar(as_json))
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,

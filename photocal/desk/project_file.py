@@ -17,7 +17,6 @@ from photocal.base.files import output_file
 from photocal.block.model import ROLES
 from photocal.project import ASKED, Contents
 
-_NUMBERS = 3
 # Tables of points that are no larger than this are shown point by point.
 MOST_POINTS = 2000
 

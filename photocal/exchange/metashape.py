@@ -258,9 +258,8 @@ def read(path: Path) -> ForeignProject:
     """Read cameras, aligned images and markers of a camera XML."""
     chunk = local_chunk(read_metashape(path))
     given = chunk.block
-    made = block(
-        path.stem, given.cameras, given.images, given.points, given.observations, [path], heads=given.heads
-    )
+    made = block(path.stem, given.cameras, given.images, given.points, given.observations, [path])
+    made = replace(made, heads=given.heads)
     return project("Metashape", made, chunk, camera_sigma=_camera_sigmas(path, made))
 
 

@@ -12,7 +12,6 @@ from photocal.adjustment.network import NO_RELATIONS, Relations
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations, Role
-from photocal.block.rig import Head
 from photocal.exchange.source import fingerprint
 from photocal.geometry.camera import Camera
 from photocal.geometry.rotation import angles_from_matrix
@@ -113,7 +112,6 @@ def block(
     files: Iterable[Path],
     *,
     relations: Relations = NO_RELATIONS,
-    heads: tuple[Head, ...] = (),
     datum: Literal["control", "free"] | None = None,
 ) -> Block:
     """Put a block together.
@@ -138,7 +136,6 @@ def block(
         seen,
         tuple(fingerprint(path) for path in files),
         relations=relations,
-        heads=heads,
     )
 
 

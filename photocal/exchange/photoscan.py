@@ -137,10 +137,10 @@ def _block(archive: zipfile.ZipFile, root: Element, path: Path) -> tuple[Block, 
     seen = seen.plus(rays.image, rays.point, rays.values, rays.sigma)
     require_unique(points.names, "point", path)
     require_seen_once(seen, given.images.names, points.names, path)
-    made = block(path.stem, given.cameras, given.images, points, seen, [path], heads=given.heads)
+    made = block(path.stem, given.cameras, given.images, points, seen, [path])
     common = settings.get("accuracy_cameras", np.nan)
     sigma_m = np.where(np.isnan(chunk.position_sigma), common, chunk.position_sigma)
-    return made, replace(chunk, position_sigma=sigma_m)
+    return replace(made, heads=given.heads), replace(chunk, position_sigma=sigma_m)
 
 
 def _with_sigmas(markers: ObjectPoints, settings: dict[str, float], path: Path) -> ObjectPoints:

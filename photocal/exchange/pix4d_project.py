@@ -134,10 +134,9 @@ def read(path: Path) -> ForeignProject:
             object_points(entries),
             pixels(seen.image, place[seen.point], seen.xy),
             [path, bingo],
-            heads=heads,
         )
     )
-    given = replace(given, frame=frame, height=height)
+    given = replace(given, frame=frame, height=height, heads=heads)
     if weak:
         remarks.append(f"{weak} points have one ray only: left out")
     position, sigma, pose_sigma = _positions(folder, image_names)

@@ -279,9 +279,6 @@ def _value(text: Any) -> float:
 _MARKER = re.compile(rf"^(\S+) {_NUMBER} {_NUMBER} {_NUMBER} {_NUMBER} {_NUMBER} ?\((\d+)\)$")
 
 
-_CAPTION = re.compile(r"Table \d+\. (Average camera location error|Control points|Check points)( RMSE)?")
-
-
 def _of_metashape(path: Path, lines: list[str], text: str) -> QualityReport:
     """Captions stand below their tables, and say of whom they are."""
     rms: dict[str, Triple] = {}

@@ -119,9 +119,8 @@ def as_block(given: Reconstruction, name: str, sigma_px: float, files: Sequence[
         ObjectPoints(given.point_names, given.xyz, given.xyz_sigma, role),
         pixels(given.image, given.point, given.pixels, sigma_px),
         files,
-        heads=given.heads,
     )
-    return replace(made, frame=given.frame, height=given.height)
+    return replace(made, frame=given.frame, height=given.height, heads=given.heads)
 
 
 def of_block(given: Block) -> Reconstruction:

@@ -73,6 +73,21 @@ class Scratch(NamedTuple):
     terms: Floats
 
 
+class Ray(NamedTuple):
+    """One ray: its lens, where its image point is measured, and its object point.
+
+    x, y: image coordinates in the image plane.
+    u, v, w: object point in camera axes, m.
+    """
+
+    k: int
+    x: float
+    y: float
+    u: float
+    v: float
+    w: float
+
+
 def scratch(unknowns: int) -> Scratch:
     """Make room for the derivatives of one ray of an image with so many unknowns of its own."""
     return Scratch(
@@ -171,11 +186,10 @@ for _model, _lens in MODELS.items():
 
 
 @compiled
-def bent(
-    cameras: Floats, optics: Floats, k: int, x: float, y: float, u: float, v: float, w: float, room: Scratch
-) -> tuple[float, float]:
+def bent(cameras: Floats, optics: Floats, ray: Ray, room: Scratch) -> tuple[float, float]:
     """Computed minus measured coordinates of a ray through a lens that is not Brown's, see `ray_residual`."""
     by_q, by_camera = room.by_q, room.by_camera
+    k, x, y, u, v, w = ray
     sx, sy = _projected(optics, cameras, k, u, v, w, room)
     b1, b2 = cameras[k, _B1], cameras[k, _B1 + 1]
     m00 = 1.0 + b1 * optics[k, 3] + b2 * optics[k, 7]
@@ -197,15 +211,13 @@ def bent(
 
 
 @inlined
-def ray_residual(
-    cameras: Floats, optics: Floats, k: int, x: float, y: float, u: float, v: float, w: float, room: Scratch
-) -> tuple[float, float]:
+def ray_residual(cameras: Floats, optics: Floats, ray: Ray, room: Scratch) -> tuple[float, float]:
     """What a ray misses Brown's model by, with derivatives: zero where (x, y) are the computed coordinates.
 
     cameras (cameras, 20): camera parameters.
     optics (cameras, 14): from `optics`.
-    u, v, w: object point in camera axes, m.
     """
+    k, x, y, u, v, w = ray
     by_q, by_camera, slope, terms = room.by_q, room.by_camera, room.slope, room.terms
     c, x0, y0, b1 = cameras[k, _C], cameras[k, _X0], cameras[k, _X0 + 1], cameras[k, _B1]
     b2 = cameras[k, _B1 + 1]
@@ -308,9 +320,7 @@ def vary_with_distance(cameras: Floats, k: int, focus: float, g: float, w: float
 
 
 @inlined
-def image_residual(
-    cameras: Floats, optics: Floats, k: int, x: float, y: float, u: float, v: float, w: float, room: Scratch
-) -> tuple[float, float]:
+def image_residual(cameras: Floats, optics: Floats, ray: Ray, room: Scratch) -> tuple[float, float]:
     """Residual of one ray in the image, computed minus measured, and its derivatives.
 
     Where the model is evaluated at image coordinates, the computed ones are those that fulfil it: Newton
@@ -320,10 +330,11 @@ def image_residual(
     linear. Of `OTHERS` it is `bent`. Parameters as in `ray_residual`, with (x, y) measured.
     """
     by_q, by_camera = room.by_q, room.by_camera
+    k, x, y, u, v, w = ray
     vx, vy, steps = 0.0, 0.0, 0
     limit = (_SHORT * cameras[k, _C]) ** 2
     while True:
-        fx, fy = ray_residual(cameras, optics, k, x + vx, y + vy, u, v, w, room)
+        fx, fy = ray_residual(cameras, optics, Ray(k, x + vx, y + vy, u, v, w), room)
         if optics[k, 0] == _AT_MEASURED or (optics[k, 0] == _IDEAL and optics[k, 1] != _BEFORE):
             return fx, fy
         z00, z01, z10 = by_camera[0, _X0], by_camera[0, _X0 + 1], by_camera[1, _X0]
@@ -363,9 +374,9 @@ def recorded(
         return False
     for _ in range(_MOST):
         if optics[k, 0] >= OTHERS:
-            vx, vy = bent(cameras, optics, k, x, y, u, v, w, room)
+            vx, vy = bent(cameras, optics, Ray(k, x, y, u, v, w), room)
         else:
-            vx, vy = ray_residual(cameras, optics, k, x, y, u, v, w, room)
+            vx, vy = ray_residual(cameras, optics, Ray(k, x, y, u, v, w), room)
         # The residual depends on x - x0 only: its derivative to x is the negative one to x0.
         a, b, d, e = by_camera[0, 1], by_camera[0, 2], by_camera[1, 1], by_camera[1, 2]
         determinant = a * e - b * d
@@ -401,9 +412,10 @@ def direction(
             t00, t01, t11 = sinc + share * e0 * e0, share * e0 * e1, sinc + share * e1 * e1
             w0, w1 = sinc * e0, sinc * e1
         if optics[k, 0] >= OTHERS:
-            vx, vy = bent(cameras, optics, k, x, y, u, v, w, room)
+            vx, vy = bent(cameras, optics, Ray(k, x, y, u, v, w), room)
         else:
-            vx, vy = ray_residual(cameras, optics, k, x, y, far * u, far * v, far * w, room)
+            ray = Ray(k, x, y, far * u, far * v, far * w)
+            vx, vy = ray_residual(cameras, optics, ray, room)
         a = far * (by_q[0, 0] * t00 + by_q[0, 1] * t01 + by_q[0, 2] * w0)
         b = far * (by_q[0, 0] * t01 + by_q[0, 1] * t11 + by_q[0, 2] * w1)
         d = far * (by_q[1, 0] * t00 + by_q[1, 1] * t01 + by_q[1, 2] * w0)

@@ -11,7 +11,7 @@ Vibration turns the camera to and fro within the readout. The turn is then s W p
 from photocal.base.arrays import Floats
 from photocal.base.compiled import compiled, inlined
 from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES
-from photocal.geometry.lens import BROWN, LINE, OTHERS, Scratch, bent, image_residual
+from photocal.geometry.lens import BROWN, LINE, OTHERS, Ray, Scratch, bent, image_residual
 
 # Positions of the readout time and of an image's movement among its parameters, and of the given velocity and
 # rate among its optics.
@@ -53,14 +53,9 @@ def by_shake(by_camera: Floats, a: int, s: float, d0: float, d1: float, d2: floa
 def rolling_residual(
     lenses: Floats,
     optics: Floats,
-    k: int,
-    x: float,
-    y: float,
+    ray: Ray,
     rotation: Floats,
     i: int,
-    u: float,
-    v: float,
-    w: float,
     room: Scratch,
 ) -> tuple[float, float, float, float, float]:
     """Residual of a ray whose line is that of its computed coordinates, and its derivatives.
@@ -69,11 +64,13 @@ def rolling_residual(
         and where images shake the coefficients of the polynomials.
     optics (lenses, 20 or 35): from `optics`, then the given velocity (m/s) and rate (rad/s), and what a
         gyroscope has recorded of the polynomials (rad/s).
-    u, v, w: object point in camera axes at the middle of the readout, m.
+    ray: with its object point in camera axes at the middle of the readout.
+    rotation (images, 3, 3): from object to camera axes, of image i.
     returns: residual in x and y; the point in camera axes before the turn of its line, to which a small turn
         of the image applies.
     """
     by_q, by_camera = room.by_q, room.by_camera
+    k, x, y, u, v, w = ray
     lx, ly = optics[k, LINE], optics[k, LINE + 1]
     m0, m1, m2 = lenses[k, MOVE], lenses[k, MOVE + 1], lenses[k, MOVE + 2]
     t0, t1, t2 = lenses[k, MOVE + 3], lenses[k, MOVE + 4], lenses[k, MOVE + 5]
@@ -98,9 +95,9 @@ def rolling_residual(
         qv = pv + first * c1 + second * (r2 * c0 - r0 * c2)
         qw = pw + first * c2 + second * (r0 * c1 - r1 * c0)
         if optics[k, 0] >= OTHERS:
-            ex, ey = bent(lenses, optics, k, x, y, qu, qv, qw, room)
+            ex, ey = bent(lenses, optics, Ray(k, x, y, qu, qv, qw), room)
         else:
-            ex, ey = image_residual(lenses, optics, k, x, y, qu, qv, qw, room)
+            ex, ey = image_residual(lenses, optics, Ray(k, x, y, qu, qv, qw), room)
         steps += 1
         # Derivatives are those at a line that is still off by as much as images turn while it is found.
         if steps == (3 if shakes else 2):

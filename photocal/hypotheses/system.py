@@ -16,15 +16,13 @@ from photocal.adjustment.covariance import Shared
 from photocal.adjustment.datum import full_solution
 from photocal.adjustment.envelope import solve
 from photocal.adjustment.factored import Factored
+from photocal.adjustment.joint import AT_ONCE
 from photocal.adjustment.mounting import Mounting
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.score import pulled
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError
 from photocal.geometry.camera import Camera
-
-# Right-hand sides that are solved for at once: each holds a value for every point.
-_AT_ONCE = 12
 
 
 @dataclass(frozen=True)
@@ -187,8 +185,8 @@ def _of_control(at: Factored, point: Integers, rows: Floats) -> tuple[Floats, Fl
     """How all unknowns follow errors of control: reduced part (k, size), these points (k, k, 3)."""
     layout = at.problem.layout
     steps, moved = np.zeros((len(point), layout.size)), np.zeros((len(point), len(point), 3))
-    for first in range(0, len(point), _AT_ONCE):
-        part = np.arange(first, min(first + _AT_ONCE, len(point)))
+    for first in range(0, len(point), AT_ONCE):
+        part = np.arange(first, min(first + AT_ONCE, len(point)))
         places = np.zeros((len(part), *at.state.points.shape))
         places[np.arange(len(part)), point[part]] = rows[part]
         reduced = np.zeros((len(part), layout.size))

@@ -24,9 +24,6 @@ SYMPTOMS = (
     "method-refused",
 )
 
-# Codes of findings and clauses that earlier versions stored: their texts stay, so that old files open.
-FORMER = ("control-contradicts", "positions_off", "or-change")
-
 
 @dataclass(frozen=True)
 class Fault:
@@ -64,7 +61,6 @@ _SHIFT = tuple(f"shift_{a}" for a in _XYZ)
 _OF_DATUM = ("antenna-height", "base-position", "datum-shift")
 _OF_STRIPS = ("strip-shifts", "strip-position")
 _OF_POSITIONS = (*_OF_DATUM, "lever-arm", "lever-arm-axes", *_OF_STRIPS, "time-offset")
-_OF_CAMERA = ("boresight", "camera-change", "principal-distance", "principal-point")
 # Images of two scales are pressed into one by what each may move while it is read.
 _OF_CHANGE = (*SYMPTOMS, "shutter-rolls", "images-shake")
 

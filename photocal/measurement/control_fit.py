@@ -10,6 +10,7 @@ from itertools import combinations, islice
 import numpy as np
 
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.policy import FEWEST_CONTROL
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import block_frame, observed_pixels
 from photocal.findings.finding import Figure, Finding
@@ -21,8 +22,6 @@ from photocal.measurement.tie_adjustment import AdjustedTies
 from photocal.measurement.tie_block import LEAST_SPREAD, intersected, reprojection_errors, spread
 from photocal.measurement.tracks import Tracks
 
-# With so many control points positions do not place a block.
-FEWEST_CONTROL = 3
 # Rays of one point meet within so many pixels of a picture of the usual length, in a first orientation.
 MEET_PX, USUAL_PX = 8.0, 4000.0
 # Pairs of rays and triples of points that are tried, of many.

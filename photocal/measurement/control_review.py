@@ -18,8 +18,6 @@ FAR_M, FARTHER = 2_000.0, 20.0
 # Two names within so much, and within this share of the whole width, may be one point; one place, m.
 TWIN_M, TWIN_SHARE, SAME_M = 1.0, 0.02, 0.002
 FOOT_M = 0.3048
-# A height that is like the others but for a slip differs by so much from them, m.
-LEAST_M = 20.0
 # Neighbouring zones that are tried.
 ZONES = (-1, 1, -2, 2)
 MOST_NAMED = 5

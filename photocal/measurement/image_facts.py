@@ -40,7 +40,7 @@ ABOVE_TAKE_OFF = "above take-off"
 _ELLIPSOIDAL = ("rtkalt", "gpsfusionalt")
 # Whose heights are above the geoid of 1996 (Parrot: ANAFI 4K, Thermal, USA; Skydio).
 _EGM96 = ("parrot", "skydio")
-FIXED, FLOATS, SINGLE = 50, range(32, 50), 16
+FIXED, FLOATS = 50, range(32, 50)
 # A file that changes twice within the clock's step keeps its times: so young ones are read again.
 _YOUNG_NS, _MOST_KNOWN = 2_000_000_000, 20_000
 

@@ -7,13 +7,14 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError, PhotocalError
+from photocal.base.policy import FEWEST_CONTROL
 from photocal.base.progress import Progress
 from photocal.base.workers import Workers
 from photocal.block.model import Block, Images
 from photocal.block.network import block_frame
 from photocal.findings.finding import Finding
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.measurement.control_fit import FEWEST_CONTROL, FittedControl, fit_control
+from photocal.measurement.control_fit import FittedControl, fit_control
 from photocal.measurement.patch_matching import HALF, Source, refine_reduced
 from photocal.measurement.start_block import without_images
 from photocal.measurement.tie_adjustment import AdjustedTies, adjust_ties

@@ -1,6 +1,7 @@
 """Least squares matching of many small patches with one image, compiled."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,15 @@ _UNKNOWNS = 6
 _FLAT, _STRAIGHT = 1e-3, 1e-6
 # A step that shrinks the patch more than this has gone astray.
 _LEAST_AREA = 0.2
+
+
+class Patch(NamedTuple):
+    """A patch made ready: half its side, its grey values, their derivatives and inverse normal matrix."""
+
+    half: int
+    template: Floats
+    jacobian: Floats
+    inverse: Floats
 
 
 @allocating
@@ -40,6 +50,7 @@ def match_patches(
     size = (side - 2) ** 2
     template, sample = np.empty(size), np.empty(size)
     jacobian, inverse = np.empty((size, _UNKNOWNS)), np.empty((_UNKNOWNS, 2 * _UNKNOWNS))
+    patch = Patch(side // 2, template, jacobian, inverse)
     state, step, result = np.empty(_UNKNOWNS), np.empty(_UNKNOWNS), np.empty(2)
     for k in range(count):
         matched[k, 0], matched[k, 1], likeness[k] = np.nan, np.nan, 0.0
@@ -49,7 +60,7 @@ def match_patches(
         state[0], state[1] = place[k, 0], place[k, 1]
         state[2], state[3] = affinity[k, 0, 0], affinity[k, 0, 1]
         state[4], state[5] = affinity[k, 1, 0], affinity[k, 1, 1]
-        _settle(image, side // 2, template, length, jacobian, inverse, farthest, sample, state, step, result)
+        _settle(image, patch, length, farthest, sample, state, step, result)
         if not result[0] > 0:
             continue
         likeness[k] = result[0]
@@ -141,18 +152,19 @@ def _inverted(jacobian: Floats, inverse: Floats) -> bool:
 @compiled
 def _settle(
     image: Floats32,
-    half: int,
-    template: Floats,
+    patch: Patch,
     length: float,
-    jacobian: Floats,
-    inverse: Floats,
     farthest: float,
     sample: Floats,
     state: Floats,
     step: Floats,
     result: Floats,
 ) -> None:
-    """Improve place and affinity; give likeness and squares of the misfit, 0 if it does not settle."""
+    """Improve place and affinity; give likeness and squares of the misfit, 0 if it does not settle.
+
+    length: of the template.
+    """
+    half, template, jacobian, inverse = patch
     x, y = state[0], state[1]
     result[0], result[1] = 0.0, 0.0
     settled = False

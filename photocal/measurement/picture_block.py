@@ -10,6 +10,7 @@ import numpy as np
 
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import ConfigurationError
+from photocal.base.policy import FEWEST_CONTROL
 from photocal.base.progress import Progress
 from photocal.base.workers import one_crew
 from photocal.block.folder import read_points
@@ -23,7 +24,6 @@ from photocal.geometry.camera import Camera, among
 from photocal.geometry.oriented_images import local_poses
 from photocal.geometry.realizations import FrameShift
 from photocal.measurement.block_files import MeasuredBlock
-from photocal.measurement.control_fit import FEWEST_CONTROL
 from photocal.measurement.control_review import stray_points
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts, read_facts
 from photocal.measurement.image_file import each_picture, list_images

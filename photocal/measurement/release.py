@@ -7,11 +7,10 @@ import numpy as np
 
 from photocal.adjustment.readout import left_by_movement
 from photocal.base.errors import IllPosedError, NotConvergedError
-from photocal.base.policy import CONTRADICTED
+from photocal.base.policy import CONTRADICTED, FEWEST_CONTROL
 from photocal.block.model import Block
 from photocal.findings.finding import Figure, Finding
 from photocal.geometry.camera import PARAMETERS, Camera, among
-from photocal.measurement.control_fit import FEWEST_CONTROL
 from photocal.measurement.lens_choice import with_chosen_lenses, with_shutters_closed
 from photocal.measurement.oriented_ties import Oriented
 from photocal.measurement.start_block import without_images, without_single_rays

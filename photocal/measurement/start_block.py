@@ -11,12 +11,6 @@ from photocal.geometry.camera import Camera, among
 from photocal.measurement.image_facts import ImageFacts, camera_temperatures, clock_seconds
 from photocal.measurement.maker_camera import group_cameras, stated_camera
 
-# Shares of a picture that are white or black, of which nothing can be seen; and its sharpness beside that of
-# the others when it is blurred.
-WHITE, BLACK, BURNT = 250, 5, 0.4
-BLURRED = 0.4
-# Pictures that sharpness is compared with.
-OTHERS = 3
 # Sigma of a position that the image does not state, m: single-frequency receivers in the air.
 POSITION_SIGMA_M = (1.5, 1.5, 3.0)
 # A level block without control says little about c, x0 and y0, which go with the heights and the

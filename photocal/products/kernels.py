@@ -1,6 +1,6 @@
 """Kernels of the orthophoto: from ground points to image points, and grey values there."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,27 +15,49 @@ NEAREST, BILINEAR, CUBIC = 0, 1, 2
 LINES = 4
 
 
+class LensTables(NamedTuple):
+    """Cameras as the kernels take them.
+
+    limit (cameras,): largest distance of an ideal image point from the principal point that the camera can
+        record.
+    """
+
+    values: Floats
+    optics: Floats
+    pitch: Floats
+    size: Floats
+    limit: Floats
+
+
+class Poses(NamedTuple):
+    """Camera, pose and movement during the readout of each image, see `OrientedImages`."""
+
+    camera: Integers
+    rotation: Floats
+    station: Floats
+    movement: Floats
+
+
+class GreyRange(NamedTuple):
+    """Range of the grey values to write, and whether they are whole numbers."""
+
+    lowest: float
+    highest: float
+    whole: bool
+
+
 @inlined
 def move(
-    cameras: Floats,
-    optics_of: Floats,
-    k: int,
-    rotation: Floats,
-    movement: Floats,
-    m: int,
-    u: float,
-    v: float,
-    w: float,
-    room: Scratch,
-    place: Floats,
+    lenses: LensTables, poses: Poses, m: int, u: float, v: float, w: float, room: Scratch, place: Floats
 ) -> None:
     """Move a place to where a rolling shutter records the point: the line tells the pose, that the line."""
+    optics, rotation, movement, k = lenses.optics, poses.rotation, poses.movement, poses.camera[m]
     x, y, z = movement[m, 0], movement[m, 1], movement[m, 2]
     a = rotation[m, 0, 0] * x + rotation[m, 0, 1] * y + rotation[m, 0, 2] * z
     b = rotation[m, 1, 0] * x + rotation[m, 1, 1] * y + rotation[m, 1, 2] * z
     c = rotation[m, 2, 0] * x + rotation[m, 2, 1] * y + rotation[m, 2, 2] * z
     for _ in range(LINES):
-        s = optics_of[k, LINE] * place[0] + optics_of[k, LINE + 1] * place[1]
+        s = optics[k, LINE] * place[0] + optics[k, LINE + 1] * place[1]
         s = min(max(s, -1.0), 1.0)
         p, q, r = u - s * a, v - s * b, w - s * c
         x, y, z = s * movement[m, 3], s * movement[m, 4], s * movement[m, 5]
@@ -45,28 +67,20 @@ def move(
         # The turn by its series to the second power: it is of hundredths of a radian.
         e, f, g = y * r - z * q, z * p - x * r, x * q - y * p
         p, q, r = p + e + (y * g - z * f) / 2, q + f + (z * e - x * g) / 2, r + g + (x * f - y * e) / 2
-        if not recorded(cameras, optics_of, k, p, q, r, room, place):
+        if not recorded(lenses.values, optics, k, p, q, r, room, place):
             return
 
 
 @allocating
 def look_up(
-    ground: Floats,
-    cameras: Floats,
-    optics_of: Floats,
-    limit: Floats,
-    pitch: Floats,
-    size: Floats,
-    camera: Integers,
-    rotation: Floats,
-    station: Floats,
-    movement: Floats,
-    candidates: Integers,
-    column: Floats,
-    row: Floats,
-    chosen: Integers,
+    ground: Floats, lenses: LensTables, poses: Poses, candidates: Integers, places: Floats, chosen: Integers
 ) -> None:
-    """For every ground point choose the image with the best nadir and find the place in it."""
+    """For every ground point choose the image with the best nadir and find the place in it.
+
+    places (2, n): receive column and row; chosen (n,) the image, -1 for none.
+    """
+    optics, pitch, size = lenses.optics, lenses.pitch, lenses.size
+    rotation, station = poses.rotation, poses.station
     room = kernel_scratch(0)
     place = np.zeros(2)
     count = len(candidates)
@@ -87,23 +101,23 @@ def look_up(
                 break
             score[n] = np.inf
             m = candidates[n]
-            k = camera[m]
+            k = poses.camera[m]
             gx, gy, gz = x - station[m, 0], y - station[m, 1], z - station[m, 2]
             u = rotation[m, 0, 0] * gx + rotation[m, 0, 1] * gy + rotation[m, 0, 2] * gz
             v = rotation[m, 1, 0] * gx + rotation[m, 1, 1] * gy + rotation[m, 1, 2] * gz
             w = rotation[m, 2, 0] * gx + rotation[m, 2, 1] * gy + rotation[m, 2, 2] * gz
-            reach = limit[k] / cameras[k, 0]
+            reach = lenses.limit[k] / lenses.values[k, 0]
             # Beyond its limit a polynomial may fold what it does not see into the image.
             if w >= 0.0 or u * u + v * v > reach * reach * w * w:
                 continue
-            if not recorded(cameras, optics_of, k, u, v, w, room, place):
+            if not recorded(lenses.values, optics, k, u, v, w, room, place):
                 continue
-            if optics_of[k, LINE] != 0.0 or optics_of[k, LINE + 1] != 0.0:
-                move(cameras, optics_of, k, rotation, movement, m, u, v, w, room, place)
+            if optics[k, LINE] != 0.0 or optics[k, LINE + 1] != 0.0:
+                move(lenses, poses, m, u, v, w, room, place)
             c = place[0] / pitch[k, 0] + (size[k, 0] - 1.0) / 2.0
             r = (size[k, 1] - 1.0) / 2.0 - place[1] / pitch[k, 1]
             if -0.5 <= c < size[k, 0] - 0.5 and -0.5 <= r < size[k, 1] - 0.5:
-                column[p], row[p], chosen[p] = c, r, m
+                places[0, p], places[1, p], chosen[p] = c, r, m
                 break
 
 
@@ -127,21 +141,19 @@ def resample(
     image: NDArray[Any],
     which: int,
     method: int,
-    column: Floats,
-    row: Floats,
+    places: Floats,
     chosen: Integers,
-    lowest: float,
-    highest: float,
-    whole: bool,
+    limits: GreyRange,
     pixels: NDArray[Any],
 ) -> None:
     """Take the grey values of one image for the points that chose it."""
+    lowest, highest, whole = limits
     rows, columns, bands = image.shape
     across, down = np.zeros(4), np.zeros(4)
     for p in range(len(chosen)):
         if chosen[p] != which:
             continue
-        c, r = column[p], row[p]
+        c, r = places[0, p], places[1, p]
         if method == NEAREST:
             j = min(max(int(np.floor(c + 0.5)), 0), columns - 1)
             i = min(max(int(np.floor(r + 0.5)), 0), rows - 1)

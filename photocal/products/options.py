@@ -1,5 +1,6 @@
-"""Options of orthophotos, of products under check, and of volumes."""
+"""Options of orthophotos, of contours, of products under check, and of volumes."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -59,6 +60,27 @@ class OrthoOptions(Options):
         """Refuse half a comparison."""
         if (self.compare is None) != (self.displacement is None):
             raise ConfigurationError("--compare and --displacement go together", "give both or none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourOptions(Options):
+    """Interval, heights and cells of contours."""
+
+    interval: Annotated[float, Option("Height between contours, m.")]
+    index: Annotated[int, Option("Every so many contours one is an index contour.")] = 5
+    heights: Annotated[str | None, Option("Kind of heights of a terrain model that does not say it.")] = None
+    crs: Annotated[str | None, Option("Reference system of a terrain model that names none.")] = None
+    cell: Annotated[float | None, Option("Size of the cells that a CSV of terrain points is put on, m.")] = (
+        None
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse an interval that gives no contours."""
+        if not (math.isfinite(self.interval) and self.interval > 0 and self.index > 0):
+            raise ConfigurationError(
+                f"contours every {self.interval:g} m, each {self.index}. an index contour, cannot be",
+                "give --interval and --index greater than 0",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

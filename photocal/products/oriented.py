@@ -1,6 +1,5 @@
 """Oriented images of a block folder, and their cameras as the kernels of the orthophoto take them."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,23 +14,8 @@ from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import LocalFrame
 from photocal.geometry.lens import optics
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.products.kernels import look_up
+from photocal.products.kernels import LensTables, Poses, look_up
 from photocal.results.folder import read_result
-
-
-@dataclass(frozen=True)
-class LensTables:
-    """Cameras as the kernels take them.
-
-    limit (cameras,): largest distance of an ideal image point from the principal point that the camera can
-        record.
-    """
-
-    values: Floats
-    optics: Floats
-    pitch: Floats
-    size: Floats
-    limit: Floats
 
 
 def lens_tables(cameras: tuple[Camera, ...]) -> LensTables:
@@ -54,9 +38,8 @@ def best_places(
     returns chosen (n,): image of each point; -1 for none.
     """
     place, chosen = np.full((2, len(ground)), np.nan), np.full(len(ground), -1, dtype=np.int64)
-    look_up(ground, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, shots.camera,
-            shots.rotation, shots.station, shots.movements, candidates, place[0], place[1],
-            chosen)  # fmt: skip
+    poses = Poses(shots.camera, shots.rotation, shots.station, shots.movements)
+    look_up(ground, lenses, poses, candidates, place, chosen)
     return place, chosen
 
 

@@ -16,7 +16,7 @@ from photocal.geometry.camera import pixel_to_plane
 from photocal.geometry.distortion import undistorted
 from photocal.geometry.frames import LocalFrame
 from photocal.geometry.oriented_images import OrientedImages
-from photocal.products.kernels import resample
+from photocal.products.kernels import GreyRange, resample
 from photocal.products.oriented import best_places, image_border, lens_tables
 from photocal.products.terrain import Bounds, Grid, TerrainSource, ground_points
 
@@ -162,11 +162,9 @@ def orthophoto(recipe: Recipe, images: ImageStore, workers: int) -> Iterator[Til
         ground = ground_points(x, y, piece, recipe.frame)
         place, chosen = best_places(ground, lenses, recipe.shots, candidates(recipe.shots, borders, ground))
         pixels = np.full((recipe.bands, len(ground)), recipe.nodata, dtype=recipe.dtype)
-        lowest, highest, whole = _range(recipe)
         for number in np.unique(chosen[chosen >= 0]):
             image = images.get(int(number))
-            resample(image, int(number), recipe.method, place[0], place[1], chosen, lowest, highest, whole,
-                     pixels)  # fmt: skip
+            resample(image, int(number), recipe.method, place, chosen, _range(recipe), pixels)
         return Tile(column, row, pixels.reshape(recipe.bands, rows, columns), chosen.reshape(rows, columns))
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
@@ -205,14 +203,14 @@ def _windows(recipe: Recipe) -> list[tuple[int, int, int, int]]:
     return [tiles[n] for n in sorted(range(len(tiles)), key=lambda n: (nearest[n], n))]
 
 
-def _range(recipe: Recipe) -> tuple[float, float, bool]:
+def _range(recipe: Recipe) -> GreyRange:
     """Range of the values to write; whole numbers keep clear of the one that means nothing."""
     if recipe.dtype.startswith("float"):
-        return -np.inf, np.inf, False
+        return GreyRange(-np.inf, np.inf, False)
     limits = np.iinfo(np.dtype(recipe.dtype))
     lowest, highest = float(limits.min), float(limits.max)
     if recipe.nodata == lowest:
         lowest += 1
     elif recipe.nodata == highest:
         highest -= 1
-    return lowest, highest, True
+    return GreyRange(lowest, highest, True)

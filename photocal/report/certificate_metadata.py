@@ -188,7 +188,13 @@ def read_particulars(
     pictures: Mapping[str, Mapping[str, str | float]] | None = None,
     flown: Mapping[str, Any] | None = None,
 ) -> Metadata:
-    """Read the particulars of a certificate; what nobody typed may stand in the pictures, by section."""
+    """Read the particulars of a certificate; what nobody typed may stand in the pictures.
+
+    path: TOML file with what a person gives.
+    key: fingerprint of the key by which it will be signed; printed.
+    pictures: what they say of camera and conditions, by section and key of the particulars.
+    flown: figures of the flown block, see `planning.flown.figures_of`.
+    """
     keys: dict[str, Any] = read_tables(path) if path is not None else {}
     if given := sorted(keys.keys() & {"flown", "flown_spread", "planned"}):
         raise ConfigurationError(f"{given[0]} is measured, not given", "remove it", where=path)

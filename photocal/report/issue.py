@@ -3,7 +3,7 @@
 import datetime as dt
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
@@ -21,7 +21,7 @@ from photocal.findings.finding import Finding
 from photocal.findings.texts import Catalogue, catalogue, finding_json
 from photocal.findings.verdict import verdict_json
 from photocal.report.certificate import certificate, certificate_number, overall
-from photocal.report.certificate_metadata import Metadata, read_particulars
+from photocal.report.certificate_metadata import Metadata
 from photocal.report.derived_figures import DerivedFigures, derived_figures, verdict
 from photocal.report.ministry_rows import Context, entries, read_layout
 from photocal.report.sensor import farthest_corner, radial_profile
@@ -200,33 +200,20 @@ def _complete(content: dict[str, Any], file: Path) -> None:
 def issue(
     run: Path,
     output: Path,
+    particulars: Metadata,
     *,
-    day: dt.date,
     language: str = "en",
     block: Path | None = None,
-    particulars: Path | None = None,
-    client: str = "",
-    operator: str = "",
-    key: str = "",
     warnings: tuple[Finding, ...] = (),
-    pictures: Mapping[str, Mapping[str, str | float]] | None = None,
-    flown: Mapping[str, Any] | None = None,
     done: Callable[[], None] = lambda: None,
 ) -> Document:
     """Write the certificate of a run.
 
     block: block folder or set-up file of the run; looked for near it when not given. Its files are carried.
-    particulars: TOML file with what a person gives.
-    key: fingerprint of the key by which it will be signed; printed.
-    pictures: what they say of camera and conditions, by section and key of the particulars.
-    flown: figures of the flown block, see `planning.flown.figures_of`.
     raises PhotocalError: for inputs that cannot be read or have changed, and for figures that cannot be
         right.
     """
     say = catalogue(language)
-    given = read_particulars(
-        particulars, day, client=client, operator=operator, key=key, pictures=pictures, flown=flown
-    )
     results = read_run(run)
     _refuse_a_guess(run, results.result)
     try:
@@ -234,12 +221,12 @@ def issue(
     except InputNotFoundError:
         source = None
     done()
-    document = certificate(results, given, say, warnings)
+    document = certificate(results, particulars, say, warnings)
     done()
-    forms = printed(document, day)
+    forms = printed(document, particulars.date)
     done()
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in forms.items()}
-    content = {**record(results, given, say, warnings), "documents": digests}
+    content = {**record(results, particulars, say, warnings), "documents": digests}
     forms[NAME] = (json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
     done()
     with output_folder(output) as folder:

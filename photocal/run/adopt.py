@@ -16,6 +16,7 @@ from photocal.adjustment.variance_components import estimate_components
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError, PhotocalError
 from photocal.base.files import write_json
+from photocal.base.policy import FEWEST_CONTROL
 from photocal.base.progress import Progress
 from photocal.block.model import Block
 from photocal.block.mounting import make_mounting
@@ -27,7 +28,7 @@ from photocal.measurement.block_files import SCHEMA as MEASURED
 from photocal.measurement.block_files import MeasuredBlock
 from photocal.results.adjusted import adjust_block, adjust_network, adjusted, result_of
 from photocal.results.result import Result
-from photocal.run.adopt_control import FEWEST_CONTROL, with_control
+from photocal.run.adopt_control import with_control
 from photocal.run.adopt_rays import by_rays_alone, crossed, without_gross_rays, without_what_hangs_loose
 from photocal.run.adopt_report import report_figures, with_report
 from photocal.run.adopt_steps import Step, steps
@@ -60,6 +61,7 @@ def adopt(
     """
     from photocal.analysis.analyse_run import analyse_run
     from photocal.findings.texts import catalogue, finding_text, plain
+    from photocal.report.certificate_metadata import read_particulars
     from photocal.report.issue import issue
 
     step = steps(progress, path)
@@ -99,7 +101,7 @@ def adopt(
     }
     write_json(output / FIGURES, figures)
     with step("certificate"):
-        issue(run, output / "certificate", day=day, block=source)
+        issue(run, output / "certificate", read_particulars(None, day), block=source)
     return figures
 
 

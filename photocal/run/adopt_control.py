@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.errors import IllPosedError
+from photocal.base.policy import FEWEST_CONTROL
 from photocal.block.model import ROLES
 from photocal.block.network import block_frame, frame_of
 from photocal.exchange.foreign_project import ForeignProject
@@ -26,7 +27,6 @@ from photocal.measurement.tracks import Tracks
 from photocal.run.adopt_rays import some_of
 from photocal.run.folder_survey import ASSUMED_M
 
-FEWEST_CONTROL = 3
 _CHECK = re.compile(r"(?i)check|chk")
 # Weight of the direction in which images look, beside places of control that lie nearly in a line.
 LEVELLING_M2, _UP = 1.0, np.array([[0.0, 0.0, 1.0]])

@@ -14,6 +14,7 @@ from photocal.adjustment.snooping import ray_fit, robust_state, subset
 from photocal.adjustment.state import start_state
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.files import write_rows
+from photocal.base.policy import LEAST_CHECKED
 from photocal.block.model import ROLES, Block, ObjectPoints
 from photocal.block.network import assemble, behind_cameras, block_frame
 from photocal.block.rig import Head
@@ -32,8 +33,6 @@ ROUGHLY = 0.01
 # Control so many times farther than usual from where its rays meet would bend the block; so much is enough to
 # tell what is usual.
 FAR, ENOUGH_CONTROL = 30.0, 5
-# Less of an observation than this is not taken to be checked by others.
-LEAST_CHECKED = 0.05
 # Three rays give a pose that nothing checks; images that are named in one remark.
 FEWEST_RAYS, MOST_NAMED = 4, 6
 # The distance of a point with a smaller parallax is known to a fifth at best, with a measurement of 1 px.

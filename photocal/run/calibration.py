@@ -59,24 +59,22 @@ def certificate_stage(project: Project, work: Path, day: dt.date, earlier: tuple
     def make(folder: Path, show: Progress) -> None:
         """Make the files of the stage."""
         from photocal.measurement.picture_conditions import told_conditions
+        from photocal.report.certificate_metadata import read_particulars
         from photocal.report.issue import issue
         from photocal.run.project_checks import facts_of_pictures
 
         with show("certificate", None):
-            issue(
-                work / "analysis",
-                folder,
-                language=keys.language,
-                day=day,
-                block=work / "block",
-                particulars=keys.particulars,
+            given = read_particulars(
+                keys.particulars,
+                day,
                 client=keys.client,
                 operator=keys.operator,
                 key=fingerprint,
-                warnings=gather(work),
                 pictures=told_conditions(facts_of_pictures(project, None)),
                 flown=read_json(work / "flown" / "flown.json"),
             )
+            block, warnings = work / "block", gather(work)
+            issue(work / "analysis", folder, given, language=keys.language, block=block, warnings=warnings)
 
     settings = {**keys.model_dump(mode="json", exclude={"particulars", "plan"}), "key": fingerprint}
     return Stage("certificate", "certificate", make, inputs, settings, earlier)

@@ -167,7 +167,6 @@ class ProjectOutcome:
 def run_projects(
     paths: Sequence[Path],
     day: dt.date,
-    progress: Progress,
     until: str | None = None,
     again: str | None = None,
     rehash: bool = False,
@@ -193,7 +192,7 @@ def run_projects(
             _say(f"{project.name}: {told}")
     tasks: list[Task] = [(path.resolve(), day, until, again, rehash) for path in paths]
     if cluster is None and (workers == 1 or len(tasks) == 1):
-        outcomes = [_outcome(task, progress, _say, bar) for task in tasks]
+        outcomes = [_outcome(task, _say, bar) for task in tasks]
     else:
         from photocal.base.workers import Cluster, run_tasks
 
@@ -218,14 +217,14 @@ def _say(line: str) -> None:
 def _elsewhere(task: Task) -> ProjectOutcome:
     """Run a project in another process: what it says and what ends it come back with its figures."""
     lines: list[str] = []
-    outcome = _outcome(task, quiet, lines.append)
+    outcome = _outcome(task, lines.append)
     return ProjectOutcome(outcome.figures, outcome.failure, tuple(lines))
 
 
-def _outcome(task: Task, progress: Progress, say: Callable[[str], None], bar: Bar = unseen) -> ProjectOutcome:
+def _outcome(task: Task, say: Callable[[str], None], bar: Bar = unseen) -> ProjectOutcome:
     try:
         with system_refusals():
-            return ProjectOutcome(run_one(*task, progress, say, bar), None)
+            return ProjectOutcome(run_one(*task, say=say, bar=bar), None)
     except PhotocalError as failure:
         return ProjectOutcome({}, failure)
 

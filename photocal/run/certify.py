@@ -8,6 +8,7 @@ from photocal.findings.document import Document
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import list_images
 from photocal.measurement.picture_conditions import told_conditions
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import FORMS, issue
 from photocal.report.keys import own_key
 from photocal.report.options import CertificateOptions
@@ -82,19 +83,22 @@ def certificate(
     pictures = told_conditions([read_facts(path) for path in images])
     day, key = asked.day(), own_key()
     with progress("certificate", 4) as step:
-        document = issue(
-            run,
-            output,
-            day=day,
-            language=asked.language,
-            block=asked.block,
-            particulars=asked.particulars,
+        given = read_particulars(
+            asked.particulars,
+            day,
             client=asked.client,
             operator=asked.operator,
             key=key.fingerprint if key else "",
-            warnings=stage_findings(run),
             pictures=pictures,
             flown=flown_figures(run),
+        )
+        document = issue(
+            run,
+            output,
+            given,
+            language=asked.language,
+            block=asked.block,
+            warnings=stage_findings(run),
             done=lambda: step(1),
         )
     written = tuple(output / name for name in (*FORMS, CARRIED) if (output / name).exists())

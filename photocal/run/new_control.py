@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from photocal.base.errors import ConfigurationError, PhotocalError
+from photocal.base.policy import FEWEST_CONTROL
 from photocal.block.model import NO_POINTS, ObjectPoints
 from photocal.exchange.parts import Mark
 from photocal.geometry.frames import system_of
 from photocal.geometry.grids import missing_grids
 from photocal.geometry.systems import MapSystem, at_place, called, heights_at, is_meant
-from photocal.measurement.control_fit import FEWEST_CONTROL
 from photocal.measurement.control_review import alone, heights_apart, listed, stray_points, twins
 from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.mark_frames import AS_STORED, FrameChoice, MarkFrame, choose_frame, inside
@@ -27,8 +27,6 @@ HEIGHTS = ("ellipsoidal", "orthometric", "local")
 _AROUND = 0.2
 # Control this near to the pictures' positions is in their zone, m beyond their width.
 _REACH_M = 200.0
-# Frames that are named in a question.
-_OFFERED = 3
 
 
 @dataclass

@@ -11,12 +11,12 @@ import numpy as np
 
 from photocal.base.errors import InputNotFoundError, OutputError
 from photocal.base.files import output_file, rows_text
+from photocal.base.policy import FEWEST_CONTROL
 from photocal.block.model import NO_POINTS, ROLES, ObjectPoints
 from photocal.block.network import OTHER_SURFACE_M
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.geometry.camera import PARAMETERS, Camera
 from photocal.measurement.camera_heads import HeadGroup
-from photocal.measurement.control_fit import FEWEST_CONTROL
 from photocal.measurement.image_facts import ABOVE_TAKE_OFF, ImageFacts
 from photocal.measurement.maker_camera import StatedCamera, group_cameras, stated_camera
 from photocal.measurement.mark_frames import AS_STORED, parse_frame

@@ -30,6 +30,7 @@ from photocal.navigation.events import RISING, time_marks
 from photocal.navigation.exposures import at_events
 from photocal.navigation.flight_log import FlightLog
 from photocal.navigation.receiver_recording import read_receivers
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
 from photocal.run.block import observed_positions
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
@@ -55,7 +56,8 @@ def ended(block: Block, folder: Path) -> Iterator[object]:
     result = photocal.adjust(photocal.read_block(folder / "block"))
     result.write(folder / "run")
     yield result
-    yield issue(folder / "run", folder / "certificate", day=dt.date(2026, 1, 2), block=folder / "block")
+    given = read_particulars(None, dt.date(2026, 1, 2))
+    yield issue(folder / "run", folder / "certificate", given, block=folder / "block")
 
 
 def event_forms(folder: Path) -> Iterator[object]:

@@ -101,8 +101,7 @@ def flown(case: Case, seed: int, folder: Path) -> tuple[PpkResult, Floats]:
     session = simulate(
         rover,
         Antenna.still(BASE_M),
-        start,
-        start + case.duration_s * SECOND,
+        (start, start + case.duration_s * SECOND),
         rng=np.random.default_rng(seed),
         rover_model=replace(case.rover, interval_s=1.0),
         base_model=case.base,

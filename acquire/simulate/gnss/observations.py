@@ -254,6 +254,8 @@ def _satellite(
     layer = atmosphere.ionosphere_m(epochs.place, way.azimuth, seen, epochs.true_ns)
     air = atmosphere.troposphere_m(epochs.place, seen)
     slow = way.range_m + air + LIGHT_M_S * (epochs.clock.bias_s - way.clock_s)
+    # From the zenith to the mask multipath grows threefold.
+    strength = (1 + 2 * np.cos(way.elevation) ** 2) / 3
     parts = []
     for number, (signal, chance) in enumerate(zip(SIGNALS[satellite.system], rng.spawn(2), strict=True)):
         noise = thermal(signal, way.elevation, model, chance)
@@ -262,8 +264,10 @@ def _satellite(
         delay = layer * on(signal.frequency_hz)
         code = slow + delay + LIGHT_M_S * group_delay_s(satellite, number) + biases[number]
         multipath = correlated(len(code), model.interval_s / model.multipath_time_s, 2, chance)
+        multipath[0] *= model.code_multipath_m * min(signal.chip_m / 293.0, 1.0) ** 0.5 * strength
+        multipath[1] *= model.phase_multipath_m * strength * signal.wavelength_m / 0.1903
         measured = slow - delay, code, multipath
-        parts.append(_rows((index, number), signal, epochs.clock, way, held, noise, measured, model, chance))
+        parts.append(_rows((index, number), signal, epochs.clock, way, held, noise, measured, chance))
     return parts
 
 
@@ -292,21 +296,16 @@ def _rows(
     held: Tracking,
     noise: Noise,
     measured: tuple[Floats, Floats, Floats],
-    model: ReceiverModel,
     rng: np.random.Generator,
 ) -> NDArray[np.void]:
     chosen = np.flatnonzero(held.code)
     phase_m, code_m, multipath = (values[..., chosen] for values in measured)
-    # From the zenith to the mask multipath grows threefold.
-    strength = (1 + 2 * np.cos(way.elevation[chosen]) ** 2) / 3
-    code_path = model.code_multipath_m * min(signal.chip_m / 293.0, 1.0) ** 0.5 * strength
-    phase_path = model.phase_multipath_m * strength * signal.wavelength_m / 0.1903
     rows = np.zeros(len(chosen), ROW)
     rows["epoch"], rows["satellite"], rows["signal"] = chosen, *numbers
     sigma = noise.code_m[chosen]
-    rows["code_m"] = code_m + code_path * multipath[0] + sigma * rng.standard_normal(len(chosen))
+    rows["code_m"] = code_m + multipath[0] + sigma * rng.standard_normal(len(chosen))
     fine = noise.phase_cycles[chosen]
-    phase = phase_m + phase_path * multipath[1]
+    phase = phase_m + multipath[1]
     # The ambiguity brings the phase near the code (u-blox F9 HPG 1.32, RXM-RAWX), the same for all arcs.
     near = np.rint((code_m[:1] - phase_m[:1]) / signal.wavelength_m)
     rows["phase_cycles"] = (

@@ -32,8 +32,7 @@ class Session:
 def simulate(
     rover: Antenna,
     base: Antenna,
-    start_gps_ns: int,
-    stop_gps_ns: int,
+    span_gps_ns: tuple[int, int],
     *,
     rng: np.random.Generator,
     sky: SkySettings | None = None,
@@ -43,11 +42,14 @@ def simulate(
 ) -> Session:
     """Let a rover and a base measure.
 
-    start_gps_ns, stop_gps_ns: session, GPS nanoseconds since 1980-01-06.
+    span_gps_ns: start and stop of the session, GPS nanoseconds since 1980-01-06.
     raises ConfigurationError: when no receiver has an epoch between start and stop.
     """
     sky, faults = sky or SkySettings(), faults or Faults()
-    longest, seconds = max(rover_model.interval_s, base_model.interval_s), (stop_gps_ns - start_gps_ns) / 1e9
+    longest, seconds = (
+        max(rover_model.interval_s, base_model.interval_s),
+        (span_gps_ns[1] - span_gps_ns[0]) / 1e9,
+    )
     if seconds < 2 * longest:
         raise ConfigurationError(
             f"the session of {seconds:g} s is too short for measurements every {longest:g} s",
@@ -56,17 +58,16 @@ def simulate(
         )
     # Each part has its own chance: a fault at the rover changes nothing at the base.
     for_sky, for_air, for_rover, for_base = rng.spawn(4)
-    satellites = constellation(start_gps_ns, stop_gps_ns, for_sky, sky.unhealthy)
-    x, y, _ = base.position(np.array([start_gps_ns]))[0].tolist()
+    satellites = constellation(*span_gps_ns, for_sky, sky.unhealthy)
+    x, y, _ = base.position(np.array(span_gps_ns[:1]))[0].tolist()
     atmosphere = Atmosphere.by_chance(sky, for_air, math.atan2(y, x))
-    span = start_gps_ns, stop_gps_ns
     moving, still = (
         observe(
             antenna,
             satellites,
             atmosphere,
             model if slips is None else replace(model, slips_per_hour=slips),
-            span,
+            span_gps_ns,
             chance,
             gaps_s=gaps_s,
         )
@@ -77,4 +78,4 @@ def simulate(
     )
     at = still.place
     shift = np.array(faults.base_shift_m) @ at.axes[0]
-    return Session(span, sky, satellites, moving, still, at.position_m[0] + shift)
+    return Session(span_gps_ns, sky, satellites, moving, still, at.position_m[0] + shift)

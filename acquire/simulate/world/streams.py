@@ -121,8 +121,7 @@ def _session(world: World) -> tuple[Session, np.random.Generator]:
     session = simulate(
         _rover(world),
         Antenna.still(world.place.to_geocentric(world.base_antenna_m[None])[0]),
-        world.start_gps_ns,
-        int(world.gps_ns(np.array(world.motion.duration_s))),
+        (world.start_gps_ns, int(world.gps_ns(np.array(world.motion.duration_s)))),
         rng=chance,
         sky=SkySettings(**world.configuration.air.model_dump()),
         rover_model=replace(ROVER, interval_s=given.rover_interval_s),

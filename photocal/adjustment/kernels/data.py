@@ -2,9 +2,12 @@
 
 from typing import NamedTuple
 
-from photocal.base.arrays import Floats, Integers
+import numpy as np
+
+from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.compiled import inlined
 from photocal.geometry.camera import MOTION, OWN, SHAKE
+from photocal.geometry.lens import Scratch, scratch
 
 # Columns that an image may have: its exterior orientation, and room for parameters of its own. Kernels
 # are compiled for each of them, for loops of a known length are much faster; the first is that of networks
@@ -105,12 +108,54 @@ class Eliminated(NamedTuple):
     mixed_border (points, 3, lens): between each point and the cameras.
     inverse (points, 3, 3): inverse of each point's own block; zero where its rays do not determine it.
     gradient (points, 3).
+    singular (points,): whether their rays do not determine them.
     """
 
     mixed: Floats
     mixed_border: Floats
     inverse: Floats
     gradient: Floats
+    singular: Flags
+
+
+class Reduced(NamedTuple):
+    """Reduced normal equations: values of the matrix within its structure, and A'Pv."""
+
+    structure: Structure
+    matrix: Floats
+    gradient: Floats
+
+
+class Cofactors(NamedTuple):
+    """The selected inverse of the reduced matrix, and what leads from it to the points."""
+
+    structure: Structure
+    inverse: Floats
+    kept: Eliminated
+
+
+class PointRoom(NamedTuple):
+    """Room for the work on one point and the m unknowns that its rays touch; made once for many points.
+
+    ray: derivatives of one of its rays.
+    block (3, 3): normal equations or covariance of the point.
+    mixed, spread (3, m): what relates it to the others.
+    local (m, m): covariance of the others.
+    row (m,): one ray's row of the design matrix.
+    """
+
+    ray: Scratch
+    block: Floats
+    mixed: Floats
+    spread: Floats
+    local: Floats
+    row: Floats
+
+
+def point_room(wide: int, size: int) -> PointRoom:
+    """Make room for points that touch so many unknowns, with so many columns of each image."""
+    mixed, spread, local, row = (np.zeros(shape) for shape in ((3, size), (3, size), (size, size), size))
+    return PointRoom(scratch(wide), np.zeros((3, 3)), mixed, spread, local, row)
 
 
 def width(design: Design) -> int:

@@ -1,12 +1,13 @@
 """Normal equations of the rays, the points eliminated as they pass."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
 from photocal.adjustment.kernels.ray import corner_of, inverse3, ray_rows
-from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Floats, Integers
 from photocal.base.compiled import apart, compiled, each_piece, fetch, inlined
 from photocal.geometry.lens import Scratch, scratch
 
@@ -14,9 +15,27 @@ from photocal.geometry.lens import Scratch, scratch
 AHEAD = 2
 
 
+class Contribution(NamedTuple):
+    """What the points of one piece give to the reduced normal equations.
+
+    strips (rows, columns of an image), base: to the images, from this row less the piece's first offset on.
+        Rows of known length and arrays that lie apart let the compiler use the processor's vectors.
+    corner (border, border): to the border.
+    images (images, columns of an image), cameras (border,): to A'Pv.
+    """
+
+    base: int
+    strips: Floats
+    corner: Floats
+    images: Floats
+    cameras: Floats
+
+
 class Rows(NamedTuple):
     """Rows of the design matrix that belong to one point's rays, in units of their sigmas, and room for more.
 
+    ray: derivatives of one ray.
+    block (3, 3): normal equations of the point itself.
     image, point (rays, 2, n): columns of each ray's own image and of the point.
     lens (rays, 2, lens + 1): columns of the cameras; the last one is the residual.
     less, free (3 and 2, lens + 1): by how much the point follows each of these columns, and what of them one
@@ -24,6 +43,8 @@ class Rows(NamedTuple):
     scaled (2, 3), other (2, columns of an image): one ray's rows of the point and of the image, transformed.
     """
 
+    ray: Scratch
+    block: Floats
     image: Floats
     point: Floats
     lens: Floats
@@ -89,14 +110,12 @@ def add_ray(
     structure: Structure,
     r: int,
     j: int,
-    vx: float,
-    vy: float,
-    room: Scratch,
+    residual: tuple[float, float],
     rows: Rows,
     kept: Eliminated,
-    block: Floats,
 ) -> None:
     """Add one ray to the normal equations of its point, and put its rows among those of the point."""
+    room, block = rows.ray, rows.block
     i, n, lens = design.ray_image[r], r - design.ray_start[j], structure.lens
     k = design.image_lens[i]
     at = design.active_column[k]
@@ -110,7 +129,7 @@ def add_ray(
             rows.lens[n, x, s] = 0.0
         for s in range(design.active_count[k]):
             rows.lens[n, x, at + s] = root * room.by_camera[x, design.active[k, s]]
-        rows.lens[n, x, lens] = root * (vy if x else vx)
+        rows.lens[n, x, lens] = root * (residual[1] if x else residual[0])
     for a in range(3):
         px, py = rows.point[n, 0, a], rows.point[n, 1, a]
         kept.gradient[j, a] += px * rows.lens[n, 0, lens] + py * rows.lens[n, 1, lens]
@@ -124,22 +143,14 @@ def add_ray(
 
 @inlined
 def eliminate(
-    design: Design,
-    structure: Structure,
-    base: int,
-    j: int,
-    strips: Floats,
-    corner: Floats,
-    images: Floats,
-    cameras: Floats,
-    kept: Eliminated,
-    rows: Rows,
+    design: Design, structure: Structure, j: int, sums: Contribution, kept: Eliminated, rows: Rows
 ) -> None:
     """Add a point's rays to the normal equations of what sees it, less what its own unknowns explain.
 
     With B, A, C the columns of the point, the images and the cameras with the residual, and V the point's own
     normal equations: (A, C)' (C - B V^-1 B' C) and A' (1 - B V^-1 B') A. Where V^-1 is zero, all of it.
     """
+    strips, corner, images, cameras = sums.strips, sums.corner, sums.images, sums.cameras
     lens, width, image, point, free = structure.lens, columns(design), rows.image, rows.point, rows.free
     begin, end = design.ray_start[j], design.ray_start[j + 1]
     mixed, inverse, less, scaled, other = kept.mixed_border, kept.inverse, rows.less, rows.scaled, rows.other
@@ -164,7 +175,7 @@ def eliminate(
             for t in range(at + count):
                 corner[s, t] += cx * free[0, t] + cy * free[1, t]
         strip = column // width
-        top = base + structure.offset[strip]
+        top = sums.base + structure.offset[strip]
         foot = top + structure.last[strip] - column
         for b in range(width):
             images[strip, b] += image[n, 0, b] * free[0, lens] + image[n, 1, b] * free[1, lens]
@@ -192,17 +203,10 @@ def eliminate(
 
 @inlined
 def retain(
-    design: Design,
-    structure: Structure,
-    base: int,
-    j: int,
-    block: Floats,
-    strips: Floats,
-    corner: Floats,
-    cameras: Floats,
-    kept: Eliminated,
+    design: Design, structure: Structure, j: int, block: Floats, sums: Contribution, kept: Eliminated
 ) -> None:
     """Add the normal equations of a point that stays among the unknowns of the border."""
+    strips, corner, cameras = sums.strips, sums.corner, sums.cameras
     width, at = columns(design), design.point_column[j]
     for a in range(3):
         cameras[at + a] += kept.gradient[j, a]
@@ -213,7 +217,7 @@ def retain(
             corner[at + a, s] += kept.mixed_border[j, a, s]
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             column = design.image_column[design.ray_image[r]]
-            foot = base + structure.offset[column // width] + structure.last[column // width] - column
+            foot = sums.base + structure.offset[column // width] + structure.last[column // width] - column
             for b in range(width):
                 strips[foot + at + a, b] += kept.mixed[r, a, b]
         for b in range(3):
@@ -227,19 +231,12 @@ def accumulate_piece(
     structure: Structure,
     damping: float,
     piece: int,
-    base: int,
-    strips: Floats,
-    corner: Floats,
-    images: Floats,
-    cameras: Floats,
+    sums: Contribution,
     kept: Eliminated,
-    singular: Flags,
-    room: Scratch,
     rows: Rows,
-    block: Floats,
 ) -> float:
     """Normal equations of one piece's points; returns their v'Pv, infinite for a point behind a camera."""
-    total, end = 0.0, design.pieces[piece + 1]
+    total, end, block = 0.0, design.pieces[piece + 1], rows.block
     for nth in range(design.pieces[piece], end):
         j = design.order[nth]
         fetch_point(design, values, kept, design.order[min(nth + AHEAD, end - 1)])
@@ -248,19 +245,19 @@ def accumulate_piece(
             for s in range(structure.lens):
                 kept.mixed_border[j, a, s] = 0.0
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
-            vx, vy = ray_rows(design, values, r, design.ray_image[r], j, room)
+            vx, vy = ray_rows(design, values, r, design.ray_image[r], j, rows.ray)
             total += design.weight[r, 0] * vx * vx + design.weight[r, 1] * vy * vy
-            if not room.depth[0] > 0.0:
+            if not rows.ray.depth[0] > 0.0:
                 total = np.inf
-            add_ray(design, structure, r, j, vx, vy, room, rows, kept, block)
-        singular[j] = False
+            add_ray(design, structure, r, j, (vx, vy), rows, kept)
+        kept.singular[j] = False
         if design.point_column[j] >= 0:
-            retain(design, structure, base, j, block, strips, corner, cameras, kept)
+            retain(design, structure, j, block, sums, kept)
         else:
             for a in range(3):
                 block[a, a] *= 1.0 + damping
-            singular[j] = not inverse3(block, kept.inverse, j)
-        eliminate(design, structure, base, j, strips, corner, images, cameras, kept, rows)
+            kept.singular[j] = not inverse3(block, kept.inverse, j)
+        eliminate(design, structure, j, sums, kept, rows)
     return total
 
 
@@ -269,35 +266,25 @@ def accumulate(
     values: Values,
     structure: Structure,
     damping: float,
-    start: Integers,
-    strips: Floats,
-    corners: Floats,
-    gradients: Floats,
-    totals: Floats,
+    parts: Sequence[Contribution],
     kept: Eliminated,
-    singular: Flags,
-) -> None:
-    """Normal equations of the rays and of the weighted points, reduced to images and border, piece by piece.
+) -> float:
+    """Normal equations of the rays and of the weighted points, reduced to images and border; returns v'Pv.
 
     damping: relative addition to the diagonal of each point's own block (Marquardt 1963).
-    start (pieces + 1,): first of each piece's rows in `strips`.
-    strips (rows, columns of an image), corners (pieces, border, border): receive what the pieces give. Rows
-        of known length and arrays that lie apart let the compiler use the processor's vectors.
-    singular (points,): receives the points that their rays do not determine.
+    parts: receive what each piece gives.
     """
+    totals = np.zeros(len(parts))
 
     def work(piece: int) -> None:
         """One piece of the rays, or one share of the strips: they run side by side."""
         rays, lens, wide = most_rays(design, piece), structure.lens + 1, width(design)
         shapes = (rays, 2, wide), (rays, 2, 3), (rays, 2, lens), (3, lens), (2, lens), (2, 3), (2, wide)
-        of_images, of_cameras = np.split(gradients[piece], [structure.band])
-        totals[piece] = accumulate_piece(
-            design, values, structure, damping, piece,
-            start[piece] - structure.offset[design.reach[piece, 0]], strips, corners[piece],
-            of_images.reshape(-1, wide), of_cameras, kept, singular, scratch(wide),
-            Rows(*map(np.zeros, shapes)), np.zeros((3, 3)))  # fmt: skip
+        rows = Rows(scratch(wide), np.zeros((3, 3)), *map(np.zeros, shapes))
+        totals[piece] = accumulate_piece(design, values, structure, damping, piece, parts[piece], kept, rows)
 
-    each_piece(len(totals), work)
+    each_piece(len(parts), work)
+    return float(totals.sum())
 
 
 @compiled

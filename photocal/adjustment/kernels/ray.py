@@ -3,7 +3,7 @@
 from photocal.adjustment.kernels.data import Design, Structure, Values, columns, plain
 from photocal.base.arrays import Floats
 from photocal.base.compiled import inlined
-from photocal.geometry.lens import LINE, OTHERS, Scratch, image_residual
+from photocal.geometry.lens import LINE, OTHERS, Ray, Scratch, image_residual
 from photocal.geometry.shutter import rolling_residual
 
 
@@ -16,12 +16,13 @@ def ray_rows(design: Design, values: Values, r: int, i: int, j: int, room: Scrat
     u = rotation[i, 0, 0] * dx + rotation[i, 0, 1] * dy + rotation[i, 0, 2] * dz
     v = rotation[i, 1, 0] * dx + rotation[i, 1, 1] * dy + rotation[i, 1, 2] * dz
     w = rotation[i, 2, 0] * dx + rotation[i, 2, 1] * dy + rotation[i, 2, 2] * dz
-    x, y, lenses, optics = design.plane[r, 0], design.plane[r, 1], values.lenses, design.optics
+    lenses, optics = values.lenses, design.optics
+    ray = Ray(k, design.plane[r, 0], design.plane[r, 1], u, v, w)
     # The commonest camera has the shortest way; every other is one that may move while it reads.
     if plain(design) or (optics[k, LINE] == 0.0 and optics[k, LINE + 1] == 0.0 and optics[k, 0] < OTHERS):
-        vx, vy = image_residual(lenses, optics, k, x, y, u, v, w, room)
+        vx, vy = image_residual(lenses, optics, ray, room)
     else:
-        vx, vy, u, v, w = rolling_residual(lenses, optics, k, x, y, rotation, i, u, v, w, room)
+        vx, vy, u, v, w = rolling_residual(lenses, optics, ray, rotation, i, room)
     by_q, by_image, by_point = room.by_q, room.by_image, room.by_point
     for a in range(2):
         g0, g1, g2 = by_q[a, 0], by_q[a, 1], by_q[a, 2]

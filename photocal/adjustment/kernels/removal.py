@@ -1,28 +1,43 @@
 """Reduced normal equations without some images: what their points give is taken back and given anew."""
 
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns
+from typing import NamedTuple
+
+from photocal.adjustment.kernels.data import Design, Eliminated, PointRoom, Reduced, Values, columns
 from photocal.adjustment.kernels.elimination import own_block
 from photocal.adjustment.kernels.ray import corner_of, inverse3, ray_rows
-from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.arrays import Flags, Integers
 from photocal.base.compiled import compiled, inlined
 from photocal.geometry.lens import Scratch
+
+
+class Removed(NamedTuple):
+    """What is left out.
+
+    out (images,): these images.
+    stays (rays,): rays that are left, neither of these images nor of lost points.
+    points (n,): points that these images see.
+    lost (points,): points that nothing determines any more.
+    """
+
+    out: Flags
+    stays: Flags
+    points: Integers
+    lost: Flags
 
 
 @inlined
 def take_back_ray(
     design: Design,
-    structure: Structure,
+    reduced: Reduced,
     r: int,
-    i: int,
     j: int,
-    vx: float,
-    vy: float,
+    residual: tuple[float, float],
     out: Flags,
     room: Scratch,
-    matrix: Floats,
-    gradient: Floats,
 ) -> None:
     """Take what a ray gives to its camera, and to its image if that stays, and to a point in the border."""
+    structure, matrix, gradient = reduced
+    i, (vx, vy) = design.ray_image[r], residual
     by_image, by_point, by_camera = room.by_image, room.by_point, room.by_camera
     border, band, k = structure.border, structure.band, design.image_lens[i]
     at, count, point = design.active_column[k], design.active_count[k], design.point_column[j]
@@ -65,18 +80,17 @@ def take_back_ray(
 @inlined
 def eliminate_anew(
     design: Design,
-    structure: Structure,
+    reduced: Reduced,
     j: int,
     nth: int,
     out: Flags,
     kept: Eliminated,
     left: Eliminated,
-    before: Floats,
-    after: Floats,
-    matrix: Floats,
-    gradient: Floats,
+    room: PointRoom,
 ) -> None:
     """Eliminate a point from what stays with what is left of its rays, in place of all of them."""
+    structure, matrix, gradient = reduced
+    before, after = room.mixed, room.spread
     lens, border, width = structure.lens, structure.border, columns(design)
     mixed, old, new = kept.mixed, kept.mixed_border[j], left.mixed_border[nth]
     base = structure.offset[len(structure.width) - 1]
@@ -133,60 +147,47 @@ def eliminate_anew(
 def remove_images(
     design: Design,
     values: Values,
-    structure: Structure,
-    out: Flags,
-    stays: Flags,
-    points: Integers,
-    lost: Flags,
+    reduced: Reduced,
+    removed: Removed,
     kept: Eliminated,
     left: Eliminated,
-    matrix: Floats,
-    gradient: Floats,
-    singular: Flags,
-    room: Scratch,
-    block: Floats,
-    before: Floats,
-    after: Floats,
+    room: PointRoom,
 ) -> None:
     """Take the rays of images from the reduced normal equations, but for their own rows and columns.
 
-    out (images,): these images.
-    stays (rays,): rays that are left, neither of these images nor of lost points.
-    points (n,): points that these images see.
-    lost (points,): points that nothing determines any more.
-    left: receives, but for `mixed`, what elimination of these points leaves, (n, ...).
-    singular (n,): receives the points that what is left does not determine.
-    block (3, 3), before, after (3, width or lens): room.
+    left: receives, but for `mixed`, what elimination of the points that they see leaves, (n, ...).
     """
+    out, stays, points, lost = removed
+    ray, block, lens = room.ray, room.block, reduced.structure.lens
     for nth in range(len(points)):
         j = points[nth]
         own_block(design, values, j, block, left.gradient[nth])
         for a in range(3):
-            for s in range(structure.lens):
+            for s in range(lens):
                 left.mixed_border[nth, a, s] = 0.0
         for r in range(design.ray_start[j], design.ray_start[j + 1]):
             i = design.ray_image[r]
-            vx, vy = ray_rows(design, values, r, i, j, room)
+            vx, vy = ray_rows(design, values, r, i, j, ray)
             if not stays[r]:
-                take_back_ray(design, structure, r, i, j, vx, vy, out, room, matrix, gradient)
+                take_back_ray(design, reduced, r, j, (vx, vy), out, ray)
                 continue
             k = design.image_lens[i]
             for a in range(3):
-                ax, ay = design.weight[r, 0] * room.by_point[0, a], design.weight[r, 1] * room.by_point[1, a]
+                ax, ay = design.weight[r, 0] * ray.by_point[0, a], design.weight[r, 1] * ray.by_point[1, a]
                 left.gradient[nth, a] += ax * vx + ay * vy
                 for b in range(3):
-                    block[a, b] += ax * room.by_point[0, b] + ay * room.by_point[1, b]
+                    block[a, b] += ax * ray.by_point[0, b] + ay * ray.by_point[1, b]
                 for s in range(design.active_count[k]):
                     n = design.active[k, s]
                     left.mixed_border[nth, a, design.active_column[k] + s] += (
-                        ax * room.by_camera[0, n] + ay * room.by_camera[1, n]
+                        ax * ray.by_camera[0, n] + ay * ray.by_camera[1, n]
                     )
-        singular[nth] = False
+        left.singular[nth] = False
         if design.point_column[j] >= 0 or lost[j]:
             for a in range(3):
                 for b in range(3):
                     left.inverse[nth, a, b] = 0.0
         else:
-            singular[nth] = not inverse3(block, left.inverse, nth)
+            left.singular[nth] = not inverse3(block, left.inverse, nth)
         if design.point_column[j] < 0:
-            eliminate_anew(design, structure, j, nth, out, kept, left, before, after, matrix, gradient)
+            eliminate_anew(design, reduced, j, nth, out, kept, left, room)

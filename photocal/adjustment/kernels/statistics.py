@@ -1,18 +1,24 @@
 """Covariance of the points and redundancy numbers of the rays."""
 
-import numpy as np
-
-from photocal.adjustment.kernels.data import Design, Eliminated, Structure, Values, columns, width
+from photocal.adjustment.kernels.data import (
+    Cofactors,
+    Design,
+    PointRoom,
+    Values,
+    columns,
+    point_room,
+    width,
+)
 from photocal.adjustment.kernels.elimination import most_rays
 from photocal.adjustment.kernels.ray import corner_of, ray_rows
 from photocal.base.arrays import Floats
 from photocal.base.compiled import compiled, each_piece, inlined
-from photocal.geometry.lens import Scratch, scratch
 
 
 @inlined
-def gather(design: Design, structure: Structure, j: int, inverse: Floats, local: Floats) -> int:
+def gather(design: Design, cofactors: Cofactors, j: int, local: Floats) -> int:
     """Copy the covariance among all that a point's rays touch; returns its size."""
+    structure, inverse = cofactors.structure, cofactors.inverse
     border = structure.border
     # Only a point that stays among the unknowns has columns behind those of the cameras.
     reach = border if design.point_column[j] >= 0 else structure.lens
@@ -45,21 +51,19 @@ def gather(design: Design, structure: Structure, j: int, inverse: Floats, local:
 
 
 @inlined
-def eliminated_spread(
-    design: Design,
-    structure: Structure,
-    j: int,
-    kept: Eliminated,
-    local: Floats,
-    m: int,
-    mixed: Floats,
-    spread: Floats,
-) -> None:
-    """Relate a point to the m unknowns of its rays, whose covariance Q_uu is `local`.
+def eliminated_spread(design: Design, cofactors: Cofactors, j: int, m: int, room: PointRoom) -> None:
+    """Relate a point to the m unknowns of its rays, whose covariance Q_uu is `local` of the room.
 
-    mixed, spread (3, m): receive V^-1 W' and V^-1 W' Q_uu: Q_pu = -spread, Q_pp = V^-1 + spread W V^-1.
-        A point that stays among the unknowns has its covariance in `local`.
+    Its `mixed` and `spread` receive V^-1 W' and V^-1 W' Q_uu: Q_pu = -spread, Q_pp = V^-1 + spread W V^-1.
+    A point that stays among the unknowns has its covariance in `local`.
     """
+    kept, lens, mixed, spread, local = (
+        cofactors.kept,
+        cofactors.structure.lens,
+        room.mixed,
+        room.spread,
+        room.local,
+    )
     begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
     edge, stays = columns(design) * n, design.point_column[j]
     for a in range(3):
@@ -73,7 +77,7 @@ def eliminated_spread(
                 )
         for s in range(edge, m):
             mixed[a, s] = 0.0
-        for s in range(structure.lens):
+        for s in range(lens):
             mixed[a, edge + s] = (
                 q0 * kept.mixed_border[j, 0, s]
                 + q1 * kept.mixed_border[j, 1, s]
@@ -97,27 +101,22 @@ def eliminated_spread(
 def statistics_piece(
     design: Design,
     values: Values,
-    structure: Structure,
+    cofactors: Cofactors,
     piece: int,
-    inverse: Floats,
-    kept: Eliminated,
     point_covariance: Floats,
     residuals: Floats,
     redundancy: Floats,
-    room: Scratch,
-    mixed: Floats,
-    spread: Floats,
-    local: Floats,
-    row: Floats,
-    cov: Floats,
+    space: PointRoom,
 ) -> None:
     """Statistics of one piece's points, see `statistics`."""
+    room, cov, mixed, spread, local, row = space
+    kept = cofactors.kept
     for nth in range(design.pieces[piece], design.pieces[piece + 1]):
         j = design.order[nth]
         begin, n = design.ray_start[j], design.ray_start[j + 1] - design.ray_start[j]
         edge = columns(design) * n
-        m = gather(design, structure, j, inverse, local)
-        eliminated_spread(design, structure, j, kept, local, m, mixed, spread)
+        m = gather(design, cofactors, j, local)
+        eliminated_spread(design, cofactors, j, m, space)
         stays = design.point_column[j]
         for a in range(3):
             for b in range(3):
@@ -159,12 +158,16 @@ def statistics_piece(
                 redundancy[r, a] = 1.0 - design.weight[r, a] * variance
 
 
+def room_of(design: Design, cofactors: Cofactors, piece: int) -> PointRoom:
+    """Make room for any point of one piece and all that its rays touch."""
+    size = width(design) * most_rays(design, piece) + cofactors.structure.border
+    return point_room(width(design), size)
+
+
 def statistics(
     design: Design,
     values: Values,
-    structure: Structure,
-    inverse: Floats,
-    kept: Eliminated,
+    cofactors: Cofactors,
     point_covariance: Floats,
     residuals: Floats,
     redundancy: Floats,
@@ -178,9 +181,7 @@ def statistics(
 
     def work(piece: int) -> None:
         """Residuals and redundancy of one piece; pieces run side by side."""
-        size = width(design) * most_rays(design, piece) + structure.border
-        statistics_piece(design, values, structure, piece, inverse, kept, point_covariance, residuals,
-                         redundancy, scratch(width(design)), np.zeros((3, size)), np.zeros((3, size)),
-                         np.zeros((size, size)), np.zeros(size), np.zeros((3, 3)))  # fmt: skip
+        room = room_of(design, cofactors, piece)
+        statistics_piece(design, values, cofactors, piece, point_covariance, residuals, redundancy, room)
 
     each_piece(len(design.pieces) - 1, work)

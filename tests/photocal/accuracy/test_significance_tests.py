@@ -152,6 +152,16 @@ def test_false_alarms_come_at_the_level_of_the_test() -> None:
     assert abs(imprecise - 200) < 41
 
 
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 11, 12, 30, 400, 5000])
+def test_normality_is_that_of_scipy(n: int) -> None:
+    rng = np.random.default_rng(n)
+    for values in (rng.normal(2.0, 0.03, n), rng.exponential(0.1, n), np.arange(n) % 3 * 0.01):
+        result, expected = normality_test(values, 0.95), stats.shapiro(values)
+        assert result is not None
+        assert result.w == pytest.approx(expected.statistic, abs=1e-8)
+        assert result.p_value == pytest.approx(expected.pvalue, abs=1e-5)
+
+
 def test_normality_decides_as_scipy_and_says_nothing_without_spread() -> None:
     skew = np.random.default_rng(2).exponential(1.0, 40)
     result = normality_test(skew, 0.95)

@@ -21,7 +21,7 @@ from photocal.geometry.camera import (
     Model,
     camera,
 )
-from photocal.geometry.lens import optics, ray_residual, scratch
+from photocal.geometry.lens import Ray, optics, ray_residual, scratch
 from tests.photocal import oracle
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,7 @@ def rays(draw: st.DrawFn) -> tuple[dict[str, float], float, Floats, Floats]:
 def evaluate(own: Camera, measured: Floats, q: Floats) -> tuple[Floats, Any]:
     room = scratch(0)
     (x, y), (a, b, c) = measured.tolist(), q.tolist()
-    v = ray_residual(own.values[None], optics(own)[None], 0, x, y, a, b, c, room)
+    v = ray_residual(own.values[None], optics(own)[None], Ray(0, x, y, a, b, c), room)
     return np.array(v), room
 
 

@@ -17,7 +17,7 @@ from photocal.geometry.camera import PARAMETERS, plane_to_pixel
 from photocal.geometry.oriented_images import OrientedImages, oriented_images
 from photocal.georeferencing.direct import direct_orientation
 from photocal.georeferencing.space_intersection import intersect_points
-from photocal.products.kernels import look_up
+from photocal.products.kernels import Poses, look_up
 from photocal.products.oriented import lens_tables
 from photocal.results.adjusted import adjust_network
 from photocal.results.folder import read_result, write_result
@@ -69,9 +69,8 @@ def test_orthophoto_looks_the_line_up(truth: flights.Flight, views: OrientedImag
         views = replace(views, movement=np.hstack([views.movements, np.full((len(views), 15), 5e-4)]))
     lenses, count = lens_tables(views.cameras), len(truth.points)
     place, chosen = np.full((2, count), np.nan), np.full(count, -1, dtype=np.int64)
-    look_up(truth.points, lenses.values, lenses.optics, lenses.limit, lenses.pitch, lenses.size, views.camera,
-            views.rotation, views.station, views.movements, np.arange(len(views)), place[0], place[1],
-            chosen)  # fmt: skip
+    poses = Poses(views.camera, views.rotation, views.station, views.movements)
+    look_up(truth.points, lenses, poses, np.arange(len(views)), place, chosen)
     found = np.flatnonzero(chosen >= 0)
     expected = views.project(chosen[found], truth.points[found])
     assert len(found) > 50

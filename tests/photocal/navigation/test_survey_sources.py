@@ -110,7 +110,7 @@ def test_a_precise_point(photocal: Photocal, tmp_path: Path) -> None:
     needs_engine()
     on_earth = Antenna(lambda t: BASE_M + displacement(t, BASE_M), lambda t: np.zeros((len(t), 3)))
     session = simulate(
-        Antenna.still(BASE_M), on_earth, START, START + 7200 * SECOND,
+        Antenna.still(BASE_M), on_earth, (START, START + 7200 * SECOND),
         rng=np.random.default_rng(3), rover_model=replace(BASE, interval_s=300.0),
         base_model=replace(BASE, slips_per_hour=0.0, code_bias_m=0.0),
     )  # fmt: skip

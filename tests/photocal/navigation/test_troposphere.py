@@ -105,8 +105,7 @@ def observed(
     session = simulate(
         rover_at,
         Antenna.still(BASE_M),
-        START,
-        START + 60 * SECOND,
+        (START, START + 60 * SECOND),
         rng=np.random.default_rng(3),
         rover_model=replace(ROVER, interval_s=1.0),
         sky=SkySettings(relative_humidity=humidity, wet_sigma_m=0.0),

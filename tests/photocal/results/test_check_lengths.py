@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from photocal.block.folder import read_block
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
@@ -38,7 +39,7 @@ def test_check_lengths_stand_in_the_result_with_the_sigma_of_both_ends_together(
         assert 0.0 < one.sigma < apart
         assert abs(one.error) < 5 * np.hypot(one.sigma, 0.015 * np.sqrt(2))
     assert "check lengths: 2" in repr(found)
-    issue(tmp_path / "run", tmp_path / "c", day=dt.date(2026, 11, 22))
+    issue(tmp_path / "run", tmp_path / "c", read_particulars(None, dt.date(2026, 11, 22)))
     page = (tmp_path / "c" / "certificate.html").read_text(encoding="utf-8")
     assert "VDI/VDE 2634" in page
     record = json.loads((tmp_path / "c" / "certificate.json").read_text(encoding="utf-8"))

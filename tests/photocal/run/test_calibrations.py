@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from photocal.base.errors import ConfigurationError, InputNotFoundError
 from photocal.cli import app
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
@@ -83,7 +84,7 @@ def test_three_certificates_tell_how_their_camera_repeats(tmp_path: Path) -> Non
         (run / "result.json").write_text(json.dumps(record), encoding="utf-8")
         given = tmp_path / f"given{k}.toml"
         given.write_text(f"[laboratory]\nmeasured = {day}\n[conditions]\ntemperature_c = {warm}\n")
-        issue(run, tmp_path / f"certificate{k}", day=dt.date(2026, 8, 1), particulars=given)
+        issue(run, tmp_path / f"certificate{k}", read_particulars(given, dt.date(2026, 8, 1)))
         folders.append(str(tmp_path / f"certificate{k}"))
     answer = json.loads(CliRunner().invoke(app, ["compare", *folders, "--json"]).stdout)
     (found,) = answer["repeatability"].values()

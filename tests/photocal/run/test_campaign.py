@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from photocal.base.errors import InputNotFoundError
-from photocal.base.progress import quiet
 from photocal.run.campaign import run_projects
 from tests.photocal.georeferencing.flights import Errors, Plan, fly
 
@@ -44,7 +43,7 @@ def campaign(flown: Path, folder: Path, **where: Any) -> list[dict[str, Any]]:
     for name in ("may", "june"):
         shutil.copytree(flown / name, folder / name)
         paths.append(folder / name / "project.toml")
-    found = run_projects(paths, DAY, quiet, until="calibration", **where)
+    found = run_projects(paths, DAY, until="calibration", **where)
     return [{key: one[key] for key in ("project", "calibration", "warnings")} for one in found]
 
 
@@ -78,7 +77,7 @@ def test_one_that_fails_stops_no_other(
     (tmp_path / "may" / "block" / "block.toml").unlink()
     paths = [tmp_path / name / "project.toml" for name in ("may", "june")]
     with pytest.raises(InputNotFoundError, match=r"block\.toml"):
-        run_projects(paths, DAY, quiet, until="calibration", cluster=address if elsewhere else None)
+        run_projects(paths, DAY, until="calibration", cluster=address if elsewhere else None)
     assert (tmp_path / "june" / "work" / "calibration" / "result.json").exists()
 
 
@@ -87,10 +86,10 @@ def test_names_of_files_do_not_steer_the_terminal(
 ) -> None:
     """A stage tells of a file that somebody has put into its folder, by its name."""
     project = Path(shutil.copytree(flown / "may", tmp_path / "may")) / "project.toml"
-    run_projects([project], DAY, quiet, until="calibration")
+    run_projects([project], DAY, until="calibration")
     (project.parent / "work" / "calibration" / "put \x1b[2Jhere.txt").write_text("mine", encoding="utf-8")
     capsys.readouterr()
-    run_projects([project], DAY, quiet, until="calibration", again="calibration")
+    run_projects([project], DAY, until="calibration", again="calibration")
     said = capsys.readouterr().err
     assert "put ·[2Jhere.txt" in said
     assert "\x1b" not in said

@@ -16,6 +16,7 @@ from PIL import Image
 
 from photocal.base.progress import quiet
 from photocal.project import Project, read_project
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from photocal.run.campaign import stages
@@ -100,7 +101,8 @@ def test_a_certificate_repeats_them_and_verifies(
 ) -> None:  # fmt: skip
     folder, figures = project.path.parent, json.loads((made / "flown.json").read_text(encoding="utf-8"))
     output = tmp_path / "certificate"
-    issue(folder / "calibration", output, day=DAY, language=language, block=folder / "block", flown=figures)
+    given = read_particulars(None, DAY, flown=figures)
+    issue(folder / "calibration", output, given, language=language, block=folder / "block")
     record = json.loads((output / "certificate.json").read_text(encoding="utf-8"))
     report = {row["key"]: row for row in record["technical_reports"]["cam"]}
     assert {key: report[key]["value"] for key in rows} == rows
@@ -121,7 +123,8 @@ def test_a_certificate_repeats_them_and_verifies(
 def test_a_changed_figure_is_named(project: Project, made: Path, tmp_path: Path,
                                    photocal: Callable[..., Answer]) -> None:  # fmt: skip
     folder, figures = project.path.parent, json.loads((made / "flown.json").read_text(encoding="utf-8"))
-    issue(folder / "calibration", tmp_path / "c", day=DAY, block=folder / "block", flown=figures)
+    given = read_particulars(None, DAY, flown=figures)
+    issue(folder / "calibration", tmp_path / "c", given, block=folder / "block")
     path = tmp_path / "c" / "certificate.json"
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace('"tilt_over_5_deg": ', '"tilt_over_5_deg": 1'), encoding="utf-8")

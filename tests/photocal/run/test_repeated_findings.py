@@ -21,6 +21,7 @@ from photocal.base.progress import quiet
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_json
 from photocal.project import Project, read_project
+from photocal.report.certificate_metadata import read_particulars
 from photocal.report.issue import issue
 from photocal.results.adjusted import adjust_block
 from photocal.run.calibration import certificate_stage
@@ -80,8 +81,8 @@ def issued(work: Path, tmp_path: Path) -> Callable[..., Path]:
 
     def make(warnings: tuple[Finding, ...], run: str = "analysis", day: dt.date = DAY) -> Path:
         folder, particulars = tmp_path / "certificate", work.parent / "particulars.toml"
-        given = {"block": work / "block", "particulars": particulars, "client": "Another client"}
-        issue(work / run, folder, day=day, warnings=warnings, **given)  # type: ignore[arg-type]
+        given = read_particulars(particulars, day, client="Another client")
+        issue(work / run, folder, given, block=work / "block", warnings=warnings)
         return folder
 
     return make

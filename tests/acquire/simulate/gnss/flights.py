@@ -86,8 +86,7 @@ def fly(
     return simulate(
         Loop(start).antenna(),
         Antenna.still(BASE_M),
-        start,
-        start + duration_s * SECOND,
+        (start, start + duration_s * SECOND),
         rng=np.random.default_rng(seed),
         faults=faults,
         sky=sky,

@@ -64,7 +64,7 @@ def still(model: ReceiverModel, duration_s: int) -> Session:
     antenna = Antenna.still(BASE_M)
     stop = START + duration_s * SECOND
     rng = np.random.default_rng(11)
-    return simulate(antenna, antenna, START, stop, rng=rng, rover_model=model)
+    return simulate(antenna, antenna, (START, stop), rng=rng, rover_model=model)
 
 
 def test_phase_goes_as_the_doppler_says_between_slips() -> None:
