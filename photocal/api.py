@@ -499,7 +499,7 @@ def run_project(
     again
         Stage to be made although nothing has changed.
     rehash
-        Read all files again, whatever their size and times say.
+        Hash all files again, even if their sizes and times are unchanged.
 
     Returns
     -------

@@ -252,7 +252,7 @@ def check(
     """Judge a block or a product at its check points: statistics, tests and accuracy classes.
 
     A block is georeferenced three ways (direct, integrated, indirect); lever arm, boresight, time and
-    datum errors are looked for. Two classes are given side by side: by precision (the bias removed) and
+    datum errors are tested. Two classes are given side by side: by precision (the bias removed) and
     by accuracy (90 % of the points within PEC and RMSE within the standard error).
 
     Example: `photocal check field7 -o field7-check --scale 1:1000`

@@ -89,7 +89,8 @@ def survey(
 ) -> None:
     """Compute static baselines, adjust them as a network and write points with full covariances.
 
-    Baselines with blunders are left out and named. Heights are ellipsoidal unless the system says else.
+    Baselines with blunders are left out and named. Heights are ellipsoidal unless the system
+    states otherwise.
 
     Example: `photocal survey control.toml -o control`
     """

@@ -67,14 +67,16 @@ def flown(
     run: Annotated[Path | None, option("Adjustment of the block; without: orientations as given.")] = None,
     images: Annotated[Path | None, option("Folder of the image files, for exposure time and ISO.")] = None,
     plan: Annotated[Path | None, option("plan.json of `photocal plan`, to compare with.")] = None,
-    exposure_ms: Annotated[float | None, option("Exposure time where the images do not tell it, ms.")] = None,
-    speed: Annotated[float | None, option("Speed over ground where the block does not tell it, m/s.")] = None,
+    exposure_ms: Annotated[float | None, option("Exposure time, ms, if the images do not state it.")] = None,
+    speed: Annotated[
+        float | None, option("Speed over ground, m/s, if it cannot be derived from the block.")
+    ] = None,
     output: Annotated[
         Path | None, option("Folder for figures, table, map and picture.", "-o", "--output")
     ] = None,
     as_json: Annotated[bool, option("Print the figures as JSON.", "--json")] = False,
 ) -> None:
-    """Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, smear.
+    """Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, motion blur.
 
     Overlap is the share of an image that the next one (forward) or the neighbouring strip (side) shows, over
     the ground through the block's points.

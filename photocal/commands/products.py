@@ -25,7 +25,7 @@ def ortho(
 ) -> None:
     """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.
 
-    The terrain hides nothing from the images here: houses that are not in the model lean. Seams run where the
+    Occlusions are not modelled: houses that are missing from the terrain model lean. Seams run where the
     next image looks straighter down, and grey values stay those of the images. For blended seams and balanced
     colours hand over the orientations, `photocal export RUN --format metashape -o DIR`: in Metashape import
     the cameras, then "Calibrate Colors" and "Build Orthomosaic" with mosaic blending.

@@ -147,7 +147,10 @@ def publish(made: Path, public: Path, record: Path) -> tuple[str, ...]:
             remarks += _place(made / name, public, name, ours, record.with_suffix(".partial"))
         _remember(record, {name: [digest] for name, digest in new.items()})
         foreign = (path.relative_to(public).as_posix() for path in _files(public))
-        return (*remarks, *(f"{name} is not of this run and stays" for name in foreign if name not in new))
+        return (
+            *remarks,
+            *(f"{name} does not belong to this run and stays" for name in foreign if name not in new),
+        )
 
 
 def _place(source: Path, public: Path, name: str, ours: tuple[str, ...], aside: Path) -> list[str]:
@@ -181,7 +184,7 @@ def _set_aside(path: Path) -> list[str]:
         if not os.path.lexists(free := path.with_name(f"{path.stem}.kept-{k}{path.suffix}"))
     )
     path.rename(kept)
-    return [f"{path.name} was not as this run had written it and is kept as {kept.name}"]
+    return [f"{path.name} was changed since this run wrote it and is kept as {kept.name}"]
 
 
 def _files(folder: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from tests.docs.rooms import PACKAGES, ROOT, modules
 # A string of one word is a key or a name; two words and more are read by somebody.
 _READ = re.compile(r"[^\W\d_]{2,}[,;:.]?\s+[^\W\d_]{2,}")
 _TOML_LINE = re.compile(r"""^\s*["\w.-]+\s*=\s*(["'])(.*)\1\s*$""")
-_JSON_TEXT = re.compile(r'"((?:\\.|[^"\\])*)"(?!\s*:)')
+_JSON_TEXT = re.compile(r'("(?:\\.|[^"\\])*")(\s*:)?')
 _SCRIPT_TEXT = re.compile(r"""(["'`])((?:\\.|(?!\1)[^\\\n])*)\1""")
 _MARKUP_TEXT = re.compile(r'>([^<>{}]+)<|(?:title|placeholder|aria-label|alt)="([^"]+)"')
 # Their docstring is the help of a command.
@@ -104,7 +104,9 @@ def _in_toml(source: str, file: str) -> Iterator[Text]:
 
 def _in_json(source: str, file: str) -> Iterator[Text]:
     for number, line in enumerate(source.splitlines(), 1):
-        yield from (Text(file, number, json.loads(match[0])) for match in _JSON_TEXT.finditer(line))
+        yield from (
+            Text(file, number, json.loads(match[1])) for match in _JSON_TEXT.finditer(line) if not match[2]
+        )
 
 
 def _in_script(source: str, file: str) -> Iterator[Text]:

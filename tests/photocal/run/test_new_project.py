@@ -54,7 +54,7 @@ def test_pictures_alone(folder: Path) -> None:
     assert project.images.position_sigma_m == (1.5, 1.5, 3.0)
     assert project.cameras[0].guessed
     assert [one.name for one in stages(project, dt.date(2026, 1, 1))][:2] == ["measurements", "block"]
-    with pytest.raises(OutputError, match="is there already"):
+    with pytest.raises(OutputError, match="exists already"):
         new_project(folder)
 
 

@@ -97,7 +97,7 @@ def test_what_others_put_there_stays_and_is_named(shouting: Shouting) -> None:
     shouting.source.write_text("two", encoding="utf-8")
     result = update_stage(shouting.stage, shouting.work, Digests(shouting.work / "digests.json"), quiet)
     assert signed.read_text(encoding="utf-8") == "signed"
-    assert result.foreign == ("loud-signed.txt is not of this run and stays",)
+    assert result.foreign == ("loud-signed.txt does not belong to this run and stays",)
 
 
 def test_random_edits_end_as_a_run_from_nothing(tmp_path: Path) -> None:
