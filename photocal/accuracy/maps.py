@@ -157,6 +157,29 @@ def histograms(discrepancies: Discrepancies) -> Figure:
     return figure
 
 
+def heights_by_point(discrepancies: Discrepancies) -> Figure | None:
+    """Draw the discrepancies in height by point, with their mean, as figure 6 of Alves Junior et al. 2015.
+
+    None without heights, and for more points than can be named.
+    """
+    from matplotlib.figure import Figure
+
+    names, values = discrepancies.component("h")
+    if not 0 < len(values) <= NAMED:
+        return None
+    figure = Figure(figsize=(max(4.0, 0.22 * len(values) + 1.2), 3.0))
+    axes = figure.add_axes((0.13, 0.2, 0.85, 0.69))
+    axes.bar(np.arange(len(values)), values, color="#9db8d9", edgecolor=_INK, linewidth=0.5)
+    axes.axhline(0.0, color=_INK, linewidth=0.6)
+    axes.axhline(float(values.mean()), color=_INK, linewidth=1.0, linestyle=(0, (4, 3)))
+    axes.set_xticks(np.arange(len(values)), names, rotation=90, fontsize=6)
+    axes.set_ylabel("dh (m)")
+    higher = f"{int(np.sum(values > 0.0))} of {len(values)} higher, mean {values.mean():+.3f} m"
+    axes.set_title(f"Heights, {SIGN}: {higher}", fontsize=8, loc="left")
+    axes.tick_params(axis="y", labelsize=7)
+    return figure
+
+
 def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | None:
     """Draw planimetric discrepancies about one origin, in circles of one and two ground sampling distances.
 
@@ -203,6 +226,7 @@ def check_figures(
     return {
         f"{prefix}residual_map.pdf": residual_map(discrepancies),
         f"{prefix}histograms.pdf": histograms(discrepancies),
+        f"{prefix}heights_by_point.pdf": heights_by_point(discrepancies),
         f"{prefix}gsd_circles.pdf": gsd_circles(discrepancies, gsd_m),
     }
 
