@@ -17,10 +17,6 @@ from photocal.base.errors import ConfigurationError, IllPosedError, InputMalform
 _DIRECTIONS = 2048
 # The approximation of Royston 1995 that scipy computes holds for these numbers of points.
 SHAPIRO_WILK_SAMPLES = range(3, 5001)
-# A smaller range is no measurement: all values are equal.
-_NO_RANGE_M = 1e-9
-# More outliers than this are no outliers any more but another distribution.
-MOST_TESTED = 100
 PROBABLE_ERROR = 0.90
 
 
@@ -242,7 +238,9 @@ def precision_quantile(n: int, confidence: float) -> float:
 def normality_test(values_m: Floats, confidence: float) -> NormalityTest | None:
     """Test whether a component is normally distributed (Shapiro and Wilk 1965)."""
     _require_level(confidence)
-    if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < _NO_RANGE_M:
+    # A smaller range is no measurement: all values are equal.
+    no_range_m = 1e-9
+    if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < no_range_m:
         return None
     # The one test that needs the whole library: its import takes as long as many a check.
     from scipy import stats
@@ -280,7 +278,9 @@ def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
     rows = np.arange(len(values_m))
     removed: list[int] = []
     count = 0
-    for _ in range(min(max(1, len(values_m) // 4), MOST_TESTED)):
+    # More outliers than this are no outliers any more but another distribution.
+    most_tested = 100
+    for _ in range(min(max(1, len(values_m) // 4), most_tested)):
         rest = values_m[rows]
         deviation = np.abs(rest - np.mean(rest))
         std = float(np.std(rest, ddof=1))

@@ -19,8 +19,6 @@ from photocal.navigation.trajectory import enu_axes_at
 _GPS_EPOCH = dt.date(1980, 1, 6)
 _EPOCH_3 = pattern(r"> (\d{4}) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2}\d\.\d+)")
 _EPOCH_2 = pattern(r" (\d\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2,3}\.\d{7})  [01]")
-# Sites that a message names.
-_MOST_LISTED = 12
 _EPHEMERIS = pattern(r"(?:[GRECJIS][ \d]\d|[ \d]\d) +\d{2,4} +\d{1,2} +\d{1,2} ")
 
 
@@ -195,7 +193,9 @@ def _of_sinex(lines: list[str], path: Path, site: str) -> PreciseResult:
     wanted = [name for name in sites if not site or name.upper() == site.upper()]
     if len(wanted) != 1:
         near = difflib.get_close_matches(site.upper(), list(sites), 8, 0.0)
-        listed = ", ".join(sorted(sites)) if len(sites) <= _MOST_LISTED else ", ".join(near) + ", ..."
+        # Sites that a message names.
+        most_listed = 12
+        listed = ", ".join(sorted(sites)) if len(sites) <= most_listed else ", ".join(near) + ", ..."
         raise ConfigurationError(
             f"has no site {site}, but {listed or 'none'}"
             if site

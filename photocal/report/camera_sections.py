@@ -3,6 +3,7 @@
 import numpy as np
 
 from photocal.adjustment.readout import Readout
+from photocal.base import policy
 from photocal.findings.digits import power_of_ten, symbol, unit_power
 from photocal.findings.document import (
     Column,
@@ -21,7 +22,6 @@ from photocal.report import sensor
 from photocal.report.figures import correlation_picture, natural_width, radial_curve, residual_map
 from photocal.report.stored_analysis import AnalysedRun
 
-CONFIDENCE = 0.95
 STRONG = 0.9
 
 # Second opinions on standard deviations, see `analysis.robust`.
@@ -122,7 +122,7 @@ def critical_t(dof: int) -> float:
     """Two-sided 95 % point of Student's distribution."""
     from scipy import stats
 
-    return float(stats.t.ppf((1.0 + CONFIDENCE) / 2.0, max(dof, 1)))
+    return float(stats.t.ppf((1.0 + policy.CONFIDENCE) / 2.0, max(dof, 1)))
 
 
 def insignificant(camera: Camera, dof: int) -> list[str]:

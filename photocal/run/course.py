@@ -24,11 +24,6 @@ _USUAL = {
     "certificate": (6.0, 0.02),
 }
 _OTHER = (5.0, 0.0)
-# So many seconds of work as expected are set beside what was seen of this machine's pace.
-_AS_EXPECTED_S = 5.0
-# A stage that takes longer than expected has at least this share of what it took before it.
-_OVERDUE = 0.1
-TOLD_EVERY_S = 1.0
 
 
 def expected(last: Mapping[str, float], stages: tuple[str, ...], pictures: int) -> dict[str, float]:
@@ -56,7 +51,9 @@ class Course:
         self._stage, self._title, self._expected = "", "", 0.0
         self._done, self._total = 0.0, float("nan")
         self._share = 0.0
-        self._took = self._meant = _AS_EXPECTED_S
+        # So many seconds of work as expected are set beside what was seen of this machine's pace.
+        as_expected_s = 5.0
+        self._took = self._meant = as_expected_s
 
     def begin(self, stage: str) -> None:
         """Begin with a stage."""
@@ -96,7 +93,9 @@ class Course:
         stage_s = now - self._stage_began
         left = max(pace * self._expected - stage_s, piece_left or 0.0)
         if self._expected:
-            left = max(left, _OVERDUE * stage_s)
+            # A stage that takes longer than expected has at least this share of what it took before it.
+            overdue = 0.1
+            left = max(left, overdue * stage_s)
         left += pace * sum(self._ahead.values())
         # What turns out to be longer stops the bar and does not turn it back.
         self._share = max(self._share, elapsed / (elapsed + left) if elapsed + left > 0.0 else 0.0)
@@ -113,12 +112,13 @@ def followed(course: Course, *listeners: Callable[[Standing], None]) -> Iterator
 
     def tell() -> None:
         """Tell until the run has ended."""
+        told_every_s = 1.0
         while True:
             for listener in listeners:
                 # No work ends because it cannot be told how far it is.
                 with suppress(OutputError, OSError):
                     listener(course.standing())
-            if ended.wait(TOLD_EVERY_S):
+            if ended.wait(told_every_s):
                 return
 
     beside = Thread(target=tell, daemon=True)
