@@ -219,10 +219,6 @@ def numbers_at(data: bytes, start: Integers, kind: str) -> NDArray[Any]:
     return gather(data, start, np.full(len(start), row.itemsize), row)
 
 
-# From here on it pays to load what was compiled.
-_LARGE = 2048
-
-
 class Framer(ABC):
     """Turns the bytes of a stream into frames; nothing is lost and nothing is invented.
 
@@ -303,7 +299,9 @@ class StreamFramer(Framer):
         return self._intact
 
     def _take(self, closed: bool) -> Batch:
-        if len(self._pending) >= _LARGE:
+        # From here on it pays to load what was compiled.
+        large = 2048
+        if len(self._pending) >= large:
             scan.compile_search()
         octets = np.frombuffer(self._pending, np.uint8).astype(np.int32)
         frames, damage, rest, self._needed = scan.search_stream(

@@ -19,8 +19,6 @@ from drivers.ulog import UlogFormats, told_utc_ns
 from photocal.base.arrays import Floats, Integers
 from photocal.base.time_scales import gps_to_utc_ns
 
-# A receiver's time further than this from the middle of all is a lag or a leap, not what ties the clocks.
-_LIKELY_NS = 500_000_000
 Formats = TypeVar("Formats", UlogFormats, DataflashFormats)
 _RECEIVERS = {"vehicle_gps_position": "", "sensor_gps": "-sensor", "sensor_gps[1]": "-sensor-2"}
 # Flag of the receiver.
@@ -87,7 +85,9 @@ def boot_time(batches: Iterable[Batch], definitions: UlogFormats | DataflashForm
     if not len(every):
         return None
     middle = np.sort(every)[len(every) // 2]
-    return BootTime(int(every[np.abs(every - middle) <= _LIKELY_NS].max()), len(every))
+    # A receiver's time further than this from the middle of all is a lag or a leap, not what ties the clocks.
+    likely_ns = 500_000_000
+    return BootTime(int(every[np.abs(every - middle) <= likely_ns].max()), len(every))
 
 
 @dataclass(frozen=True)

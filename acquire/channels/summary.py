@@ -18,11 +18,6 @@ from drivers.mavlink.dialect import Dialect
 from drivers.protocols import known_wire
 from photocal.base.arrays import Bytes, Floats, Integers
 
-EARLIEST_US = 946_684_800_000_000
-_SAMPLES = 24
-# A clock is wrong from 1 % on: good ones stay below 0.01 %.
-_RATE_LIMIT = 0.01
-_LEAST_SPAN_S = 10.0
 # A pause of a link counts as a gap from here on.
 GAP_S = 2.0
 _LISTED_GAPS = 20
@@ -39,7 +34,8 @@ class ClockOffset:
 
     def add(self, system: Bytes, fields: NDArray[Any], host_ns: Integers) -> None:
         """Take SYSTEM_TIME messages with their times of receipt."""
-        good = fields["time_unix_usec"] > EARLIEST_US
+        earliest_us = 946_684_800_000_000
+        good = fields["time_unix_usec"] > earliest_us
         if self.system is None and good.any():
             self.system = int(system[np.argmax(good)])
         good &= system == (-1 if self.system is None else self.system)
@@ -53,7 +49,8 @@ class ClockOffset:
             return None
         host, device, boot = (np.concatenate(parts) for parts in (self.host, self.device, self.boot))
         offset = (host - device) / 1e9
-        picked = np.unique(np.linspace(0, len(offset) - 1, _SAMPLES).astype(int))
+        samples = 24
+        picked = np.unique(np.linspace(0, len(offset) - 1, samples).astype(int))
         ratio = _ratio(host, boot)
         return {
             "system": self.system,
@@ -73,7 +70,9 @@ class ClockOffset:
 def verdict(offset_s: Floats, ratio: float | None) -> str:
     """Say what the readings mean; `ratio`: seconds of the autopilot's clock per second of the host's."""
     span = f"host minus autopilot clock from {offset_s.min():+.2f} s to {offset_s.max():+.2f} s"
-    if ratio is None or abs(ratio - 1) <= _RATE_LIMIT:
+    # A clock is wrong from 1 % on: good ones stay below 0.01 %.
+    rate_limit = 0.01
+    if ratio is None or abs(ratio - 1) <= rate_limit:
         return span
     factor, word = (ratio, "slower") if ratio > 1 else (1 / ratio, "faster")
     return (
@@ -88,7 +87,8 @@ def _ratio(host: Integers, boot: Integers) -> float | None:
     longest = int(np.argmax(np.diff(edges)))
     first, last = int(edges[longest]), int(edges[longest + 1]) - 1
     elapsed = float(host[last] - host[first]) / 1e9
-    return float(boot[last] - boot[first]) / 1e9 / elapsed if elapsed > _LEAST_SPAN_S else None
+    least_span_s = 10.0
+    return float(boot[last] - boot[first]) / 1e9 / elapsed if elapsed > least_span_s else None
 
 
 @dataclass

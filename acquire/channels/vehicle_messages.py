@@ -16,8 +16,6 @@ from photocal.base.arrays import Floats, Integers
 _RECEIVERS = {"GPS_RAW_INT": "", "GPS2_RAW": "-2"}
 # Topics that all sources share, since each message names its own.
 COMMON_TOPICS = ("/camera/exposure", "/clock", "/health")
-# MAV_PARAM_TYPE: what is before are whole numbers.
-_FIRST_REAL_TYPE = 9
 _FIX_NAMES = ("none", "none", "2d", "3d", "differential", "rtk_float", "rtk_fixed", "3d", "3d")
 
 
@@ -117,7 +115,9 @@ def timesync(sent: SentMessages) -> Decoded:
 def parameter(sent: SentMessages) -> Decoded:
     """Make the autopilot's parameters."""
     sent_value = sent.fields["param_value"]
-    whole = sent.fields["param_type"] < _FIRST_REAL_TYPE
+    # MAV_PARAM_TYPE: what is before are whole numbers.
+    first_real_type = 9
+    whole = sent.fields["param_type"] < first_real_type
     # ArduPilot sends whole numbers as such, PX4 their bytes, which as a real number are next to nothing.
     with np.errstate(invalid="ignore"):
         bytewise = whole & (sent_value != 0) & ~(np.abs(sent_value) >= 1)

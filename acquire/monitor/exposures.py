@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 # So long after a trigger its feedback may come: shutters need tenths of a second. What a slow radio brings
 # later is taken back from the missed ones.
 GRACE_NS = 700_000_000
-# A longer jump of the numbers is another way of counting, not so many lost pictures.
-LONGEST_GAP = 1000
 _MOST_PENDING = 1000
 
 
@@ -84,7 +82,9 @@ def reported(
         # The offset is found anew: the device may have begun at another number.
         return reported(_restarted(counted), number, time_ns, place)
     pending_numbers = {trigger.number for trigger in counted.pending}
-    first = number if last is None or number - last > LONGEST_GAP else last + 1
+    # A longer jump of the numbers is another way of counting, not so many lost pictures.
+    longest_gap = 1000
+    first = number if last is None or number - last > longest_gap else last + 1
     skipped = [
         Trigger(skip, time_ns, place)
         for skip in range(first - offset, wanted)

@@ -16,7 +16,6 @@ from photocal.base.errors import ConfigurationError, ProgramMissingError
 from photocal.base.web import TOKEN_BYTES, Address
 
 _LONGEST_HEAD = 1 << 14
-_PATIENCE_S = 10.0
 _PIECE_BYTES = 1 << 16
 _REFUSAL = b"HTTP/1.1 401 Unauthorized\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
@@ -68,7 +67,8 @@ async def _let_in(
     reader: asyncio.StreamReader, writer: asyncio.StreamWriter, token: str, behind: tuple[str, int]
 ) -> None:
     try:
-        head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _PATIENCE_S)
+        patience_s = 10.0
+        head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), patience_s)
     except asyncio.LimitOverrunError:
         head = b""
     if not has_token(head, token):

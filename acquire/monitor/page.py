@@ -23,7 +23,6 @@ _FILES = {
     "/monitor.css": "monitor.css",
     **{f"/{name}.js": f"{name}.js" for name in _SCRIPTS},
 }
-_POLL_S = 0.1
 # Seven decimals of a degree are a centimetre.
 _DECIMALS = 7
 _LONGEST_REQUEST = 20
@@ -137,9 +136,10 @@ async def _events(latest: Latest) -> AsyncIterator[str]:
     """Yield the state each time that it was renewed; of the map only what is new for this reader."""
     seen, sent = 0, dict[str, Any]()
     drawn: dict[tuple[str, str], tuple[str, int]] = {}
+    poll_s = 0.1
     while True:
         if latest.number == seen:
-            await asyncio.sleep(_POLL_S)
+            await asyncio.sleep(poll_s)
             continue
         seen, state = latest.number, latest.state
         yield _event("view", {**view_of(state).as_json(), "heard": latest.heard()})

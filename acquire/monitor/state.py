@@ -13,8 +13,6 @@ from drivers.mavlink.decode import GROUND_STATION, NO_AUTOPILOT
 from photocal.base.arrays import Floats, Integers
 
 LONGEST = 4000
-# Points that lie closer to the last one show nothing new.
-STEP_M = 0.5
 _METRES_PER_DEG = 111_195.0  # mean sphere: only a threshold hangs on it
 
 
@@ -36,7 +34,9 @@ def extended(track: Track, points: Floats, times_ns: Integers) -> Track:
     """Add points."""
     if not len(points):
         return track
-    least_m2 = (STEP_M * 2**track.thinned) ** 2
+    # Points that lie closer to the last one show nothing new.
+    step_m = 0.5
+    least_m2 = (step_m * 2**track.thinned) ** 2
     per_degree = np.array([_METRES_PER_DEG, _METRES_PER_DEG * np.cos(np.radians(points[0, 0]))])
     metres = (points * per_degree).tolist()
     last = (track.points[-1] * per_degree).tolist() if len(track.points) else [np.inf, np.inf]
@@ -67,9 +67,6 @@ def place_at(track: Track, time_ns: int) -> tuple[float, float] | None:
 
 _HEARTBEAT, _POSITION = 0, 33
 _ARMED = 0x80
-_V2 = 0xFD
-# What MAVLink says of a heading that is not known.
-_NO_HEADING = 0xFFFF
 
 
 @dataclass(frozen=True)
@@ -95,8 +92,11 @@ class VehicleState:
 def vehicle_after(vehicle: VehicleState | None, part: LoggedMessages) -> VehicleState | None:
     """Return the vehicle after frames of its link: of each message the last one counts."""
     wanted = {_HEARTBEAT, _POSITION}
+    v2 = 0xFD
+    # What MAVLink says of a heading that is not known.
+    no_heading = 0xFFFF
     for payload, time_ns in zip(reversed(part.payloads), part.log_ns[::-1].tolist(), strict=True):
-        kind = int.from_bytes(payload[7:10], "little") if payload[0] == _V2 else payload[5]
+        kind = int.from_bytes(payload[7:10], "little") if payload[0] == v2 else payload[5]
         message = _decoded(payload) if kind in wanted else None
         if message is None:
             continue
@@ -105,7 +105,7 @@ def vehicle_after(vehicle: VehicleState | None, part: LoggedMessages) -> Vehicle
         wanted.discard(kind)
         vehicle = vehicle or VehicleState()
         if kind == _POSITION:
-            heading = None if message.hdg == _NO_HEADING else message.hdg * 1e-2
+            heading = None if message.hdg == no_heading else message.hdg * 1e-2
             speed = math.hypot(message.vx, message.vy) * 1e-2
             height = message.relative_alt * 1e-3
             vehicle = replace(vehicle, height_m=height, speed_m_s=speed, heading_deg=heading)
@@ -132,8 +132,6 @@ def _decoded(payload: bytes) -> Any:
         return None
 
 
-# How many alarms are kept.
-_MOST_ALARMS = 200
 # What alarms are about that mean nothing after landing.
 OF_FLIGHT = ("link", "fix", "corrections")
 
@@ -275,7 +273,9 @@ def raised(
     if state.landed and about.partition(" ")[0] in OF_FLIGHT:
         level = "note"
     alarm = ShownAlarm(state.raised + 1, level, link, text, time_ns, about)
-    return replace(state, alarms=(*state.alarms, alarm)[-_MOST_ALARMS:], raised=alarm.number)
+    # How many alarms are kept.
+    most_alarms = 200
+    return replace(state, alarms=(*state.alarms, alarm)[-most_alarms:], raised=alarm.number)
 
 
 def ended(

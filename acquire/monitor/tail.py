@@ -18,8 +18,6 @@ from acquire.monitor.state import ComputerState, RecordingState
 from acquire.monitor.traffic import looked
 from photocal.base.errors import InputMalformedError, InputNotFoundError, PhotocalError
 
-# Files of one flight follow each other within this time, also when the recorder was started again.
-SAME_FLIGHT_S = 60.0
 # What one step reads at most, so that a long log shows its beginning at once.
 _MOST_CHUNKS = 20
 _NAME = re.compile(r"flight-(\d{8}T\d{6}Z)(?:_(\d+))?\.mcap")
@@ -117,7 +115,9 @@ class Tail:
         if self._parts[before][0] == self._parts[path][0]:
             return True
         last_s = _written_s(before)
-        return last_s is not None and _begun_s(path) - last_s <= SAME_FLIGHT_S and not _has_end(before)
+        # Files of one flight follow each other within this time, also when the recorder was started again.
+        same_flight_s = 60.0
+        return last_s is not None and _begun_s(path) - last_s <= same_flight_s and not _has_end(before)
 
 
 def _part(path: Path) -> _Part | None:
@@ -197,10 +197,6 @@ def tail_of(source: Path) -> Tail:
     return Tail(source)
 
 
-POLL_S = 0.1
-_LOOK_EVERY_S = 0.5
-
-
 def follow(
     tail: Tail,
     publish: Callable[[RecordingState], None],
@@ -210,6 +206,8 @@ def follow(
     """Keep a state up to date until told to stop."""
     state = RecordingState()
     look_at = 0.0
+    poll_s = 0.1
+    look_every_s = 0.5
     while not stop.is_set():
         chunks, more = tail.step()
         if tail.flight != state.flight:
@@ -218,11 +216,11 @@ def follow(
             state = state_after(state, chunk)
             listen(chunk)
         if chunks or time.monotonic() >= look_at:
-            look_at = time.monotonic() + _LOOK_EVERY_S
+            look_at = time.monotonic() + look_every_s
             state = looked(state, look(tail))
             publish(state)
         if not more:
-            stop.wait(POLL_S)
+            stop.wait(poll_s)
 
 
 def read_all(tail: Tail) -> RecordingState:

@@ -12,7 +12,6 @@ from acquire.log.records import Channel
 from acquire.recording.reader import MOST_BYTES_S, Inbox
 
 LEAST_JUMP_S = 0.5
-FLOOD_TOLD_S = 10.0
 # Of one kind and link so many alarms pass in so many seconds; the others are counted.
 MOST_ALIKE, ALIKE_S = 20, 10.0
 
@@ -126,10 +125,11 @@ class FloodWatch:
     def look(self, inboxes: dict[str, Inbox], steady_s: float, time_ns: int) -> list[Alarm]:
         """Return the alarms of links that flood; at an infinite time the last figures."""
         alarms = []
+        flood_told_s = 10.0
         for link, inbox in inboxes.items():
             state = (inbox.dropped, inbox.missed, inbox.slowed)
             last_s, last = self._announced.get(link, (-np.inf, (0, 0, False)))
-            if state != last and steady_s - last_s >= FLOOD_TOLD_S:
+            if state != last and steady_s - last_s >= flood_told_s:
                 self._announced[link] = (steady_s, state)
                 alarms.append(Alarm("flood", link, flood_text(inbox), time_ns))
         return alarms

@@ -12,9 +12,6 @@ from photocal.base.console import printable
 
 Item = TypeVar("Item")
 
-# How long the thread itself may take to come to what waits, however busy the computer is.
-_AWAKE_S = 5.0
-
 
 class Outlet(Generic[Item]):
     """Takes items without ever waiting and hands them on, one after the other, in a thread of its own.
@@ -62,9 +59,11 @@ class Outlet(Generic[Item]):
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+            # How long the thread itself may take to come to what waits, however busy the computer is.
+            awake_s = 5.0
             while self._waiting or self._at_it_s is not None:
                 now = time.monotonic()
-                if now > (began_s + _AWAKE_S if self._at_it_s is None else self._at_it_s + patience_s):
+                if now > (began_s + awake_s if self._at_it_s is None else self._at_it_s + patience_s):
                     return False
                 self._changed.wait(0.01)
         return not (self.dropped or self.failed)

@@ -25,7 +25,6 @@ from drivers.protocols import wires_of
 from drivers.ubx.decode import NAV_PVT, RXM_RAWX
 from photocal.base.console import Check
 
-_MB = 1_000_000
 # A receiver's message comes some tenths of a second after its time; more is a wrong clock.
 _CLOCK_LIMIT_S = 1.0
 _LEAST_RATE = 0.8
@@ -154,12 +153,13 @@ def _judge(link: LinkConfiguration, heard: _Heard, seconds: float) -> list[Check
 
 def _disk(configuration: RecordingConfiguration, base: Path, host: Host) -> list[Check]:
     checks = []
+    mb = 1_000_000
     for folder in (configuration.recording.output, *configuration.recording.spare):
         place = (base / folder).resolve()
         while not place.exists():
             place = place.parent
         try:
-            free_mb = host.free_bytes(place) / _MB
+            free_mb = host.free_bytes(place) / mb
         except OSError as failure:
             checks.append(Check(f"disk {folder}", "bad", failure.strerror or str(failure)))
             continue

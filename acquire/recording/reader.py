@@ -16,11 +16,7 @@ MOST_BYTES_S, MOST_AT_ONCE = 4_000_000, 4 << 20
 # What may wait for being framed, and what each arrival takes of it besides its bytes. More comes only where
 # the computer is too slow for what arrives.
 MOST_WAITING, PER_ARRIVAL = 16 << 20, 256
-# Senders that take turns at a port are told so often, with how often they did.
-MOVES_TOLD_S = 10.0
 _POLL_S = 0.05
-# How long a link above its rate rests: short against what a socket holds.
-_ABOVE_S = 0.002
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
 # What a port holds when the recording is stopped belongs to the flight; to read it takes no longer.
 _LAST_POLL_S, _LAST_S = 0.001, 0.3
@@ -125,7 +121,9 @@ class Moves:
         if self._count and steady_s >= self._due_s:
             times = f" ({self._count} times: do several senders share the port?)" if self._count > 1 else ""
             self._inbox.tell("source_changed", self._text + times)
-            self._count, self._due_s = 0, steady_s + MOVES_TOLD_S
+            # Senders that take turns at a port are told so often, with how often they did.
+            moves_told_s = 10.0
+            self._count, self._due_s = 0, steady_s + moves_told_s
 
 
 def start_readers(
@@ -186,7 +184,9 @@ def _read(source: Source, inbox: Inbox, timeout_s: float, stop: threading.Event)
     inbox.missed = source.missed
     if not inbox.has_room() and not source.lossy:
         inbox.slowed = True
-        stop.wait(_ABOVE_S)
+        # How long a link above its rate rests: short against what a socket holds.
+        above_s = 0.002
+        stop.wait(above_s)
         return False
     data = source.read(timeout_s)
     if not data:

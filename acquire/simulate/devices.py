@@ -9,7 +9,6 @@ from typing import Any
 SET_MESSAGE_INTERVAL = 511
 ACCEPTED, UNSUPPORTED, FAILED = 0, 3, 4
 PARAMETERS = {"SYSID_THISMAV": 1.0, "CAM1_TYPE": 1.0, "GPS_TYPE": 1.0}
-_HEARTBEAT_S = 1.0
 _QUADROTOR, _ARDUPILOT, _STANDBY = 2, 3, 3
 
 
@@ -30,7 +29,8 @@ class Autopilot:
         """Return what is sent of its own accord up to a moment, seconds after the start."""
         if time_s < self._heartbeat_due_s:
             return b""
-        self._heartbeat_due_s = time_s + _HEARTBEAT_S
+        heartbeat_s = 1.0
+        self._heartbeat_due_s = time_s + heartbeat_s
         return self._pack(self._tables.MAVLink_heartbeat_message(_QUADROTOR, _ARDUPILOT, 0, 0, _STANDBY, 3))
 
     def receive(self, data: bytes, time_s: float) -> bytes:

@@ -16,8 +16,6 @@ from acquire.simulate.world.block_folder import toml_text
 from photocal.base.operating_system import pseudo_terminal
 
 _TICK_S = 0.005
-# A reader that was quick enough before is waited for; one that has taken nothing for so long is gone.
-_PATIENCE_S = 10.0
 _DATAGRAM_BYTES = 8192
 HOST = "127.0.0.1"
 SPOKEN_TO = ("vehicle", "rover", "base")
@@ -66,12 +64,15 @@ def on_pty(device: Device) -> Iterator[str]:
         nonlocal gone
         taken = time.monotonic()
         with contextlib.suppress(OSError):
+            # A reader that was quick enough before is waited for; one that has taken nothing for so long is
+            # gone.
+            patience_s = 10.0
             while data and not stop.is_set():
                 _, ready, _ = select.select([], [ours], [], 0.0 if gone else _TICK_S)
                 if ready:
                     data = data[os.write(ours, data) :]
                     taken, gone = time.monotonic(), False
-                elif gone or time.monotonic() - taken > _PATIENCE_S:
+                elif gone or time.monotonic() - taken > patience_s:
                     gone = True
                     return
 

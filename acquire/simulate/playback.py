@@ -20,7 +20,6 @@ from drivers.checksums import x25
 from drivers.mavlink.dialect import V2, ardupilotmega
 from photocal.base.errors import InputMalformedError, InputNotFoundError
 
-_STAMP_BYTES = 8
 _AUTOPILOT = bytes((1, 1))
 
 
@@ -87,7 +86,8 @@ def _read_lines(folder: Path) -> dict[str, RecordedWire]:
 
 def _read_line(stream: Path, times: Path) -> RecordedWire:
     data = stream.read_bytes()
-    stamp = _STAMP_BYTES if stream.suffix == ".tlog" else 0
+    stamp_bytes = 8
+    stamp = stamp_bytes if stream.suffix == ".tlog" else 0
     with times.open(encoding="utf-8", newline="") as rows:
         table = [(float(row["arrival_s"]), int(row["bytes"])) for row in csv.DictReader(rows)]
     ends = np.cumsum([size + stamp for _, size in table])

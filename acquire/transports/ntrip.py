@@ -23,7 +23,6 @@ Result = TypeVar("Result")
 
 _AGENT = "NTRIP photocal"
 _LONGEST_HEAD = 1 << 16
-_CONNECT_S = 10.0
 _LONGEST_CHUNK_LINE = 64
 _CHUNK_SIZE = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;.*)?")
 
@@ -96,7 +95,8 @@ class NtripSource(TcpSource):
     def open(self, stop: threading.Event) -> None:
         """Connect and ask for the stream."""
         address = self._caster
-        patience = Patience(stop, _CONNECT_S)
+        connect_s = 10.0
+        patience = Patience(stop, connect_s)
         line = connect(address.host, address.port, patience)
         try:
             if address.encrypted:

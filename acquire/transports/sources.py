@@ -20,7 +20,6 @@ from photocal.base.errors import ConfigurationError
 
 PIECE_BYTES = 65536
 _WRITE_LIMIT_S = 0.5
-_CONNECT_S = 5.0
 # Linux counts the datagrams that a socket could not hold: the last of the nine numbers of SO_MEMINFO.
 _MEMORY_FIGURES, _FIGURES = 55, struct.Struct("9I")
 _SERIAL = ("serial", "socket", "loop", "rfc2217")
@@ -218,7 +217,8 @@ class TcpSource(Source):
 
     def open(self, stop: threading.Event) -> None:
         """Connect."""
-        self._port = connect(*self._address, Patience(stop, _CONNECT_S))
+        connect_s = 5.0
+        self._port = connect(*self._address, Patience(stop, connect_s))
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived."""

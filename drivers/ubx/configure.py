@@ -14,8 +14,6 @@ from photocal.base.errors import DeviceError
 MON_VER, CFG_MSG, CFG_RATE, CFG_VALSET, CFG_VALGET = 0x0A04, 0x0601, 0x0608, 0x068A, 0x068B
 MESSAGES = {"NAV-PVT": NAV_PVT, "RXM-RAWX": RXM_RAWX, "RXM-SFRBX": RXM_SFRBX, "TIM-TM2": TIM_TM2}
 
-_RAM = 1
-
 
 def read_version(payload: bytes) -> tuple[int, str]:
     """Read the generation (8, 9, 10) and the software of a receiver from the answer to a poll of MON-VER.
@@ -65,7 +63,8 @@ def steps(generation: int, port: str, messages: tuple[str, ...], rate_ms: int) -
         wanted = [(f"CFG_MSGOUT_UBX_{name.replace('-', '_')}_{port.upper()}", 1) for name in messages]
         wanted.append(("CFG_RATE_MEAS", rate_ms))
         keys = tuple((int(cfgname2key(name)[0]), value) for name, value in wanted)
-        frame = UBXMessage.config_set(_RAM, 0, wanted).serialize()
+        ram = 1
+        frame = UBXMessage.config_set(ram, 0, wanted).serialize()
         poll = UBXMessage.config_poll(0, 0, [name for name, _ in wanted]).serialize()
         return [Step("output and rate", frame, CFG_VALSET, poll, keys)]
     made = []

@@ -16,13 +16,9 @@ from photocal.findings.finding import Figure, Finding
 
 # One foot in metres: international; the U.S. survey foot differs in the sixth digit.
 FOOT_M = 0.3048
-# Ratios of distances are compared to this: control points agree far better, mistakes are far off.
-_RATIO_TOLERANCE = 0.02
 # A flight lies within this distance of its control, and one wrong UTM zone is some 600 km away.
 _NEAR_M = 50_000.0
 _NOWHERE_M = 2.0e7
-# Points closer than this are the same mark under two names.
-_SAME_POINT_M = 0.005
 
 
 @dataclass(frozen=True)
@@ -42,12 +38,14 @@ def check_points_used_as_control(control: GroundPoints, check: GroundPoints) -> 
     both = sorted(set(control.names) & set(check.names))
     if both:
         listed.append(Finding("check-as-control", "doubtful", "check", {"points": tuple(both)}))
+    # Points closer than this are the same mark under two names.
+    same_point_m = 0.005
     for name, place in zip(check.names, check.xyz_m, strict=True):
         distance = np.sqrt(np.sum((control.xyz_m - place) ** 2, axis=1))
         listed += [
             Finding("check-at-control", "doubtful", name, {"other": other, "apart_mm": apart * 1000.0})
             for other, apart in zip(control.names, distance.tolist(), strict=True)
-            if apart <= _SAME_POINT_M and other != name and name not in both
+            if apart <= same_point_m and other != name and name not in both
         ]
     return tuple(listed)
 
@@ -107,12 +105,14 @@ def feet_for_metres(points: GroundPoints, block: GroundPoints) -> tuple[Finding,
         return ()
     ours, theirs = (np.array(column) for column in zip(*common, strict=True))
     listed = []
+    # Ratios of distances are compared to this: control points agree far better, mistakes are far off.
+    ratio_tolerance = 0.02
     for code, columns in (("feet-for-metres-plane", [0, 1]), ("feet-for-metres-height", [2])):
         ratio = _distance_ratio(points.xyz_m[ours][:, columns], block.xyz_m[theirs][:, columns])
         if ratio is None:
             continue
         for factor, cause in ((1.0 / FOOT_M, "distances-in-feet"), (FOOT_M, "distances-in-metres")):
-            if abs(ratio / factor - 1.0) <= _RATIO_TOLERANCE:
+            if abs(ratio / factor - 1.0) <= ratio_tolerance:
                 listed.append(Finding(code, "grave", figures={"ratio": ratio}, cause=cause))
     return tuple(listed)
 

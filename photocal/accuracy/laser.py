@@ -18,8 +18,6 @@ _NEIGHBOURS, _DENSE = 8, 0.05
 _SMOOTH_M, _FEWEST = 0.05, 8
 # Weights fall from so many sigmas on (Huber); beyond the second a shot hit something else.
 _HUBER, _ELSEWHERE = 1.5, 4.0
-# A scale wants distances that differ by this share.
-_SPAN = 0.2
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,9 @@ def check_laser(shots: LaserShots, points: Floats, c_share: float = 0.0) -> Lase
     middle = float(np.median(distance))
     common = float(np.hypot(LASER_M + LASER_SHARE * middle, c_share * middle))
     scale = scale_sigma = np.nan
-    if np.ptp(distance) > _SPAN * np.median(distance):
+    # A scale wants distances that differ by this share.
+    span = 0.2
+    if np.ptp(distance) > span * np.median(distance):
         design = np.column_stack([np.ones(len(distance)), distance - np.median(distance)])
         (_, scale), (_, scale_sigma), _, _ = _robust(design, difference, sigma)
         scale_sigma = float(np.hypot(scale_sigma, np.hypot(LASER_SHARE, c_share)))

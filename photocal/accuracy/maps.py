@@ -24,13 +24,11 @@ if TYPE_CHECKING:
 # Longest vector as a share of the width of the map, and of the extent of the points.
 _LONGEST = 0.12
 # Names of more points than this would hide the vectors.
-NAMED = 60
+_NAMED = 60
 _INK = "#1f4e9c"
 # Axes are placed by hand: to have their places searched draws each figure three times.
 _MAP_INCHES = (7.0, 6.0)
 _HISTOGRAM_INCHES = (7.0, 2.6)
-# First number that no authority uses, for a coordinate system without one.
-_OWN_SYSTEM = 100_000
 
 
 _NAMES = {"point": "TEXT", "role": "TEXT"}
@@ -80,7 +78,7 @@ def draw_vectors(
         width=0.003,
     )
     axes.plot(table[:, 0], table[:, 1], ".", color=colour, markersize=3)
-    if len(names) <= NAMED:
+    if len(names) <= _NAMED:
         for name, row in zip(names, table.tolist(), strict=True):
             text = name if math.isnan(row[4]) else f"{name}\n{height_text(row[4])}"
             axes.annotate(
@@ -165,7 +163,7 @@ def heights_by_point(discrepancies: Discrepancies) -> Figure | None:
     from matplotlib.figure import Figure
 
     names, values = discrepancies.component("h")
-    if not 0 < len(values) <= NAMED:
+    if not 0 < len(values) <= _NAMED:
         return None
     figure = Figure(figsize=(max(4.0, 0.22 * len(values) + 1.2), 3.0))
     axes = figure.add_axes((0.13, 0.2, 0.85, 0.69))
@@ -254,7 +252,9 @@ def reference_system(crs: str | None) -> ReferenceSystem:
     number = system.to_epsg()
     definition = system.to_wkt("WKT1_GDAL")
     if number is None:
-        return ReferenceSystem(_OWN_SYSTEM, system.name, "NONE", definition)
+        # First number that no authority uses, for a coordinate system without one.
+        own_system = 100_000
+        return ReferenceSystem(own_system, system.name, "NONE", definition)
     return ReferenceSystem(number, system.name, "EPSG", definition)
 
 

@@ -25,10 +25,6 @@ _TAILS = (
 
 _SMALL = ((-0.0006714, 0.025054, -0.39978, 0.544), (-0.0020322, 0.062767, -0.77857, 1.3822))
 _LARGE = ((0.0038915, -0.083751, -0.31082, -1.5861), (0.0, 0.0030302, -0.082676, -0.4803))
-# A smaller range is no measurement: all values are equal.
-_NO_RANGE_M = 1e-9
-# More outliers than this are no outliers any more but another distribution.
-MOST_TESTED = 100
 PROBABLE_ERROR = 0.90
 
 
@@ -250,7 +246,9 @@ def precision_quantile(n: int, confidence: float) -> float:
 def normality_test(values_m: Floats, confidence: float) -> NormalityTest | None:
     """Test whether a component is normally distributed (Shapiro and Wilk 1965)."""
     _require_level(confidence)
-    if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < _NO_RANGE_M:
+    # A smaller range is no measurement: all values are equal.
+    no_range_m = 1e-9
+    if len(values_m) not in SHAPIRO_WILK_SAMPLES or float(values_m.max() - values_m.min()) < no_range_m:
         return None
     statistic, p_value = _shapiro_wilk(np.sort(values_m))
     return NormalityTest(statistic, p_value, confidence)
@@ -317,7 +315,9 @@ def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
     rows = np.arange(len(values_m))
     removed: list[int] = []
     count = 0
-    for _ in range(min(max(1, len(values_m) // 4), MOST_TESTED)):
+    # More outliers than this are no outliers any more but another distribution.
+    most_tested = 100
+    for _ in range(min(max(1, len(values_m) // 4), most_tested)):
         rest = values_m[rows]
         deviation = np.abs(rest - np.mean(rest))
         std = float(np.std(rest, ddof=1))

@@ -23,11 +23,6 @@ from photocal.geometry.resection import intersect
 
 # Squared distance, in units of the standard deviations, at which the movements of images are freed.
 NEAR = 1.0
-# Mean squared sine between the rays of an image that tell where it was.
-LEAST_ACROSS = 1e-4
-# Angles and points that belong together leave so much less of a usual residual's square: others are no better
-# than positions.
-MUCH_LESS = 0.1
 
 
 def adjust(
@@ -95,13 +90,18 @@ def _where_rays_come_from(problem: Problem, start: State) -> State | None:
     rays = rays.rows(loose[rays.image])
     slopes = slopes_of(network.cameras, exposures.camera[rays.image], rays.plane)
     rotation, from_points = start.rotation[rays.image], points.values[rays.point]
+    # Mean squared sine between the rays of an image that tell where it was.
+    least_across = 1e-4
     centre = intersect(
-        rays.image, len(loose), from_points, rotation, slopes, np.ones(len(slopes)), LEAST_ACROSS
+        rays.image, len(loose), from_points, rotation, slopes, np.ones(len(slopes)), least_across
     )
     moved = replace(start, centre=np.where(np.isfinite(centre), centre, start.centre))
     # Of a few heads or images that are far off, the sum of squares tells nothing but of them.
     (total, usual), (total_before, usual_before) = _misfit(problem, moved), _misfit(problem, start)
-    return moved if total < total_before and usual < MUCH_LESS * usual_before else None
+    # Angles and points that belong together leave so much less of a usual residual's square: others are no
+    # better than positions.
+    much_less = 0.1
+    return moved if total < total_before and usual < much_less * usual_before else None
 
 
 def _misfit(problem: Problem, state: State) -> tuple[float, float]:

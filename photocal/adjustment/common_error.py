@@ -10,8 +10,6 @@ from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.base.arrays import Floats
 
-# Share of c, per m, that is rounding.
-_ROUNDING = 1e-8
 _UP = np.array([0.0, 0.0, 1.0])
 # Groups of observations that a common error of positions changes.
 _GROUPS = ("position", "exposure")
@@ -41,7 +39,9 @@ def c_by_common_height(at: Factored) -> Floats | None:
         changes[k] = step[columns[parameters == 0]].sum()
     # A block without control moves as a whole: what is left of c is rounding.
     of_c = np.array([camera.values[0] for camera in network.cameras])
-    return np.where(np.abs(changes) > _ROUNDING * of_c, changes, 0.0)
+    # Share of c, per m, that is rounding.
+    rounding = 1e-8
+    return np.where(np.abs(changes) > rounding * of_c, changes, 0.0)
 
 
 def _raised(network: Network) -> Network:

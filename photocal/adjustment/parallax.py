@@ -5,10 +5,6 @@ import numpy as np
 from photocal.adjustment.network import Network
 from photocal.base.arrays import Flags
 
-# Rays that turn by less than so many of their standard deviations tell a fifth of the distance at best. Heads
-# of one exposure are centimetres apart: a point that only they see has no distance.
-LEAST = 5.0
-
 
 def determined(network: Network, kept: Flags) -> Flags:
     """Points that some of the rays determine, (points,); others than those that lose rays are taken as such.
@@ -31,4 +27,7 @@ def determined(network: Network, kept: Flags) -> Flags:
     away = np.linalg.norm(towards - mean[point] / count[point][:, None], axis=1)
     turned = np.zeros(size)
     np.maximum.at(turned, point, 2 * away * c / rays.sigma[some].max(axis=1))
-    return enough & ~(loses & ~known & (turned < LEAST))
+    # Rays that turn by less than so many of their standard deviations tell a fifth of the distance at best.
+    # Heads of one exposure are centimetres apart: a point that only they see has no distance.
+    least = 5.0
+    return enough & ~(loses & ~known & (turned < least))

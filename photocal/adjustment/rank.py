@@ -30,8 +30,6 @@ class RankLimits(NamedTuple):
 # when an adjustment fails or means nothing.
 SINGULAR = RankLimits(1e-10, 1e-12)
 SUSPECT = RankLimits(1e-4, 1e-7)
-# Share of a null vector that similarity transformations must explain to be called the datum.
-MOSTLY = 0.5
 # A standard deviation of this share of the value itself: the linearisation no longer means anything.
 LOST_POINT, LOST_CAMERA = 0.5, 0.1
 # Unknowns that are printed of a null vector.
@@ -163,7 +161,9 @@ def _datum_part(
     # of a flat block move with c, but not without it.
     cost = np.einsum("nk,nk->k", nearest, scaled @ nearest) / np.maximum(size, np.finfo(float).tiny)
     null_cost = np.einsum("nk,nk->k", null, scaled @ null)
-    explained = (size > MOSTLY) & (cost < 100 * np.maximum(null_cost, np.finfo(float).eps))
+    # Share of a null vector that similarity transformations must explain to be called the datum.
+    mostly = 0.5
+    explained = (size > mostly) & (cost < 100 * np.maximum(null_cost, np.finfo(float).eps))
     strong = np.abs(weights) > 0.5 * np.abs(weights).max(axis=0)
     named = strong[:, explained].any(axis=1)
     return [name for name, hit in zip(DATUM_NAMES, named, strict=True) if hit], null[:, ~explained]

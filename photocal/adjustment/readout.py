@@ -38,11 +38,6 @@ BORNE = 2.0
 # and of 30 ms, shares from 0.002 to 1 give the same outcomes.
 LENS_SHARE = 0.05
 _LENS = tuple(PARAMETERS.index(name) for name in ("c", "x0", "y0"))
-# What the sides of pixels may differ by, as a share: sensors have square ones, but pictures are resampled.
-# Lines that are read while the camera flies on look much like that.
-SQUARE = 5e-5
-# Readouts of cameras on small aircraft lie about this.
-USUAL_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -229,8 +224,10 @@ def left_by_movement(network: Network, solution: Solution) -> float:
     Strips to and fro with the camera turned hide how long a readout is: what the flight moves is the same in
     all images, and goes into c and the positions. What gusts move is not.
     """
+    # Readouts of cameras on small aircraft lie about this.
+    usual_s = 0.02
     doubtful = {
-        k: _freed(camera).changed(readout=USUAL_S)
+        k: _freed(camera).changed(readout=usual_s)
         for k, camera in enumerate(network.cameras)
         if camera.shutter == "unknown" and not camera.rolling
     }
@@ -245,7 +242,10 @@ def left_by_movement(network: Network, solution: Solution) -> float:
 
 def with_loose_sides(camera: Camera) -> Camera:
     """Give a camera a scale of y against x as unknown, observed as one, if it has not."""
-    return _loosened(camera, (PARAMETERS.index("B2" if camera.affinity_form == "tank" else "B1"),), SQUARE)
+    # What the sides of pixels may differ by, as a share: sensors have square ones, but pictures are
+    # resampled. Lines that are read while the camera flies on look much like that.
+    square = 5e-5
+    return _loosened(camera, (PARAMETERS.index("B2" if camera.affinity_form == "tank" else "B1"),), square)
 
 
 def _loosened(camera: Camera, parameters: Iterable[int], sigma: float) -> Camera:

@@ -29,8 +29,6 @@ from photocal.base.errors import NotConvergedError
 
 Test = Literal["w", "tau"]
 
-# Cauchy's function halves the weight of a ray at this multiple of the scale.
-HALF_WEIGHT = 3.0
 ROUNDS = 30
 # The robust start ends when a step takes less than this share of what is left.
 SETTLED = 1e-5
@@ -98,8 +96,10 @@ def snoop(network: Network, test: Test = "w", report: Callable[[Iteration], None
 def robust_state(problem: Problem, state: State, report: Callable[[Iteration], None] | None = None) -> State:
     """State that gross errors do not bend, by damped iteratively reweighted least squares."""
     fit, damping = ray_fit(problem, state), 0.0
+    # Cauchy's function halves the weight of a ray at this multiple of the scale.
+    half_weight = 3.0
     for number in range(1, 41):
-        scale = HALF_WEIGHT * _scale(fit)
+        scale = half_weight * _scale(fit)
         factor = 1.0 / (1.0 + (fit / scale) ** 2)
         weight = problem.design.weight * factor[:, None]
         weighted = replace(problem, design=problem.design._replace(weight=weight))

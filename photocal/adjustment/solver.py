@@ -36,21 +36,14 @@ from photocal.base.errors import NotConvergedError
 
 # Squared distance to the minimum, in units of the standard deviations, that is left of a solution.
 CONVERGED = 1e-12
-# Only between steps this short, in units of what may be left, is that rate known: the first steps shrink much
-# faster than the last.
-SHORT = 1e4
 # A step this short that no longer lowers the sum of squares shows that rounding is reached.
 ROUNDING = 1e-6
-# After one this short the normal equations are those from before it.
-NEGLIGIBLE = 1e-12
 # Images that move while they are read, each in its own way, take up to twice as many.
 ITERATIONS, MOVING = 50, 100
 # Where a step gains no more than these shares of what the one before has gained, and of v'Pv, or is shorter
 # than a sigma, the rest of the way is gone with the factor that there is, in so many steps at most: each
 # costs a small part of a whole one. They may grow by this much where the ground is flatter than it seemed.
 FAST, MILD, WITHIN, CHORDS, FLATTER = 1e-2, 5e-2, 1.0, 16, 16.0
-# With a factor from elsewhere the rate is known less well: so much less is to be left.
-SURER = 1e-2
 # Where the iteration comes to no end, a step this short (sigmas) is none.
 NEARLY = 0.01
 # A step so far against the one before (cosine), and so long beside it, shows that both are too long.
@@ -120,6 +113,11 @@ def _minimum(
     normal = normal_equations(problem, state)
     gone: tuple[Floats, float] | None = None
     most = ITERATIONS if problem.network.exposures.motion_sigma is None else MOVING
+    # Only between steps this short, in units of what may be left, is that rate known: the first steps shrink
+    # much faster than the last.
+    short = 1e4
+    # After one this short the normal equations are those from before it.
+    negligible = 1e-12
     while len(steps) < most:
         step, share = _not_too_far(problem, normal, damping, gone)
         if step is None and damping == 0.0 and decrement < ROUNDING:
@@ -130,8 +128,8 @@ def _minimum(
             # Steps shrink at a steady rate: the next one tells how far the minimum still is.
             shrinking = min(1.0, step_decrement / decrement) if steps else 1.0
             left, whole = step_decrement * shrinking, damping == 0.0
-            last = whole and step_decrement < SHORT * near and left < near
-            if last and step_decrement < NEGLIGIBLE and not len(problem.stiffened):
+            last = whole and step_decrement < short * near and left < near
+            if last and step_decrement < negligible and not len(problem.stiffened):
                 # Over so short a step the normal equations do not change by what shows in any figure.
                 normal = replace(normal, chi_squared=normal.chi_squared - step_decrement)
                 _tell(steps, report, [Iteration(len(steps) + 1, normal.chi_squared, step_decrement, damping)])
@@ -275,7 +273,9 @@ def _by_chords(
         made.append(Iteration(made[-1].number + 1, chi_squared, length, 0.0))
 
     try:
-        there = chords(problem, normal, state, SURER * near, decrement, progress=progress).state
+        # With a factor from elsewhere the rate is known less well: so much less is to be left.
+        surer = 1e-2
+        there = chords(problem, normal, state, surer * near, decrement, progress=progress).state
     except NotConvergedError:
         return None
     _tell(steps, report, made)

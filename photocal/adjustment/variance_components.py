@@ -21,8 +21,6 @@ from photocal.base.errors import IllPosedError, NotConvergedError
 # A variance is settled when a round changes it by less than this share of itself.
 SETTLED = 1e-3
 ROUNDS = 60
-# With less redundancy a group says nothing about its own variance.
-FEWEST = 1.0
 # A variance that shrinks below this share of the given one is running to zero.
 VANISHED = 1e-6
 
@@ -102,13 +100,15 @@ def estimate_components(
     rays = rays or rays_together(network)
     factors: dict[str, float] = {}
     state = start
+    # With less redundancy a group says nothing about its own variance.
+    fewest = 1.0
     for rounds in range(1, ROUNDS + 1):
         scaled = with_factors(network, rays, factors)
         solution = adjust(scaled, report, state)
         state = solution.state
         groups = groups_of_rays(scaled, solution, rays.names, rays.group)
         groups += [group for group in solution.groups if group.name != "image"]
-        free = [g for g in groups if g.name not in hold and g.redundancy > FEWEST]
+        free = [g for g in groups if g.name not in hold and g.redundancy > fewest]
         change = {group.name: group.chi_squared / group.redundancy for group in free}
         if all(abs(share - 1) < settled for share in change.values()):
             solution = adjust(scaled, report, start)

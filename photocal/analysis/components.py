@@ -9,10 +9,6 @@ from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.findings.finding import Figure, Finding
 
-# The tank study neglects components with 0.74, 0.98 and 1.14 % of the variance together and keeps 3.15 %.
-NEGLIGIBLE_PERCENT = 2.0
-# F from which parameters are needed although correlated: 2 standard deviations of a single one.
-NEEDED = 4.0
 ESSENTIAL = ("c", "x0", "y0")
 # Who goes first when nothing else decides: the higher term of a series before the lower one.
 ORDER_OF_LEAVING = ("K4", "K3", "P4", "P3", "K2", "B2", "B1", "P2", "P1", "K1")
@@ -93,9 +89,11 @@ def propose_removal(estimates: Estimates) -> Proposal:
     Tank study (Silva, UFPR, 1995), section on the choice of additional parameters.
     """
     current, steps = estimates, list[RemovalStep]()
+    # The tank study neglects components with 0.74, 0.98 and 1.14 % of the variance together and keeps 3.15 %.
+    negligible_percent = 2.0
     while True:
         components = principal_components(current)
-        negligible = int(np.sum(np.cumsum(components.percent[::-1]) < NEGLIGIBLE_PERCENT))
+        negligible = int(np.sum(np.cumsum(components.percent[::-1]) < negligible_percent))
         crowd = _crowd(components, negligible)
         candidates = _leaving_order(current, [name for name in crowd if name not in ESSENTIAL])
         # One of a crowd stays to speak for it, unless an essential parameter does that already.
@@ -155,7 +153,9 @@ def _remark(code: str, figures: dict[str, Figure], clauses: tuple[str, ...] = ()
 
 
 def _needed(step: RemovalStep) -> bool:
-    return step.statistic > NEEDED
+    # F from which parameters are needed although correlated: 2 standard deviations of a single one.
+    needed = 4.0
+    return step.statistic > needed
 
 
 def _round(step: RemovalStep) -> Finding:

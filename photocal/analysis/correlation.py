@@ -32,8 +32,6 @@ _CAUSES: tuple[tuple[frozenset[str], frozenset[str], str], ...] = (
     (frozenset({"omega"}), frozenset({"kappa"}), "one-angle"),
 )
 UNKNOWN = "unknown"
-# A computed matrix may miss by the rounding of its own arithmetic.
-ARITHMETIC = 1e-10
 ELEMENTS = ("omega", "phi", "kappa", "X0", "Y0", "Z0")
 
 
@@ -87,7 +85,9 @@ def correlation_findings(names: tuple[str, ...], matrix: Floats | None, rounding
     if not proper or np.abs(matrix).max() > 1.0 + rounding + 1e-9:
         return [Finding("correlation_malformed", "refused", " ".join(names))]
     least = _least(matrix)
-    slack = max((n - 1) * rounding, ARITHMETIC)
+    # A computed matrix may miss by the rounding of its own arithmetic.
+    arithmetic = 1e-10
+    slack = max((n - 1) * rounding, arithmetic)
     if least >= -slack:
         return []
     figures = {"least_eigenvalue": least}

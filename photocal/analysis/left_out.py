@@ -13,9 +13,6 @@ from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS
 
-# Left of each adjustment, see `minimise`: 0.001 standard deviations at most.
-NEAR = 1e-6
-
 
 @dataclass(frozen=True)
 class Checks:
@@ -60,7 +57,9 @@ def without_parameter(fit: AdjustedNetwork, camera: int, parameter: int) -> Near
         active, columns = fit.factored.problem.layout.camera_columns[camera]
         column = int(columns[active == parameter][0])
         try:
-            return with_held(fit.factored, column, -float(current[camera, parameter]), NEAR)
+            # Left of each adjustment, see `minimise`: 0.001 standard deviations at most.
+            near = 1e-6
+            return with_held(fit.factored, column, -float(current[camera, parameter]), near)
         except NotConvergedError:
             pass
     estimated, values, start = interior.estimated.copy(), interior.values.copy(), current.copy()

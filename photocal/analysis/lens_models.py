@@ -22,8 +22,6 @@ from photocal.geometry.conversion import converted
 
 # Images are left out in so many groups of neighbours.
 GROUPS = 6
-# An image tells its pose and something of the lens from this many rays on.
-FEWEST_RAYS = 12
 # A model is better from here on: by how much it lowers v'Pv for each unknown more, and the residuals of the
 # images that were left out. The same lens written otherwise differs by less.
 GAIN, SHARE = 20.0, 0.01
@@ -175,7 +173,9 @@ def _predicted(fitted: AdjustedNetwork, rest: State, out: Flags) -> tuple[float,
     network, rays = fitted.network, fitted.network.rays
     known = np.bincount(rays.point[~out[rays.image]], minlength=len(network.point_names)) >= 2
     kept = out[rays.image] & known[rays.point]
-    enough = np.bincount(rays.image[kept], minlength=len(out)) >= FEWEST_RAYS
+    # An image tells its pose and something of the lens from this many rays on.
+    fewest_rays = 12
+    enough = np.bincount(rays.image[kept], minlength=len(out)) >= fewest_rays
     out = out & enough
     kept &= out[rays.image]
     if not kept.any():

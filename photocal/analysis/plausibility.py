@@ -15,10 +15,6 @@ Triple = tuple[float, float, float]
 
 FOCAL_TOLERANCE = 0.10
 SENSOR_TOLERANCE = 0.05
-GSD_TOLERANCE = 0.05
-OVERLAP_TOLERANCE = 0.10
-# Sides of a pixel that differ by more than this come from rounded dimensions of the frame, not from a sensor.
-SQUARE_TOLERANCE = 1e-4
 PRIOR_SHARE = 0.95
 RADIAL = ("K1", "K2", "K3", "K4")
 
@@ -148,7 +144,10 @@ def _units(record: CalibrationRecord) -> list[Finding]:
 
 def _format(record: CalibrationRecord) -> list[Finding]:
     findings = []
-    if abs(record.pitch_ratio - 1.0) > SQUARE_TOLERANCE:
+    # Sides of a pixel that differ by more than this come from rounded dimensions of the frame, not from a
+    # sensor.
+    square_tolerance = 1e-4
+    if abs(record.pitch_ratio - 1.0) > square_tolerance:
         figures = {"percent": 100.0 * abs(record.pitch_ratio - 1.0)}
         findings.append(Finding("pitch_not_square", "doubtful", "pitch", figures))
     if record.size_px is None or record.pitch_mm is None:
@@ -207,7 +206,8 @@ def _ground(record: CalibrationRecord) -> list[Finding]:
         expected = 100.0 * record.height_m * record.pitch_mm / c
     else:
         return []
-    if _close(record.gsd_cm, expected, GSD_TOLERANCE):
+    gsd_tolerance = 0.05
+    if _close(record.gsd_cm, expected, gsd_tolerance):
         return []
     figures = {"gsd_cm": record.gsd_cm, "expected_cm": expected}
     return [Finding("gsd_contradicts_height", "doubtful", "gsd", figures)]
@@ -220,7 +220,8 @@ def _base(record: CalibrationRecord) -> list[Finding]:
     overlaps = [1.0 - record.base_m / (n * record.gsd_cm / 100.0) for n in record.size_px]
     figures = {"base_m": record.base_m, "overlap": max(overlaps)}
     if record.forward_overlap is not None:
-        wrong = all(abs(o - record.forward_overlap) > OVERLAP_TOLERANCE for o in overlaps)
+        overlap_tolerance = 0.10
+        wrong = all(abs(o - record.forward_overlap) > overlap_tolerance for o in overlaps)
     else:
         wrong = max(overlaps) < 0.5
     return [Finding("base_contradicts_overlap", "doubtful", "base", figures)] if wrong else []

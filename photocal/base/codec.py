@@ -29,9 +29,6 @@ Kind = TypeVar("Kind")
 LARGEST_JSON = 1 << 28
 _JSON_KINDS = (float, int, str, bool, list, dict, NoneType)
 
-# Degrees that belong to a number of radians are no farther from the quotient, units in the last place.
-_NEAR = 4
-
 
 def toml_text(content: BaseModel | Mapping[str, Any], comment: str = "") -> str:
     """Write tables as TOML: sections as tables, lists of sections as `[[..]]`, what is deeper in one line.
@@ -214,7 +211,9 @@ def as_degrees(radians: ArrayLike) -> Floats:
     given = np.asarray(radians, dtype=float)
     rough = np.degrees(given)
     tried, low, high = [rough], rough, rough
-    for _ in range(_NEAR):
+    # Degrees that belong to a number of radians are no farther from the quotient, units in the last place.
+    near = 4
+    for _ in range(near):
         low, high = np.nextafter(low, -np.inf), np.nextafter(high, np.inf)
         tried += [low, high]
     tried += [np.round(rough, digits) for digits in (12, 9, 6)]

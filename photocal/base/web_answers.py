@@ -13,7 +13,6 @@ from photocal.base.checked_toml import Table
 from photocal.base.errors import ConfigurationError, InputNotFoundError
 
 Question = TypeVar("Question", bound=Table)
-_LONGEST_REQUEST = 10_000
 
 
 def telling(path: str, tell: Callable[[], Any]) -> Route:
@@ -62,7 +61,8 @@ async def json_body(request: Request) -> bytes:
     # A form of another site cannot have this type.
     if request.headers.get("content-type") != "application/json":
         raise ConfigurationError("the request is no JSON", "use the page")
-    return await short_body(request, _LONGEST_REQUEST)
+    longest_request = 10_000
+    return await short_body(request, longest_request)
 
 
 async def short_body(request: Request, longest: int) -> bytes:

@@ -24,8 +24,6 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _CREW: ContextVar[dict[int, ProcessPoolExecutor] | None] = ContextVar("crew", default=None)
 _TIMEOUT_S = 10
 _UNPROTECTED = "unprotected+"
-# So many tasks wait for each thread of a worker: none is idle, and few results are held.
-_AHEAD = 2
 
 
 def run_tasks(
@@ -163,9 +161,11 @@ class Cluster:
         with self._client() as client:
             threads = sum(client.ncores().values())
             waiting: deque[Any] = deque()
+            # So many tasks wait for each thread of a worker: none is idle, and few results are held.
+            ahead = 2
             for task in tasks:
                 waiting.append(client.submit(function, task, pure=False))
-                if len(waiting) > _AHEAD * threads:
+                if len(waiting) > ahead * threads:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()

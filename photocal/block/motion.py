@@ -23,15 +23,10 @@ MOTION_COLUMNS = (
     "temperature_c",
     *SHAKE,
 )
-# Exposures further apart than this many usual intervals are no neighbours.
-APART = 2.5
-# By how much the velocity of an image may depart from zero when nothing at all is known of it, m/s.
-ANY_FLIGHT = 15.0
-# Fewer images say too little of how images turn.
-ENOUGH = 10
-# A strip ends with a turn of the track, or a pause.
+
+
+# A strip ends with a turn of the track.
 _TURN_DEG = 30.0
-_PAUSE = 4.0
 
 
 def read_motion(table: TextTable) -> tuple[Floats, Floats, Floats, Floats]:
@@ -78,7 +73,9 @@ def observed_motion(
     velocity = np.where(np.isnan(of_flight), beside, of_flight)
     unknown = np.isnan(motion[:, :3]) & np.isnan(velocity)
     motion[:, :3] = np.where(np.isnan(motion[:, :3]), np.nan_to_num(velocity), motion[:, :3])
-    usual = np.where(unknown, ANY_FLIGHT, spread[:, None])
+    # By how much the velocity of an image may depart from zero when nothing at all is known of it, m/s.
+    any_flight = 15.0
+    usual = np.where(unknown, any_flight, spread[:, None])
     sigma[:, :3] = np.where(np.isnan(sigma[:, :3]), usual, sigma[:, :3])
     if attitudes.rate is not None and attitudes.rate_sigma is not None:
         to_camera = body_to_camera(block.mounting, block.mounting.values)
@@ -102,9 +99,11 @@ def expected_rates(observed: Floats, sigma: Floats, gust: Floats) -> tuple[Float
     """
     seen = np.isfinite(observed) & np.isfinite(sigma)
     turning = np.broadcast_to(gust[:, None] ** 2, observed.shape).copy()
+    # Fewer images say too little of how images turn.
+    enough = 10
     for axis in range(observed.shape[1]):
         known = seen[:, axis]
-        if known.sum() >= ENOUGH:
+        if known.sum() >= enough:
             noise = np.mean(sigma[known, axis] ** 2)
             beyond = np.mean(observed[known, axis] ** 2) - noise
             turning[known, axis] = max(beyond, noise / 4)
@@ -130,6 +129,8 @@ def require_motion(block: Block, network: Network) -> None:
 def velocity_of_neighbours(camera: Integers, time: Floats, centre: Floats) -> tuple[Floats, Floats]:
     """Velocity between the exposures before and after, and half of how much it changes; NaN without times."""
     velocity, change = np.full(centre.shape, np.nan), np.zeros(len(centre))
+    # Exposures further apart than this many usual intervals are no neighbours.
+    apart = 2.5
     for k in np.unique(camera):
         images = np.flatnonzero((camera == k) & np.isfinite(time))
         images = images[np.argsort(time[images], kind="stable")]
@@ -137,7 +138,7 @@ def velocity_of_neighbours(camera: Integers, time: Floats, centre: Floats) -> tu
         if not (interval > 0).any():
             continue
         usual = float(np.median(interval[interval > 0]))
-        near = (interval > 0) & (interval < APART * usual)
+        near = (interval > 0) & (interval < apart * usual)
         with np.errstate(divide="ignore", invalid="ignore"):
             between = np.where(near[:, None], np.diff(centre[images], axis=0) / interval[:, None], np.nan)
         none = np.full((1, 3), np.nan)
@@ -160,9 +161,11 @@ def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     returns elapsed (n,): seconds since the middle of the strip.
     """
     heading = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
+    # And with a pause, in intervals.
+    pause = 4.0
     turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG
     wait = np.diff(seconds)
-    paused = wait > _PAUSE * np.median(wait) if len(wait) else turned
+    paused = wait > pause * np.median(wait) if len(wait) else turned
     strip = np.concatenate([[0], np.cumsum(turned | paused)]).astype(np.int64)
     first = np.full(strip[-1] + 1, np.inf)
     last = np.full(strip[-1] + 1, -np.inf)

@@ -19,8 +19,6 @@ POSITION_COLUMNS = ("image", "X", "Y", "Z", "sX", "sY", "sZ")
 POSITION_EXTRAS = ("sXY", "sXZ", "sYZ", "vX", "vY", "vZ", "strip", "time_s")
 ATTITUDE_COLUMNS = ("image", "roll", "pitch", "yaw", "sroll", "spitch", "syaw")
 RATE_COLUMNS = ("p", "q", "r", "sp", "sq", "sr")
-# Correlations that are rounding.
-_UNCORRELATED = 1e-6
 BODY_AXES: dict[BodyAxis, tuple[float, float, float]] = {
     "forward": (1.0, 0.0, 0.0),
     "backward": (-1.0, 0.0, 0.0),
@@ -186,7 +184,9 @@ def attitude_columns(attitudes: mounting.Attitudes) -> dict[str, ArrayLike]:
     back = np.linalg.inv(per_angle)
     covariance = back @ attitudes.covariance @ np.swapaxes(back, 1, 2)
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    if (np.abs(covariance / (sigma[:, :, None] * sigma[:, None]) - np.eye(3)) > _UNCORRELATED).any():
+    # Correlations that are rounding.
+    uncorrelated = 1e-6
+    if (np.abs(covariance / (sigma[:, :, None] * sigma[:, None]) - np.eye(3)) > uncorrelated).any():
         raise OutputError(
             "errors of roll, pitch and yaw are correlated: attitudes.csv has sigmas only",
             "leave the attitudes out, or give them sigmas about the axes of the angles",

@@ -22,6 +22,8 @@ _COMMA = r"[+-]?(\d+|\d{1,3}(\.\d{3})+)(,\d+)?([eE][+-]?\d+)?"
 _HEAD_BYTES = 1 << 20
 # No coordinate and no sigma is larger; products of some of these are still numbers.
 LARGEST = 1e30
+# Tables of observations and residuals that are longer are written as Parquet.
+LONG_TABLE = 500_000
 MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 
 

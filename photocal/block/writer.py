@@ -26,11 +26,9 @@ from photocal.block.motion import RATE, SIGMAS_OF_MOTION, VELOCITY
 from photocal.block.mounting import attitude_columns, mounting_keys, position_columns
 from photocal.block.rig import head_keys
 from photocal.block.setup import BlockKeys, ObservationKeys, Setup
-from photocal.block.table import name_cells, named_columns, write_table
+from photocal.block.table import LONG_TABLE, name_cells, named_columns, write_table
 from photocal.geometry.camera import SHAKE
 
-# Tables of observations that are longer are written as Parquet.
-LONG_TABLE = 500_000
 _TABLES = (
     *("images.csv", "points.csv", "observations.csv", "observations.parquet", "positions.csv"),
     *(

@@ -32,8 +32,6 @@ _POLL_S = 0.5
 _PATIENCE_S = 10.0
 # Fewer pictures are not oriented: the first ones of a flight say nothing together.
 _FEWEST = 6
-# The recorder goes first.
-_NICE = 10
 
 _Rest = tuple[int, int]
 
@@ -136,7 +134,9 @@ def _gently(workers: int) -> Iterator[tuple[ThreadPoolExecutor, ThreadPoolExecut
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     if hasattr(os, "nice"):
-        os.nice(_NICE)
+        # The recorder goes first.
+        nice = 10
+        os.nice(nice)
     lookers, judge = ThreadPoolExecutor(workers), ThreadPoolExecutor(1)
     try:
         yield lookers, judge

@@ -155,8 +155,6 @@ def _blurred(looks: Sequence[PictureQuality]) -> list[PictureQuality]:
 _CHANGED_SIGMAS, _CHANGED_SHARE = 4.0, 5e-4
 # Positions are held so many times more loosely to see whether they pull c, by so many sigmas.
 _LOOSE, _PULLED = 10.0, 3.0
-# Pictures that may stay outside: those over water, or at the end of a strip.
-_MAY_STAY = 0.05
 
 
 @dataclass(frozen=True)
@@ -259,7 +257,9 @@ def quick_findings(
         return None, [Finding("pictures-not-joined", "grave", figures={"reason": refusal.what})]
     findings = []
     out = tuple(entry["image"] for entry in quick.left_out)
-    if len(out) > _MAY_STAY * len(facts):
+    # Pictures that may stay outside: those over water, or at the end of a strip.
+    may_stay = 0.05
+    if len(out) > may_stay * len(facts):
         figures = {"n": float(len(out)), "all": float(len(facts)), "images": out}
         findings.append(Finding("pictures-left-out", "doubtful", figures=figures))
     return quick, findings + [_since(camera, last) for camera in quick.cameras if last]

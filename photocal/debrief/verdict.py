@@ -122,8 +122,6 @@ def coverage_findings(flown: Coverage, exposures: Exposures) -> list[Finding]:
 SCHEMA, FILE = "photocal.debrief/1", "debrief.json"
 # More exposures without fixed ambiguities than this are worth a line; from here on the flight is.
 _MAY_FLOAT, _TOO_MANY = 0.1, 0.33
-# Of the pictures that have no exposure: they are of another flight.
-_WRONG_CARD = 0.5
 # A flight lower than this over its take-off says nothing of the ground.
 _LOW_M = 5.0
 # What says that something must be flown again, and what the crew must look at before it leaves.
@@ -214,7 +212,9 @@ def _exposure_findings(run: ExposureRun, count: int) -> list[Finding]:
     findings = [finding for finding in findings_of(run.figures["findings"], Path(FILE)) if not finding.small]
     strangers = [finding for finding in findings if finding.code == "images-without-event"]
     lonely = sum(finding.figures["n"] for finding in strangers)
-    if lonely > _WRONG_CARD * count:
+    # Of the pictures that have no exposure: they are of another flight.
+    wrong_card = 0.5
+    if lonely > wrong_card * count:
         figures = {"n": lonely, "all": float(count)}
         findings = [finding for finding in findings if finding not in strangers]
         findings.append(Finding("wrong-card", "grave", figures=figures))

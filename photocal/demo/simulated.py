@@ -25,8 +25,6 @@ _LEVER = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
 _BORESIGHT = ("boresight_x", "boresight_y", "boresight_z")
 _WITHIN = 3.0
 _ACQUIRE = (sys.executable, "-c", "from acquire.cli import main; main()")
-_START_S = 300.0
-_STOP_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -178,7 +176,8 @@ def record(flight: Path, speed: float) -> None:
     serve = [*_ACQUIRE, "simulate", "serve", str(flight), "--speed", str(speed), "--linger", "1"]
     with _started(serve) as devices:
         try:
-            limit = time.monotonic() + _START_S
+            start_s = 300.0
+            limit = time.monotonic() + start_s
             while not settings.exists():
                 _require(devices, limit, "the simulated devices did not start")
                 time.sleep(0.05)
@@ -189,7 +188,8 @@ def record(flight: Path, speed: float) -> None:
                     _succeeded(devices, errors)
                 finally:
                     interrupt(log)
-                    _, errors = log.communicate(timeout=_STOP_S)
+                    stop_s = 300.0
+                    _, errors = log.communicate(timeout=stop_s)
                 _succeeded(log, errors)
         finally:
             devices.kill()

@@ -22,11 +22,6 @@ from photocal.base.operating_system import CHILD_FLAGS
 
 FOLDER = ".desk"
 _PROGRAM = (sys.executable, "-P", "-m", "photocal")
-# Short commands answer within this time.
-_PATIENCE_S = 600.0
-# What is asked to stop may clean up so long.
-_GRACE_S = 15.0
-_LONGEST_LOG = 200_000
 _ERROR = "error: "
 
 
@@ -35,11 +30,13 @@ def asked(arguments: Sequence[str | Path], environment: Mapping[str, str] | None
 
     raises ConfigurationError: when it fails without an answer.
     """
+    # Short commands answer within this time.
+    patience_s = 600.0
     done = subprocess.run(  # noqa: S603
         [*_PROGRAM, *map(str, arguments), "--json"],
         capture_output=True,
         text=True,
-        timeout=_PATIENCE_S,
+        timeout=patience_s,
         stdin=subprocess.DEVNULL,
         env={**os.environ, **(environment or {})},
         check=False,
@@ -103,9 +100,11 @@ class Job:
             if not self._alive():
                 return
             self._note({**told, "stopped": time.time()})
+            # What is asked to stop may clean up so long.
+            grace_s = 15.0
             for send in (_ask, _end):
                 send(told["pid"])
-                until = time.monotonic() + _GRACE_S
+                until = time.monotonic() + grace_s
                 while self._alive() and time.monotonic() < until:
                     time.sleep(0.05)
                 if not self._alive():
@@ -139,7 +138,8 @@ class Job:
     def log(self) -> str:
         """What it has said, the last part of it."""
         try:
-            return self._file("log").read_bytes()[-_LONGEST_LOG:].decode("utf-8", "replace")
+            longest_log = 200_000
+            return self._file("log").read_bytes()[-longest_log:].decode("utf-8", "replace")
         except OSError:
             return ""
 

@@ -10,11 +10,6 @@ from photocal.base.errors import ConfigurationError, InputMalformedError, Photoc
 from photocal.exchange.source import read_text
 from photocal.geometry.frames import UNSTATED, parsed, reference_frame
 
-# Coordinates of a site grid are smaller than northings.
-OF_A_MAP_M = 2e4
-# Degrees of some digits and metres of one place differ by less, m.
-NEAR_M = 5.0
-
 
 def output_system(file: Path | None, places: Floats) -> tuple[str, str, list[str]]:
     """Frame and kind of heights of a block, and what was assumed of them.
@@ -22,7 +17,9 @@ def output_system(file: Path | None, places: Floats) -> tuple[str, str, list[str
     places (n, 3): projection centres in that system.
     """
     if file is None:
-        large = bool((np.abs(np.nanmedian(places[:, :2], axis=0)) > OF_A_MAP_M).all())
+        # Coordinates of a site grid are smaller than northings.
+        of_a_map_m = 2e4
+        large = bool((np.abs(np.nanmedian(places[:, :2], axis=0)) > of_a_map_m).all())
         told = ["no ..._wkt.prj names the system of the coordinates: taken as Cartesian"]
         return "local", "", told if large else []
     text = read_text(file).strip()
@@ -54,11 +51,13 @@ def utm_zone_of(lonlat: Floats, places: Floats) -> tuple[str, tuple[str, ...]]:
     longitude, latitude = np.median(lonlat, axis=0).tolist()
     if abs(longitude) <= 180 and abs(latitude) <= 84:
         here = AreaOfInterest(longitude, latitude, longitude, latitude)
+        # Degrees of some digits and metres of one place differ by less, m.
+        near_m = 5.0
         for zone in query_utm_crs_info("WGS 84", here):
             code = f"{zone.auth_name}:{zone.code}"
             way = Transformer.from_crs("EPSG:4326", code, always_xy=True)
             away = np.hypot(*(np.column_stack(way.transform(*lonlat.T)) - places[:, :2]).T)
-            if np.nanmax(away) <= NEAR_M:
+            if np.nanmax(away) <= near_m:
                 return code, (HEIGHTS_UNSAID,)
     return "local", ("the places are in no UTM zone: taken as Cartesian",)
 

@@ -45,10 +45,6 @@ _GROUND_COLUMNS = (
     "GCP weight",
     *(f"GCP {kind} {axis}" for kind in ("measured", "estimated") for axis in "XYZ"),
 )
-# Positions farther from the adjusted ones are in another system.
-FAR_M = 1000.0
-# No receiver states less than a hundredth of a millimetre.
-LEAST_M = 1e-5
 # No system has larger coordinates.
 ON_EARTH_M = 5e7
 _ROWS = 10
@@ -154,7 +150,9 @@ def read(path: Path) -> ForeignProject:
         )
         position[others] = np.nan
     away = np.linalg.norm(position - poses[:, 3:], axis=1)
-    if np.isfinite(away).any() and np.nanmedian(away) > FAR_M:
+    # Positions farther from the adjusted ones are in another system.
+    far_m = 1000.0
+    if np.isfinite(away).any() and np.nanmedian(away) > far_m:
         remarks.append(
             f"positions lie {np.nanmedian(away):.0f} m from the adjusted ones: of another system, left out"
         )
@@ -317,6 +315,8 @@ def _positions(folder: Path, names: Sequence[str]) -> tuple[Floats, Floats, Floa
         if k >= 0:
             table[k] = [_value(cell) for cell in cells]
     given, stated, places, angles = table[:, :3], table[:, 3:6], table[:, 6:9], table[:, 9:]
-    unstated = ~(stated > LEAST_M).all(axis=1)
+    # No receiver states less than a hundredth of a millimetre.
+    least_m = 1e-5
+    unstated = ~(stated > least_m).all(axis=1)
     given[unstated], stated[unstated] = np.nan, np.nan
     return given, stated, np.hstack([np.radians(angles), places])

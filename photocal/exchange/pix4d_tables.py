@@ -27,8 +27,6 @@ from photocal.geometry.camera import Camera
 EXTERNAL = "calibrated_external_camera_parameters.txt"
 _SENSOR = re.compile(r"#Focal Length mm assuming a sensor width of ([0-9.eE+-]+)x([0-9.eE+-]+)mm")
 _KEYS = ("F", "Px", "Py", "K1", "K2", "K3", "T1", "T2")
-# Sides of a sensor and of its pictures are in the same relation, but for rounding.
-_ALIKE = 1e-3
 
 
 def read_cam(path: Path, sizes_px: Iterable[tuple[int, int]]) -> tuple[Camera, ...]:
@@ -78,7 +76,9 @@ def _camera(lines: list[Line], sizes: tuple[tuple[int, int], ...], name: str, pa
 
 def _shaped(size: tuple[int, int], width: float, height: float) -> bool:
     """Whether a sensor of some mm has the shape of a picture."""
-    return width > 0 and height > 0 and abs(width / height * size[1] / size[0] - 1) <= _ALIKE
+    # Sides of a sensor and of its pictures are in the same relation, but for rounding.
+    alike = 1e-3
+    return width > 0 and height > 0 and abs(width / height * size[1] / size[0] - 1) <= alike
 
 
 def read_external(path: Path) -> ForeignProject:

@@ -21,8 +21,6 @@ from photocal.block.table import MARKS, require_file
 MAX_BYTES = 2 << 30
 # No camera has more pixels on a side; a larger number is a damaged or hostile file.
 MAX_SIDE_PX = 1_000_000
-# Bytes of a name: what the file systems in use allow.
-_LONGEST_NAME = 255
 # Halves of an end of line with halves of their neighbours: letters that no alphabet has.
 _SHIFTED = ("\u0a00", "\u0a0d")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
@@ -168,7 +166,9 @@ def beside(folder: Path, name: str, place: object) -> Path:
     parts = PurePosixPath(name.replace("\\", "/"))
     outside = parts.is_absolute() or bool(PureWindowsPath(name).drive) or ".." in parts.parts
     malformed = InputMalformedError.at(place)
-    if outside or "\0" in name or not 0 < len(parts.name.encode("utf-8", "replace")) <= _LONGEST_NAME:
+    # Bytes of a name: what the file systems in use allow.
+    longest_name = 255
+    if outside or "\0" in name or not 0 < len(parts.name.encode("utf-8", "replace")) <= longest_name:
         raise malformed(
             f"names the file {name!r}, which is not inside its folder",
             "put the file beside the set-up and name it without folders",

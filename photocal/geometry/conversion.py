@@ -11,10 +11,6 @@ from photocal.geometry.camera import MODELS, PARAMETERS, Affinity, Camera, Model
 from photocal.geometry.distortion import affinity_matrix, distorted, undistorted
 
 _K, _P, _B, _READOUT = slice(3, 7), slice(7, 11), slice(11, 13), PARAMETERS.index("readout")
-# Points on a side of the grid over the image at which models are compared.
-GRID = 31
-# A polynomial of Brown that misses a lens by more than this is no equivalent, px.
-NO_EQUIVALENT_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -107,7 +103,9 @@ def converted(
     if same and used <= set(allowed) and (camera.model == model or (perspective and not used)):
         return Conversion(replace(camera, model=model, affinity=affinity, affinity_form="fraser"))
     conversion = _fitted(camera, model, affinity, allowed)
-    if camera.lens.relative and not MODELS[model].relative and not conversion.largest_px < NO_EQUIVALENT_PX:
+    # A polynomial of Brown that misses a lens by more than this is no equivalent, px.
+    no_equivalent_px = 1.0
+    if camera.lens.relative and not MODELS[model].relative and not conversion.largest_px < no_equivalent_px:
         raise InputMalformedError(
             f"camera {camera.id} has a {camera.model} lens, which Brown's polynomial would miss by up to "
             f"{conversion.largest_px:.3g} px",
@@ -128,8 +126,10 @@ def apart_px(camera: Camera, other: Camera) -> tuple[float, float]:
 
 def _grid(camera: Camera) -> Floats:
     """Image points over the whole image, in its plane."""
+    # Points on a side of the grid over the image at which models are compared.
+    grid = 31
     side = [
-        np.linspace(-0.5, 0.5, GRID) * extent * pitch
+        np.linspace(-0.5, 0.5, grid) * extent * pitch
         for extent, pitch in zip(camera.size_px, camera.pitch, strict=True)
     ]
     return np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)

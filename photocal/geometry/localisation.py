@@ -17,8 +17,6 @@ from photocal.base.errors import IllPosedError
 # A plane through heights wants a point more than it has parameters, and width against its length.
 _FEWEST_FOR_TILT, _LINE = 4, 0.02
 _ROUNDS = 20
-# A point that the others leave no redundancy for is not checked.
-_LEAST_REDUNDANCY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -217,10 +215,12 @@ def _tested(
     squares, redundancy, known = sum_of_squares
     k = residual.shape[1]
     miss, probability = np.full(residual.shape, np.nan), np.full(len(residual), np.nan)
+    # A point that the others leave no redundancy for is not checked.
+    least_redundancy = 1e-6
     for i, (v, rows, sigma) in enumerate(zip(residual, design, deviation, strict=True)):
         variance = np.diag(sigma**2)
         left = variance - rows @ cofactor @ rows.T
-        if np.linalg.eigvalsh(left / np.outer(sigma, sigma)).min() < _LEAST_REDUNDANCY:
+        if np.linalg.eigvalsh(left / np.outer(sigma, sigma)).min() < least_redundancy:
             continue
         miss[i] = variance @ np.linalg.solve(left, v)
         statistic = float(v @ np.linalg.solve(left, v))

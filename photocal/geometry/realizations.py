@@ -25,11 +25,6 @@ if TYPE_CHECKING:
 # The frame that every way goes through; its plate model is that of Altamimi et al. (2023,
 # doi:10.1029/2023GL106373), with the rate of its origin, as PROJ ships it.
 _HUB, _PLATES = "ITRF2020", "ITRF2020"
-# Stations on rigid ground scatter about the model by 0.25 mm a year (there, table 2). Others, and their
-# heights, which it leaves out, may move by more: cautious.
-PLATE_SIGMA_M_A = 0.001
-# Of two realizations of the world's frame, where PROJ tells none.
-_WAY_SIGMA_M = 0.01
 # What services write, and PROJ does not have; frames of the IGS are those of ITRF to some millimetres.
 _ALIKE = {"igb20": "igs20", "sirgas": "sirgas2000"}
 _OF_IGS = {
@@ -196,7 +191,10 @@ def frame_shift(place_m: Floats, source: Realization, target: Realization) -> Fr
     place, variance, ways = between
     if first != last:
         place = np.array(_plate_motion(plate or "", first).transform(place[0], place[1], place[2], last)[:3])
-        variance += (PLATE_SIGMA_M_A * (last - first)) ** 2
+        # Stations on rigid ground scatter about the model by 0.25 mm a year (there, table 2). Others, and
+        # their heights, which it leaves out, may move by more: cautious.
+        plate_sigma_m_a = 0.001
+        variance += (plate_sigma_m_a * (last - first)) ** 2
         ways += (f"the plate model of {_PLATES}, {plate}, over {abs(last - first):.1f} years",)
     between = _between_frames(_HUB, _of_itrf(end.frame), place, last)
     if between is None:
@@ -221,7 +219,9 @@ def _between_frames(
     moved = np.array(way.transform(place[0], place[1], place[2], epoch)[:3])
     # Which of several ways is taken shows after its use.
     accuracy = way.get_last_used_operation().accuracy if way.accuracy < 0 else way.accuracy
-    return moved, (accuracy if accuracy > 0 else _WAY_SIGMA_M) ** 2, (f"{one} to {other}",)
+    # Of two realizations of the world's frame, where PROJ tells none.
+    way_sigma_m = 0.01
+    return moved, (accuracy if accuracy > 0 else way_sigma_m) ** 2, (f"{one} to {other}",)
 
 
 def _of_itrf(frame: str) -> str:

@@ -9,8 +9,6 @@ from photocal.base.arrays import Floats
 
 # Five points make a matrix; more have to choose among several.
 FEWEST = 8
-# Share of the points that have to lie in front of both images.
-IN_FRONT = 0.8
 FLIP = np.diag([1.0, -1.0, -1.0])
 
 
@@ -76,7 +74,9 @@ def _candidate(turn: Floats, shift: Floats, first: Floats, second: Floats) -> Re
         s = (bb * (left @ base) - ab * (right @ base)) / determinant
         t = (ab * (left @ base) - aa * (right @ base)) / determinant
     front = (s > 0) & (t > 0)
-    if front.mean() < IN_FRONT:
+    # Share of the points that have to lie in front of both images.
+    in_front = 0.8
+    if front.mean() < in_front:
         return None
     points = (s[:, None] * left + base + t[:, None] * right) / 2
     points[~front] = np.nan

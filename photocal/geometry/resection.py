@@ -9,8 +9,6 @@ from photocal.base.arrays import Floats, Integers
 
 # Three points leave up to four poses.
 FEWEST = 4
-# Points whose second extent is a smaller share of their first lie in a line that the image can turn about.
-LINE = 0.01
 # A fit may hold gross errors when a residual is larger than this many times the median, or than this many
 # principal distances.
 UNEVEN, LARGE = 6.0, 5e-3
@@ -49,7 +47,10 @@ def resection(xyz: Floats, rays: Floats) -> Resection | None:
         return None
     middle = xyz.mean(axis=0)
     extent = np.linalg.svd(xyz - middle, compute_uv=False)
-    if not extent[1] > LINE * extent[0]:
+    # Points whose second extent is a smaller share of their first lie in a line that the image can turn
+    # about.
+    line = 0.01
+    if not extent[1] > line * extent[0]:
         return None
     size = float(np.abs(xyz - middle).max())
     world = (xyz - middle) / size

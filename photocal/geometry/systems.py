@@ -16,8 +16,6 @@ from photocal.base.arrays import Floats
 
 # Systems that are offered where a name leaves more than one.
 MOST = 5
-# How far control may lie from what pictures say of their place, m.
-NEAR_M = 5_000.0
 # What national systems are called at home, in the words of the register.
 _AT_HOME = {
     "puwg": "pl",
@@ -94,6 +92,8 @@ def is_meant(text: str, system: MapSystem) -> bool:
 def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST) -> tuple[MapSystem, ...]:
     """Map systems in which coordinates, shape (n, 2), lie near a place that is known in degrees."""
     middle, found = np.median(places, axis=0), list[tuple[float, MapSystem]]()
+    # How far control may lie from what pictures say of their place, m.
+    near_m = 5_000.0
     for system in _register():
         west, south, east, north = system.bounds
         if not (south <= latitude <= north and west <= longitude <= east and "EPSG:" in system.code):
@@ -104,7 +104,7 @@ def at_place(latitude: float, longitude: float, places: Floats, most: int = MOST
         away = float(
             np.linalg.norm(np.array(way.transform(longitude, latitude, direction="INVERSE")) - middle)
         )
-        if away <= NEAR_M:
+        if away <= near_m:
             # Of systems that are all near the smaller area is the likelier.
             found.append(((east - west) * (north - south), system))
     return tuple(system for _, system in sorted(found, key=lambda one: one[0])[:most])

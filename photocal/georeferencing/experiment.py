@@ -44,8 +44,6 @@ Pattern = tuple[str, Integers]
 SCHEMA = "photocal.control-numbers/1"
 COUNTS = (0, 1, 3, 5)
 CHOICES = 6
-# More control is said to be worth while where it lowers what is predicted by more than this.
-WORTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -476,7 +474,9 @@ def numbers_text(figures: dict[str, Any]) -> str:
         predicted[row["control"]] = float(np.linalg.norm(list(row["predicted_m"].values())))
     if predicted:
         least = min(predicted.values())
-        enough = min(count for count, value in predicted.items() if value <= (1 + WORTH) * least)
+        # More control is said to be worth while where it lowers what is predicted by more than this.
+        worth = 0.1
+        enough = min(count for count, value in predicted.items() if value <= (1 + worth) * least)
         lines.append(
             f"from {enough} control points on, more of them lower what is predicted by less than 10 %"
         )

@@ -17,8 +17,6 @@ from photocal.geometry.camera import PARAMETERS, Camera
 # What is asked of a calibration flight: 1 m, 1 degree, 0.1 s, 1 m; the camera: 1 % of c, 0.1 s of readout.
 _SCALE_COMMON = np.array([1.0] * 3 + [np.radians(1.0)] * 3 + [0.1] + [1.0] * 3 + [0.0])
 _SCALE_CAMERA, _SCALE_READOUT = 0.01, 0.1
-# A direction is not determined when its standard deviation stays above this share of the scale.
-_UNDETERMINED = 0.05
 _TAKES_PART = 0.1
 
 
@@ -81,7 +79,9 @@ def _scales(camera: Camera) -> Floats:
 def _groups(names: tuple[str, ...], covariance: Floats) -> tuple[tuple[str, ...], ...]:
     """Names that the undetermined directions tie together."""
     variances, vectors = np.linalg.eigh(covariance)
-    open_ = vectors[:, variances > _UNDETERMINED**2]
+    # A direction is not determined when its standard deviation stays above this share of the scale.
+    undetermined = 0.05
+    open_ = vectors[:, variances > undetermined**2]
     projector = open_ @ open_.T
     part = np.diag(projector) > _TAKES_PART
     linked = (np.abs(projector) > _TAKES_PART) & part[:, None] & part[None, :]

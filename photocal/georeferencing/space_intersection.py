@@ -15,9 +15,6 @@ from photocal.geometry.resection import intersect
 from photocal.geometry.rotation import skew
 from photocal.georeferencing.direct import DirectOrientation, MovedRays, moved_rays
 
-_ITERATIONS = 20
-_ENOUGH_M = 1e-7
-
 
 @dataclass(frozen=True)
 class Intersected:
@@ -113,7 +110,9 @@ def _one_point(
     rotation, centre = moved.rotation[rays], moved.centre[rays]
     c, ideal = corrected.distance[rays], corrected.ideal[rays]
     xyz = start
-    for _ in range(_ITERATIONS):
+    iterations = 20
+    enough_m = 1e-7
+    for _ in range(iterations):
         q = np.einsum("nij,nj->ni", rotation, xyz - centre)
         by_q = _by_camera_axes(q, c)
         by_point = (by_q @ rotation).reshape(-1, 3)
@@ -125,7 +124,7 @@ def _one_point(
             return None
         step = -covariance @ (by_point.T @ (weight @ miss))
         xyz = xyz + step
-        if np.abs(step).max() < _ENOUGH_M:
+        if np.abs(step).max() < enough_m:
             break
     else:
         return None

@@ -25,12 +25,6 @@ from photocal.hypotheses.table import FAULTS, Fault
 
 # So many positions and control points, the most contradicted ones, are looked at beside all else.
 _MOST_POSITIONS, _MOST_CONTROL = 8, 24
-# Less of its sigma is no more than a trace of an amount.
-_TRACE = 0.05
-# Strips with fewer positions are not looked at one by one.
-_LEAST_OF_STRIP = 3
-# A scale needs two places.
-_LEAST_SCALED = 2
 # What nature bounds is looked for where its largest amount would be found in 80 % of cases (Baarda 1968).
 _FOUND = float(special.ndtri(1.0 - policy.SIGNIFICANCE / 2.0) + special.ndtri(policy.POWER)) ** 2
 # Powers of the radius, for weak observations of coefficients.
@@ -130,10 +124,12 @@ class Candidates:
         _, amounts, spread = self.whole.solved(cameras, mounting, self.beside)
         keys = [(self.fields[k].code, subject_of(self.network, self.fields[k])) for k in self.beside]
         sigma = np.sqrt(np.diag(spread))
+        # Less of its sigma is no more than a trace of an amount.
+        trace = 0.05
         return {
             key: float(amount)
             for key, amount, one in zip(keys, amounts, sigma, strict=True)
-            if abs(amount) > _TRACE * one
+            if abs(amount) > trace * one
         }
 
     def determined(self, cause: Cause) -> bool:
@@ -254,7 +250,9 @@ def _of_positions(network: Network, images: Sequence[int]) -> Floats:
 def _trends(network: Network, table: Sequence[Fault]) -> dict[Fault, Floats]:
     """Trends of all positions against control, by what a unit of each changes, (positions, 3) m."""
     entries = {entry.code: entry for entry in table if entry.each == "trend"}
-    if len(network.positions.image) < policy.SMALLEST_SAMPLE or len(control_points(network)) < _LEAST_SCALED:
+    # A scale needs two places.
+    least_scaled = 2
+    if len(network.positions.image) < policy.SMALLEST_SAMPLE or len(control_points(network)) < least_scaled:
         return {}
     away = network.positions.values - network.positions.values.mean(axis=0)
     known = {"positions-scale": away * [1.0, 1.0, 0.0]}
@@ -289,7 +287,9 @@ def _of_strips(network: Network, entry: Fault | None) -> list[Cause]:
     if entry is None or len(strips) < 2 or np.any(network.mounting.sigma[STRIPS:]):
         return []
     listed = []
-    for strip in strips[count >= _LEAST_OF_STRIP].tolist():
+    # Strips with fewer positions are not looked at one by one.
+    least_of_strip = 3
+    for strip in strips[count >= least_of_strip].tolist():
         names = [network.image_names[i] for i in network.positions.image[network.positions.strip == strip]]
         subject = f"{names[0]}-{names[-1]}"
         listed.append(Cause(entry, subject, choices=len(strips), members=(strip,), unknowns=len(entry.frees)))

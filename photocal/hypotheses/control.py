@@ -21,10 +21,6 @@ from photocal.base.errors import PhotocalError
 # Weak observations of what control would have determined: share of c; lever arm (m), boresight (rad), time
 # offset (s); the shift is free.
 LOOSE_C, LOOSE = 0.02, np.array([1.0] * 3 + [0.1] * 3 + [1.0])
-# Without control its points are still held, by this many times their sigmas: one ray alone does not.
-_HARDLY = 1e4
-# Of up to so many subsets all are tried, beyond them the best of one point fewer and each other point.
-_ALL_SUBSETS = 4000
 # Coordinates of a point that a mistake concerns: its height, its place in plane, or all of them.
 _ALL_AXES = (0, 1, 2)
 _WRONG: tuple[tuple[int, ...], ...] = ((2,), (0, 1), _ALL_AXES)
@@ -96,7 +92,9 @@ def without_control(network: Network) -> Network:
     control = control_points(network)
     weight, held = network.points.weight.copy(), network.points.held.copy()
     survey = survey_covariance(network, control)
-    weight[control], held[control] = np.linalg.inv(survey) / _HARDLY**2, False
+    # Without control its points are still held, by this many times their sigmas: one ray alone does not.
+    hardly = 1e4
+    weight[control], held[control] = np.linalg.inv(survey) / hardly**2, False
     cameras = []
     for camera in network.cameras:
         prior = camera.prior_sigma.copy()
@@ -286,7 +284,9 @@ def _cost(
 
 
 def _subsets(n: int, best: tuple[int, ...], size: int) -> Iterable[tuple[int, ...]]:
-    if size <= 2 or len(best) < size - 1 or np.prod(range(n - size + 1, n + 1)) < _ALL_SUBSETS * 6:
+    # Of up to so many subsets all are tried, beyond them the best of one point fewer and each other point.
+    all_subsets = 4000
+    if size <= 2 or len(best) < size - 1 or np.prod(range(n - size + 1, n + 1)) < all_subsets * 6:
         return combinations(range(n), size)
     return {tuple(sorted((*best, k))) for k in range(n) if k not in best}
 

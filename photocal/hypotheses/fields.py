@@ -18,8 +18,6 @@ REGULAR_SHARE = 0.6
 REGULAR_SPACING = 0.3
 # A change of the camera is looked for at so many places: between strips, else evenly through the flight.
 PLACES = 7
-# Once a place is found, so many on either side of it are tried.
-FINELY = 6
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,9 @@ def places_of_change(network: Network, order: Integers, near: str = "") -> list[
     if near not in network.image_names:
         return [int(place) for place in coarse]
     middle = int(np.flatnonzero(order == network.image_names.index(near))[0])
-    reach = min(max(count // (2 * PLACES), 2), FINELY)
+    # Once a place is found, so many on either side of it are tried.
+    finely = 6
+    reach = min(max(count // (2 * PLACES), 2), finely)
     fine = np.arange(max(middle - reach, FEWEST_IMAGES), min(middle + reach, count - FEWEST_IMAGES) + 1)
     return [int(place) for place in fine]
 

@@ -28,8 +28,6 @@ _UNKNOWN = 10.0
 _BODY_AXES = ("forward", "right", "down")
 # No model takes these up: what they do to c or to the points of a block withholds acceptance.
 _GRAVE = ("c-drift", "rolling-shutter", "refraction", "earth-curvature")
-# Gross rays that make up a larger share of v'Pv have bent what was adjusted with them.
-_MANY = 0.1
 
 
 @dataclass(frozen=True)
@@ -476,7 +474,9 @@ def _of_rays(found: SystematicErrors) -> list[Finding]:
         "point": network.point_names[network.rays.point[worst]],
         "share": share,
     }
-    severity: Severity = "doubtful" if share > _MANY else "note"
+    # Gross rays that make up a larger share of v'Pv have bent what was adjusted with them.
+    many = 0.1
+    severity: Severity = "doubtful" if share > many else "note"
     return [Finding("gross-rays", severity, "image points", figures, size=Size(float(count), "1"))]
 
 

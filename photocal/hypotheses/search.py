@@ -49,8 +49,6 @@ _CONFIRMED = 2
 _SETTLING, _SETTLED, _STEADY = 4, 0.05, 0.9
 # Groups of which people state what they hope.
 _STATED = ("position", "attitude", *CONTROL)
-# Control beyond this variance factor bends the block: its points are predicted by an adjustment without it.
-_BENT = 25.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,10 @@ def systematic_errors(
     raises IllPosedError, NotConvergedError: when not even the given network can be judged.
     """
     straight = first
-    if at_once is None and first.solution.variance_factor > _BENT:
+    # Control beyond this variance factor bends the block: its points are predicted by an adjustment without
+    # it.
+    bent = 25.0
+    if at_once is None and first.solution.variance_factor > bent:
         # Wrong control bends the block so far that nothing else can be judged.
         without = _without_wrong_control(first.network, first.solution)
         straight, at_once = without or (first, None)

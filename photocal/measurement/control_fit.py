@@ -29,14 +29,10 @@ MOST_PAIRS, MOST_TRIPLES = 45, 1000
 # A block of uncertain cameras is bent by this share of its extent; more is a gross error. Within it a point
 # does not fit that misses by this many times the median, and by so many sigmas and pixels.
 BENT, STRAY, SURVEYS, PIXELS = 0.01, 5.0, 5.0, 3.0
-# A check point that is off by more than so many such shares is no point of this block.
-ELSEWHERE = 10.0
 # Of triples that fit about as well, the one that turns the block least.
 ALIKE = 1.2
 # Control contradicts positions that all lie off by so many sigmas, and by so many metres.
 AGAINST, AGAINST_M, AGAINST_UP_M = 6.0, 10.0, 60.0
-# Control whose width is a smaller share of the block's holds one corner of it.
-CORNER = 0.25
 _TIE = ROLES.index("tie")
 _SAME = Similarity(1.0, np.eye(3), np.zeros(3))
 
@@ -296,7 +292,9 @@ def _checks_here(
     if not known.any():
         return np.asarray(checks)
     away = np.where(known, misses_of(move, np.nan_to_num(met), np.nan_to_num(target)), 0.0)
-    limit = ELSEWHERE * max(_tolerance(target[known], np.zeros(1)), AGAINST_M)
+    # A check point that is off by more than so many such shares is no point of this block.
+    elsewhere = 10.0
+    limit = elsewhere * max(_tolerance(target[known], np.zeros(1)), AGAINST_M)
     return np.asarray(checks & (away <= limit))
 
 
@@ -357,7 +355,9 @@ def _sentences(
         float(np.linalg.norm(np.ptp(places, axis=0)))
         for places in (target[used], fit.move.scale * views.station)
     )
-    if width < CORNER * block:
+    # Control whose width is a smaller share of the block's holds one corner of it.
+    corner = 0.25
+    if width < corner * block:
         share: dict[str, Figure] = {"percent": 100.0 * width / block, "n": float(len(used))}
         findings.append(Finding("control-in-corner", "doubtful", figures=share))
     return findings

@@ -18,9 +18,6 @@ from photocal.base.files import output_file
 Arrays = dict[str, NDArray[Any]]
 Floats32 = NDArray[np.float32]
 
-# Cells along the longer side, in each of which the coarsest features stay.
-CELLS = 24
-
 
 def combined_key(*parts: object) -> str:
     """SHA-256 of several keys and settings."""
@@ -155,7 +152,9 @@ def _spread(pixels: Floats32, strength: Floats32, size: tuple[int, int], most: i
     """The strongest features of each cell, cell after cell in turns, until there are enough."""
     if len(pixels) <= most:
         return np.arange(len(pixels))
-    side = max(size) / CELLS
+    # Cells along the longer side, in each of which the coarsest features stay.
+    cells = 24
+    side = max(size) / cells
     cell = (pixels[:, 0] // side).astype(np.int64) + 1000 * (pixels[:, 1] // side).astype(np.int64)
     order = np.lexsort((-strength, cell))
     starts = np.r_[0, np.flatnonzero(np.diff(cell[order])) + 1]

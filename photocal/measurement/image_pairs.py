@@ -18,13 +18,8 @@ from photocal.project import Project
 
 Rule = Literal["footprints", "neighbours", "sequence", "all"]
 
-# Each image is matched with so many others at most: the number of pairs grows with the images, not
-# with their square.
-MOST_PARTNERS = 24
 # Without any exposure: all pairs up to so many images, then those that follow each other.
 ALL_UP_TO, SEQUENCE = 60, 12
-# Footprints that overlap by less than about a fifth are of no use.
-USEFUL = 0.8
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,10 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
     """Pairs of neighbours, of those whose footprints overlap where these are known."""
     from scipy.spatial import KDTree
 
-    partners = min(len(rows), MOST_PARTNERS + 1)
+    # Each image is matched with so many others at most: the number of pairs grows with the images, not with
+    # their square.
+    most_partners = 24
+    partners = min(len(rows), most_partners + 1)
     nearest = KDTree(seen.centre[rows]).query(seen.centre[rows], k=partners)
     distance, other = (np.reshape(part, (len(rows), -1)) for part in nearest)
     first = np.broadcast_to(np.arange(len(rows))[:, None], other.shape)
@@ -136,6 +134,8 @@ def _near(seen: Footprints, rows: Integers) -> tuple[Integers, Rule]:
     # Where a height is not known the nearest go together, however far.
     known = np.isfinite(radius[first] + radius[other])
     with np.errstate(invalid="ignore"):
-        near &= ~known | (distance < USEFUL * (radius[first] + radius[other]))
+        # Footprints that overlap by less than about a fifth are of no use.
+        useful = 0.8
+        near &= ~known | (distance < useful * (radius[first] + radius[other]))
     pairs = np.column_stack([rows[first[near]], rows[other[near]]])
     return pairs, "footprints" if known.all() else "neighbours"

@@ -21,8 +21,6 @@ from photocal.measurement.tie_adjustment import (
 )
 from photocal.measurement.tracks import Tracks
 
-# By how much another lens must lower v'Pv, and for each unknown more.
-GAIN = 20.0
 # With an estimated readout the residuals say in the end whether they are smaller.
 NOT_WORSE = 1.001
 _MODELS: tuple[Model, ...] = ("brown-ideal", "brown-observed")
@@ -147,7 +145,9 @@ def _preferred(adjusted: AdjustedTies, place: int) -> list[Chosen]:
 def _needed(lens: Camera, given: Camera) -> float:
     """By how much a lens must lower v'Pv."""
     unknowns = int(lens.estimated.sum() - given.estimated.sum())
-    return GAIN * (unknowns + (lens.model != given.model))
+    # By how much another lens must lower v'Pv, and for each unknown more.
+    gain = 20.0
+    return gain * (unknowns + (lens.model != given.model))
 
 
 def _still_pays(better: AdjustedTies, before: AdjustedTies, name: str) -> bool:

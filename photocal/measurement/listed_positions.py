@@ -17,8 +17,6 @@ SIGMAS, UNSTATED_M = 5.0, 20.0
 SAME_S = 1e-3
 # A receiver that has fixes knows the time of a pulse to microseconds; one that is worse had none, s.
 UNSURE_S = 1e-3
-# How many wrong lines in a row are passed over in the search for those that belong together.
-_REACH = 64
 # Positions of pictures whose receivers state no sigma, m: of code, and a second old at 15 m/s. Those that
 # state one are of the exposure; the camera hangs beside the antenna.
 PICTURE_SIGMA_M, PICTURE_LATE_M, PICTURE_OFFSET_M = 3.0, 15.0, 1.0
@@ -118,8 +116,10 @@ def _belonging(listed: ListedPositions, usable: Flags) -> Flags:
     sigma = np.linalg.norm(np.where(listed.sigma_m[rows] > 0, listed.sigma_m[rows], np.nan), axis=1)
     room = np.where(np.isfinite(sigma), SIGMAS * sigma, UNSTATED_M)
     count, came_from = np.ones(len(rows), dtype=np.int64), np.full(len(rows), -1)
+    # How many wrong lines in a row are passed over in the search for those that belong together.
+    reach = 64
     for k in range(1, len(rows)):
-        back = np.arange(max(0, k - _REACH), k)
+        back = np.arange(max(0, k - reach), k)
         away = np.linalg.norm(offset[back] - offset[k], axis=1)
         flown = away <= FASTEST_M_S * (time[k] - time[back]) + room[back] + room[k]
         if flown.any():

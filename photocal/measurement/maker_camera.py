@@ -30,14 +30,10 @@ from photocal.measurement.image_facts import ImageFacts
 # each specimen (10 px of 2000, the worst of a Phantom 4 Multispectral is 7), designed by its maker, read of
 # tags of the lens, and guessed.
 MEASURED, DESIGNED, STATED, GUESSED = 0.005, 0.01, 0.03, 0.2
-# Rows of pixels stand at a right angle to columns to this: no maker states it, no sensor is worse.
-SHEAR = 1e-3
 # Cameras whose tag counts cy upwards. Four pictures of an FC6360 put the principal point 11.2 px (sigma 0.4)
 # below the middle, where its tag has -11.4; all others are read as OpenCV counts, downwards.
 CY_UPWARDS = ("fc6360",)
 _RADIAL = {"K1": 3, "K2": 5, "K3": 7}
-# Sigma of a readout that a maker states, s: his clock is exact, what his lines are is not said.
-READOUT_SIGMA_S = 0.002
 # A "35 mm equivalent" is stated for the diagonal of 36 mm by 24 mm (CIPA DCG-001; DJI); some take the width,
 # which agrees for frames of 3 : 2.
 FRAME_WIDTH_MM, FRAME_DIAGONAL_MM = 36.0, math.hypot(36.0, 24.0)
@@ -82,7 +78,9 @@ class StatedCamera:
             sigma |= {name: shift / corner**power for name, power in _RADIAL.items()}
             sigma |= dict.fromkeys(("P1", "P2"), shift / (3 * corner**2))
         if self.camera.rolling:
-            sigma["readout"] = READOUT_SIGMA_S
+            # Sigma of a readout that a maker states, s: his clock is exact, what his lines are is not said.
+            readout_sigma_s = 0.002
+            sigma["readout"] = readout_sigma_s
         return sigma
 
     def _sigma_of_tag(self, shift: float, corner: float) -> dict[str, float]:
@@ -97,8 +95,10 @@ class StatedCamera:
             # Numerator and denominator bend alike.
             sigma |= {below: sigma[above] for above, below in (("K1", "K4"), ("K2", "K5"), ("K3", "K6"))}
         sigma |= {name: math.hypot(move / (3 * corner**2), own.value(name)) for name in ("P1", "P2")}
+        # Rows of pixels stand at a right angle to columns to this: no maker states it, no sensor is worse.
+        shear = 1e-3
         # Half the width is what a wrong ratio of fx and fy shifts.
-        return sigma | {"B1": math.hypot(2 * shift / own.size_px[0], own.value("B1")), "B2": SHEAR}
+        return sigma | {"B1": math.hypot(2 * shift / own.size_px[0], own.value("B1")), "B2": shear}
 
 
 def stated_camera(name: str, facts: ImageFacts) -> StatedCamera:

@@ -31,8 +31,6 @@ MOST_PAIRS, LONGEST_PX, NEAREST, FEWEST = 6, 1200, 12, 20
 # Marks carried over miss by such a share of the picture's diagonal where they show one place, and by so many
 # times as much where they do not.
 FITS, CLEARLY = 0.02, 3.0
-# A smaller share of marks outside of their pictures are slips of their own.
-SLIPS = 0.2
 # EXIF orientations by how far viewers turn the picture clockwise, once those that mirror it have mirrored it.
 _TURNED = {3: 180, 4: 180, 5: 270, 6: 90, 7: 90, 8: 270}
 _MIRRORED = (2, 4, 5, 7)
@@ -155,7 +153,9 @@ def choose_frame(marks: Sequence[Mark], facts: Facts, folder: Mapping[str, Path]
     frames = _frames(marks, facts)
     inside = [FrameFit(frame, _outside(frame.stored(marks, facts), facts)) for frame in frames]
     as_stored = inside[0]
-    if as_stored.outside <= SLIPS * len(marks):
+    # A smaller share of marks outside of their pictures are slips of their own.
+    slips = 0.2
+    if as_stored.outside <= slips * len(marks):
         inside = [replace(fit, outside=max(0, fit.outside - as_stored.outside)) for fit in inside]
         as_stored = inside[0]
     possible = [fit for fit in inside if not fit.outside or fit is as_stored]

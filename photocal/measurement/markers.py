@@ -27,10 +27,6 @@ DICTIONARIES = (
     "aruco_original",
     "aruco_mip_36h12",
 )
-# A marker whose picture differs from the ideal one by more than this part of its contrast is none.
-WORST_MISFIT = 0.2
-# A cell of a code has at least so many pixels.
-_SMALLEST_CELL_PX = 1.25
 # Raised whenever the meaning of cached results changes.
 VERSION = 4
 # Plates are not flat and lenses not modelled to the last: what the grey values cannot know, px.
@@ -124,13 +120,17 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
     # Small cells are read from more samples than they have pixels: their edges lie between pixels.
     parameters.perspectiveRemovePixelPerCell = 8
     cells = int(codes.markerSize) + 2
+    # A cell of a code has at least so many pixels.
+    smallest_cell_px = 1.25
     # The library takes the shortest outline as a part of the longer side of the image, however large that is.
-    parameters.minMarkerPerimeterRate = 4 * cells * _SMALLEST_CELL_PX / max(grey.shape)
+    parameters.minMarkerPerimeterRate = 4 * cells * smallest_cell_px / max(grey.shape)
     detected: Any = cv2.aruco.ArucoDetector(codes, parameters).detectMarkers(as_eight_bit(grey))
     corners, identities, _ = detected
     if identities is None:
         return ()
     by_identity: dict[int, list[Marker]] = {}
+    # A marker whose picture differs from the ideal one by more than this part of its contrast is none.
+    worst_misfit = 0.2
     for identity, quadrilateral in zip(np.ravel(identities), corners, strict=True):
         rough = np.asarray(quadrilateral, dtype=float).reshape(4, 2)
         side = float(np.hypot(*(np.roll(rough, -1, axis=0) - rough).T).min())
@@ -138,7 +138,7 @@ def find_markers(grey: Grey, dictionary_name: str) -> tuple[Marker, ...]:
         if measured is None:
             continue
         centre, refined = measured
-        if centre.contrast < LEAST_CONTRAST or centre.noise > WORST_MISFIT * centre.contrast:
+        if centre.contrast < LEAST_CONTRAST or centre.noise > worst_misfit * centre.contrast:
             continue
         by_identity.setdefault(int(identity), []).append(Marker(int(identity), centre, refined))
     return tuple(marks[0] for _, marks in sorted(by_identity.items()) if len(marks) == 1)

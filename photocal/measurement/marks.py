@@ -35,10 +35,6 @@ _HEADS = (
 _OWN = ("image", "point", "x", "y")
 # Roles of points of OpenSfM that measure and do not hold.
 _CHECKS = ("metrics_only", "check")
-# In all others the corner of that pixel is (0, 0).
-_HALF = 0.5
-# No coordinate is larger, m, mm among them.
-MOST_M = 1e11
 
 
 def read_marks(path: Path) -> tuple[Mark, ...]:
@@ -117,8 +113,10 @@ def read_typed_list(path: Path, sigma_m: Sigma) -> ControlMarks:
     refused, marks = [str(refusal) for refusal in given.refused], dict[tuple[str, str], Mark]()
     names: dict[tuple[float, float, float], str] = {}
     places: dict[str, tuple[float, float, float]] = {}
+    # No coordinate is larger, m, mm among them.
+    most_m = 1e11
     for row in given.rows:
-        if max(map(abs, row.xyz)) > MOST_M:
+        if max(map(abs, row.xyz)) > most_m:
             refused.append(f"{row.line.place}: {max(row.xyz, key=abs):g} is no coordinate of this earth")
             continue
         if row.name and places.get(row.name, row.xyz) != row.xyz:
@@ -342,5 +340,7 @@ def _mark(line: Line, delimiter: str, order: Sequence[int]) -> Mark:
         raise line.malformed(f"has {len(cells)} cells where image, point, x, y were expected")
     if delimiter != ",":
         cells = [cell.replace(",", ".") for cell in cells]
-    x, y = (number(cells[k], line.place, "mark") - _HALF for k in order[2:])
+    # In all others the corner of that pixel is (0, 0).
+    half = 0.5
+    x, y = (number(cells[k], line.place, "mark") - half for k in order[2:])
     return Mark(cells[order[0]], cells[order[1]], x, y, _BY_HAND, line.place)

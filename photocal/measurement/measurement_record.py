@@ -33,8 +33,6 @@ BLURRED = 0.4
 OTHERS = 3
 # Of more marks that do not fit only the worst are named.
 MARKS_NAMED = 3
-# With fewer marks nobody knows what they scatter by.
-FEWEST_MARKS = 20
 
 
 def tie_record(tracked: ImageTracks, oriented: Oriented) -> dict[str, Any]:
@@ -145,9 +143,11 @@ def suspected_marks(adjusted: AdjustedTies) -> list[dict[str, Any]]:
     spread = np.sqrt((seen.sigma**2).sum(axis=1) * np.maximum(redundancy, LEAST_CHECKED))
     share = size / spread
     marked = seen.point < len(adjusted.start.points.names)
+    # With fewer marks nobody knows what they scatter by.
+    fewest_marks = 20
     # What the model of this stage lacks, such as vibration within a readout, moves all marks: none is off.
     # Squares of such shares are exponential, with a median of ln 2 where the sigmas are right.
-    typical = np.median(share[marked]) / np.sqrt(np.log(2.0)) if marked.sum() >= FEWEST_MARKS else 1.0
+    typical = np.median(share[marked]) / np.sqrt(np.log(2.0)) if marked.sum() >= fewest_marks else 1.0
     bad = np.flatnonzero(marked & (share > GROSS * max(1.0, typical)))
     order = bad[np.argsort(-share[bad])]
     return [

@@ -79,9 +79,6 @@ def of_exposures(project: Project, folder: Path) -> Orientation:
 
 # 95 percent of a plane normal distribution lie within this many standard deviations.
 WITHIN_95 = math.sqrt(5.991464547107979)
-# Polynomials of distortion fold far outside of the image: what a lens without them would show
-# farther out than this many half diagonals is not seen.
-_FARTHEST = 1.25
 _STEPS = np.array([1e-5, 1e-5, 1e-5, 1e-2, 1e-2, 1e-2])
 
 
@@ -194,7 +191,10 @@ def _before(views: OrientedImages, point: Floats) -> Flags:
     c = np.array([camera.value("c") / camera.pitch[0] for camera in views.cameras])[views.camera]
     with np.errstate(divide="ignore", invalid="ignore"):
         aside = c * np.hypot(q[:, 0], q[:, 1]) / -q[:, 2]
-    return np.asarray((q[:, 2] < 0) & (aside < _FARTHEST * np.hypot(*views.sizes().T) / 2))
+    # Polynomials of distortion fold far outside of the image: what a lens without them would show farther out
+    # than this many half diagonals is not seen.
+    farthest = 1.25
+    return np.asarray((q[:, 2] < 0) & (aside < farthest * np.hypot(*views.sizes().T) / 2))
 
 
 def _within(pixels: Floats, covariance: Floats, sizes: Floats) -> Floats:

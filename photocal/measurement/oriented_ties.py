@@ -27,10 +27,6 @@ from photocal.results.adjusted import movements
 # precisely, and points that are adjusted: more of them cost time, and what they have in common is no noise
 # that many points take away.
 CELLS, FIRST_IN_A_CELL, MATCHED_IN_A_CELL, IN_A_CELL = 20, 1, 20, 3
-# An image with fewer tie points is not oriented by them.
-FEWEST_TIES = 12
-# Images with fewer points of three and more rays also take those of two.
-ENOUGH_STRONG = 30
 # Tracks that cannot be placed to so many pixels by the first orientation are mismatches, in images of the
 # usual length; larger than so much they are matched in reduced ones first.
 FIRST_MISS_PX, USUAL_PX, LARGE_PX = 8.0, 4000.0, 8400.0
@@ -38,8 +34,6 @@ FIRST_MISS_PX, USUAL_PX, LARGE_PX = 8.0, 4000.0, 8400.0
 _ROUNDS, _LESS = 6, 0.7
 # Patches that are matched are so wide; the errors of nearer neighbours were found to be alike by 0.1 to 0.4.
 PATCH_PX = 2.0 * HALF - 1.0
-# Matched patches nearer than this show one place.
-TWIN_PX = 4.0
 # Sigmas of tie points come from their own residuals: they test nothing.
 ESTIMATED = Finding("sigmas-from-residuals", "note")
 # Nothing says how the block lies.
@@ -199,12 +193,14 @@ def orient_ties(
     # How often images are halved, pass after pass, so that each finds what the one before has left.
     longest_px = float(sizes.max())
     levels = (int(np.ceil(np.log2(longest_px / USUAL_PX))), 0) if longest_px > LARGE_PX else (0,)
+    # Matched patches nearer than this show one place.
+    twin_px = 4.0
     for level in levels:
         views = _views(final)
         tracks, points = _placed(views, tracks, FIRST_MISS_PX * max(1.0, float(sizes.max()) / USUAL_PX))
         with progress("matching tie points precisely", 2 * len(chosen)) as done:
             matched = refine_reduced(chosen, views, tracks, points, partners, processes, done, level)
-        matched = without_twins(matched, TWIN_PX)
+        matched = without_twins(matched, twin_px)
         before = final.start.images.names
         try:
             final = adjust_ties(
@@ -231,9 +227,11 @@ def _connected(start: Block, tracks: Tracks) -> tuple[Block, Tracks, Integers, l
     """Take out images with too few tie points."""
     kept = np.arange(len(start.images.names))
     left_out: list[dict[str, str]] = []
+    # An image with fewer tie points is not oriented by them.
+    fewest_ties = 12
     while True:
         seen = np.bincount(tracks.image, minlength=len(kept))
-        few = seen < FEWEST_TIES
+        few = seen < fewest_ties
         if not few.any():
             return start, tracks, kept, left_out
         left_out += [
@@ -257,7 +255,9 @@ def _strong(tracks: Tracks, sizes: Floats, in_a_cell: int) -> Tracks:
     """Points with three and more rays, evenly spread; those with two only where an image lacks others."""
     many = tracks.some((tracks.rays >= 3)[tracks.track])
     seen = np.bincount(many.image, minlength=len(sizes))
-    return thin(many if (seen >= ENOUGH_STRONG).all() else tracks, sizes, CELLS, in_a_cell)
+    # Images with fewer points of three and more rays also take those of two.
+    enough_strong = 30
+    return thin(many if (seen >= enough_strong).all() else tracks, sizes, CELLS, in_a_cell)
 
 
 def _views(adjusted: AdjustedTies) -> OrientedImages:

@@ -9,8 +9,6 @@ from photocal.base.arrays import Floats
 from photocal.measurement.image_facts import ImageFacts, camera_temperatures
 from photocal.measurement.picture_facts import keys_of
 
-# Beyond so many values of one fact the first and the last are named.
-_NAMED = 4
 Sections = dict[str, dict[str, str | float]]
 
 
@@ -70,7 +68,9 @@ def _each(facts: Sequence[ImageFacts], name: str, form: str = "{}") -> str:
     """Write the values of one fact of all pictures, each once."""
     given = {getattr(image, name) for image in facts}
     texts = sorted(form.format(value) for value in given if value and str(value) != "nan")
-    if len(texts) > _NAMED:
+    # Beyond so many values of one fact the first and the last are named.
+    named = 4
+    if len(texts) > named:
         texts = [f"{texts[0]} ... {texts[-1]}"]
     return f"{', '.join(texts)} ({_origin(name)})" if texts else ""
 

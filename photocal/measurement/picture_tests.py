@@ -15,16 +15,10 @@ from photocal.measurement.picture_conditions import temperatures
 
 # Corrections of RTK that are older leave centimetres of the atmosphere in the positions (RTCM: 10 s).
 OLDEST_CORRECTION_S = 10.0
-# A gimbal that looks further behind than this has turned over; cameras without one swing by less.
-PAST_NADIR_DEG = 15.0
 # EXIF: 2 is hard.
 _HARD = 2
 # Positions of pictures are code fixes up to a second old: a table that is farther away is of another place.
 _TABLE_APART_M = SIGMAS * PICTURE_SIGMA_M + PICTURE_LATE_M
-# So many laser distances are told one by one.
-_LISTED = 12
-# More than this smear is no longer a loss of contrast only.
-_MUCH_SMEAR_PX = 1.0
 
 
 def judge_pictures(facts: Sequence[ImageFacts]) -> list[Finding]:
@@ -118,7 +112,9 @@ def _smeared(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
     long = [(smear, image) for smear, image in smears if smear > SMEAR_LIMIT_PX]
     if long:
         most = max(smear for smear, _ in long)
-        severity: Severity = "doubtful" if most > _MUCH_SMEAR_PX else "note"
+        # More than this smear is no longer a loss of contrast only.
+        much_smear_px = 1.0
+        severity: Severity = "doubtful" if most > much_smear_px else "note"
         yield _about(
             "pictures-smeared", [image for _, image in long], facts, severity,
             smear_px=most, limit_px=SMEAR_LIMIT_PX,
@@ -145,7 +141,9 @@ def _turned_over(facts: Sequence[ImageFacts]) -> Iterator[Finding]:
     def over(image: ImageFacts) -> bool:
         """Whether one of the signs of it is there."""
         roll, pitch, _ = image.gimbal_deg
-        behind = pitch < -90.0 - PAST_NADIR_DEG
+        # A gimbal that looks further behind than this has turned over; cameras without one swing by less.
+        past_nadir_deg = 15.0
+        behind = pitch < -90.0 - past_nadir_deg
         return bool(image.gimbal_reverse == 1 or image.camera_reverse == 1 or abs(roll) > 90.0 or behind)
 
     if turned := [image for image in facts if over(image)]:
@@ -171,7 +169,9 @@ def told_beside(facts: Sequence[ImageFacts]) -> list[str]:
         above = f"; flying height above take-off {np.median(heights):.1f} m (median)" if len(heights) else ""
         each = ", ".join(f"{distance:.1f}" for distance in hit) + " m"
         spread = f"{hit.min():.1f} to {hit.max():.1f} m, median {np.median(hit):.1f} m"
-        spread = each if len(hit) <= _LISTED else spread
+        # So many laser distances are told one by one.
+        listed = 12
+        spread = each if len(hit) <= listed else spread
         told.append(f"laser distances of {len(hit)} of {len(facts)} pictures: {spread}{above}")
     if (warm := temperatures(facts)) is not None:
         told.append(f"temperature of the camera {warm[0]:.1f} to {warm[2]:.1f} deg C, median {warm[1]:.1f}")

@@ -24,14 +24,6 @@ from photocal.measurement.target_centre import PARTS, SMALLEST_PX, TargetImage, 
 from photocal.measurement.target_search import find_targets
 from photocal.project import PlainTargets, Project
 
-# Raised whenever the meaning of cached results changes.
-VERSION = 2
-# Images that show a point with less than this probability are not searched.
-LEAST_PROBABILITY = 0.05
-# How wrong a camera may be that is to be estimated and says no more: displacement at the corner of an image,
-# as a part of its distance from the middle.
-UNKNOWN_CAMERA = 0.01
-
 
 @dataclass(frozen=True)
 class PredictedTarget:
@@ -113,6 +105,8 @@ def predicted_targets(
     images = replace(orientation.images, cameras=tuple(map(_unsure, orientation.images.cameras)))
     unsure = replace(orientation, images=images)
     expected: dict[str, list[PredictedTarget]] = {}
+    # Images that show a point with less than this probability are not searched.
+    least_probability = 0.05
     for targets in wanted:
         part = targets.part or PARTS[targets.kind]
         for k, name in enumerate(points.names):
@@ -120,7 +114,7 @@ def predicted_targets(
                 continue
             rotation = images.in_local(unsure.to_local(points.values[k][None])).rotation
             seen = predict(unsure, points.values[k], points.sigma[k])
-            for i in np.flatnonzero(seen.probability >= LEAST_PROBABILITY):
+            for i in np.flatnonzero(seen.probability >= least_probability):
                 if not (np.isfinite(seen.covariance[i]).all() and np.isfinite(seen.slope[i]).all()):
                     continue
                 camera = images.cameras[images.camera[i]]
@@ -171,7 +165,9 @@ def _find(task: tuple[Source, tuple[PredictedTarget, ...]]) -> Floats:
     parts = [(s.place, s.covariance, s.look.affine, s.look.part, s.look.bend) for s in expected]
     numbers = [np.concatenate([np.ravel(part) for part in target]) for target in parts]
     kinds = ",".join(target.look.kind for target in expected)
-    key = combined_key(VERSION, "plain targets", source.key, kinds, array_key(*numbers))
+    # Raised whenever the meaning of cached results changes.
+    version = 2
+    key = combined_key(version, "plain targets", source.key, kinds, array_key(*numbers))
     return np.asarray(cached(source.cache, key, ("targets",), make)["targets"], dtype=np.float64)
 
 
@@ -179,7 +175,10 @@ def _unsure(camera: Camera) -> Camera:
     """Camera with sigmas for what is to be estimated and of which nothing is said."""
     c, radius = camera.value("c"), float(np.hypot(*(np.array(camera.size_px) * camera.pitch))) / 2
     assumed = {"c": c, "x0": c, "y0": c, "K1": 1 / radius**2}
-    sigma = np.array([UNKNOWN_CAMERA * assumed.get(name, np.inf) for name in PARAMETERS])
+    # How wrong a camera may be that is to be estimated and says no more: displacement at the corner of an
+    # image, as a part of its distance from the middle.
+    unknown_camera = 0.01
+    sigma = np.array([unknown_camera * assumed.get(name, np.inf) for name in PARAMETERS])
     unknown = camera.estimated & ~np.isfinite(camera.prior_sigma)
     return replace(camera, prior_sigma=np.where(unknown, sigma, camera.prior_sigma))
 

@@ -11,6 +11,7 @@ from drivers.mrk import COLUMNS, parse_event
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, InputMalformedError, PhotocalError
 from photocal.base.geodesy import enu_axes, enu_offsets, geocentric
+from photocal.base.time_scales import WEEK_S
 from photocal.block.table import read_under
 from photocal.exchange.ground_points import read_geo
 from photocal.exchange.reference_table import read_references
@@ -21,7 +22,6 @@ from photocal.measurement.image_facts import ImageFacts
 from photocal.measurement.listed_positions import ListedPositions, judge_listed
 
 Given = Callable[[ImageFacts], ImageFacts]
-WEEK_S = 604_800.0
 # Heads of the columns of places as people write them; the last ones of X and Y are of degrees.
 _LONGITUDE, _LATITUDE = ("lon", "long", "longitude"), ("lat", "latitude")
 _HEIGHT = (

@@ -19,8 +19,6 @@ OVERSAMPLING = 4
 SLANT_DEG = (1.0, 40.0)
 # Contrast that counts as resolved, of that of large parts.
 RESOLVED = 0.10
-# A picture of an even surface is not used where more of its pixels are saturated.
-SATURATED = 0.01
 
 
 def measure_radiometry(options: RadiometryOptions) -> dict[str, float]:
@@ -172,9 +170,11 @@ def even_surface(pictures: Iterable[tuple[float, Grey]]) -> dict[str, float]:
     """
     total: Floats | float = 0.0
     exposures, means = [], []
+    # A picture of an even surface is not used where more of its pixels are saturated.
+    saturated = 0.01
     for time, grey in pictures:
         full = 255 if grey.dtype == np.uint8 else grey.max()
-        if np.mean(grey >= full) > SATURATED:
+        if np.mean(grey >= full) > saturated:
             continue
         rows, columns = (slice(n // 3, n - n // 3) for n in grey.shape)
         means.append(float(grey[rows, columns].mean()))

@@ -17,12 +17,6 @@ _RECORD = np.dtype([("time", "<u8"), ("rate", "<f4", 3), ("rest", "<u4")])
 _RECORDS = re.compile(r":IMUAngularVelocity=\"([^\"<>]{0,100000})\"")
 # Its axes point ahead, to the right and down; those of the camera to the right, ahead and up.
 _TO_CAMERA = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-# What is recorded was so much earlier: as filters delay it. Found by adjusting four exposures of one head:
-# medians of the residuals of 2.2 px without a delay, 1.4 with 20 ms, 0.6 with 40 and 45, 0.8 with 50. With
-# other readouts another delay fits best: 0.66 px for 150 ms, 0.68 for 175.
-_DELAY_S = 0.042
-# The bias of such a gyroscope, and what an uncertain delay does, rad/s.
-RATE_SIGMA = 0.02
 _FASTEST = 50.0
 
 
@@ -44,7 +38,11 @@ def recorded_turns(packet: str, offset_ns: float) -> Floats:
     credible = (step > 0).all() and (np.abs(rate) < _FASTEST).all()
     if len(records) < 2 or not np.isfinite(offset_ns) or not credible:
         return np.zeros((0, 4))
-    elapsed = 1e-6 * np.r_[0.0, np.cumsum(step)] - 1e-9 * offset_ns - _DELAY_S
+    # What is recorded was so much earlier: as filters delay it. Found by adjusting four exposures of one
+    # head: medians of the residuals of 2.2 px without a delay, 1.4 with 20 ms, 0.6 with 40 and 45, 0.8 with
+    # 50. With other readouts another delay fits best: 0.66 px for 150 ms, 0.68 for 175.
+    delay_s = 0.042
+    elapsed = 1e-6 * np.r_[0.0, np.cumsum(step)] - 1e-9 * offset_ns - delay_s
     return np.column_stack([elapsed, rate @ _TO_CAMERA.T])
 
 
@@ -58,10 +56,12 @@ def motion_while_read(velocity: Floats, records: Sequence[Floats], readout: Floa
     motion = np.full((len(velocity), len(MOTION + SHAKE)), np.nan)
     sigma = np.full((len(velocity), len(MOTION)), np.nan)
     motion[:, :3] = velocity
+    # The bias of such a gyroscope, and what an uncertain delay does, rad/s.
+    rate_sigma = 0.02
     for k, record in enumerate(records):
         if len(record) and readout[k] > 0:
             motion[k, 3:] = turns_while_read(record, readout[k])
-            sigma[k, 3:] = RATE_SIGMA
+            sigma[k, 3:] = rate_sigma
     shaken = np.isfinite(motion[:, len(MOTION) :]).any()
     return motion if shaken else motion[:, : len(MOTION)], sigma
 

@@ -16,8 +16,6 @@ POSITION_SIGMA_M = (1.5, 1.5, 3.0)
 # A level block without control says little about c, x0 and y0, which go with the heights and the
 # positions: they are held until somebody asks for them.
 ESTIMATE = ("K1", "K2")
-# Fewer positions do not fix a datum.
-FEWEST_POSITIONS = 3
 
 
 def stated_cameras(facts: Sequence[ImageFacts]) -> tuple[tuple[Camera, ...], Integers]:
@@ -51,7 +49,9 @@ def start_block(
     if assumed is not None:
         sigma[:, 3:] = position_sigma(facts, assumed)
     sigma[np.isnan(places).any(axis=1)] = np.inf
-    enough = np.isfinite(places).all(axis=1).sum() >= FEWEST_POSITIONS
+    # Fewer positions do not fix a datum.
+    fewest_positions = 3
+    enough = np.isfinite(places).all(axis=1).sum() >= fewest_positions
     images = Images(
         tuple(f.name for f in facts),
         member,

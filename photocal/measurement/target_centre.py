@@ -12,12 +12,8 @@ from photocal.measurement.image_file import Grey, as_eight_bit
 from photocal.measurement.target_patterns import BAR, FLAT, HOLE, flattened
 from photocal.measurement.template_fit import Fit, Window, odd_variance
 
-# A contrast below this multiple of the noise is no target.
-WEAKEST_CONTRAST = 3.0
 # A target that was found has at least this contrast, grey values.
 LEAST_CONTRAST = 20.0
-# Targets are drawn on paper; a centre that claims more than this trusts the model too much.
-FINEST_PX = 0.003
 
 # Far enough for digits, near enough for the third order not to matter.
 _STEP_PX = 8.0
@@ -87,9 +83,13 @@ def accepted(
     place = fit.parameters[:2]
     column, row = (float(p + m) for p, m in zip(place, window.middle, strict=True))
     moved = np.hypot(column - approximate[0], row - approximate[1])
-    if not moved <= farthest or contrast < WEAKEST_CONTRAST * fit.noise:
+    # A contrast below this multiple of the noise is no target.
+    weakest_contrast = 3.0
+    if not moved <= farthest or contrast < weakest_contrast * fit.noise:
         return None
-    covariance = odd_variance(window, fit, place) * fit.cofactor[:2, :2] + FINEST_PX**2 * np.eye(2)
+    # Targets are drawn on paper; a centre that claims more than this trusts the model too much.
+    finest_px = 0.003
+    covariance = odd_variance(window, fit, place) * fit.cofactor[:2, :2] + finest_px**2 * np.eye(2)
     if not max(covariance[0, 0], covariance[1, 1]) <= 1:
         return None
     return Centre(column, row, covariance, contrast, fit.noise, shape.copy())

@@ -13,15 +13,11 @@ Place = tuple[float, float]
 
 # Of the places that may show the target this part of a plane normal distribution is searched: 99.9 %.
 WITHIN = float(np.sqrt(-2 * np.log(0.001)))
-# Large targets are sought in a reduced image, where they are as long as this, px.
-_SOUGHT_PX = 24.0
 # Correlation with the ideal picture: of a place that is worth a fit, less for small targets, whose pixels
 # and turn are coarse; and of a target after the fit. A disc has the least form of all: it must fit best.
 WORTH, WORTH_SMALL = 0.70, 0.62
 LIKE = {"disc": 0.92, "ring": 0.85, "cross": 0.85, "hourglass": 0.85}
 _SMALL_PX = 18.0
-# More places than this in a window are texture; the likest are tried.
-_MOST = 15
 # The picture must explain the grey values: noise as a part of the contrast.
 WORST_MISFIT = {"disc": 0.10, "ring": 0.12, "cross": 0.12, "hourglass": 0.12}
 # Edges of a target are sharp, px or parts of its size; a small dark spot whose edges fill it is a blot.
@@ -66,7 +62,9 @@ def _worth_a_fit(
     """Places where the image is like the target, with its turn; those that are likest first."""
     import cv2
 
-    factor = max(look.size / _SOUGHT_PX, 1.0)
+    # Large targets are sought in a reduced image, where they are as long as this, px.
+    sought_px = 24.0
+    factor = max(look.size / sought_px, 1.0)
     small = look.smaller(factor)
     reach = np.array(small.reach)
     height, width = grey.shape
@@ -96,7 +94,9 @@ def _worth_a_fit(
     around = np.ones((3, 3), np.uint8)
     worth = WORTH if look.size >= _SMALL_PX else WORTH_SMALL
     peaks = np.argwhere((best >= worth) & (best <= 1.001) & (best == cv2.dilate(best, around)))
-    order = np.argsort(-best[peaks[:, 0], peaks[:, 1]], kind="stable")[:_MOST]
+    # More places than this in a window are texture; the likest are tried.
+    most = 15
+    order = np.argsort(-best[peaks[:, 0], peaks[:, 1]], kind="stable")[:most]
     for row, column in peaks[order]:
         middle = (np.array([column, row]) + reach + 0.5) * zoom - 0.5 + [left, top]
         yield (float(middle[0]), float(middle[1])), float(look.turns[which[row, column]])

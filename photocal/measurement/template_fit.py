@@ -17,15 +17,11 @@ from photocal.measurement.image_file import Grey
 # several of them, (k, m, 1), in rows, (m, n).
 Template = Callable[[Floats, Floats, Floats], Floats]
 
-# What is a target settles in about ten.
-_ITERATIONS = 25
 # Settled: the next step would change the squares of the residuals by this part of their variance, so that it
 # is a tenth of the standard deviation of any parameter.
 _SETTLED = 1e-2
 # Light changes by parts of itself per px: typical size. Without it a shadow would push the centre aside.
 _UNEVEN = 0.005
-# A variance of fewer differences than this says nothing.
-_FEWEST_FREE = 5
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,9 @@ def fit_template(window: Window, template: Template, start: Floats, sizes: Float
         return None
     jacobian = slopes(parameters)
     settled = False
-    for _ in range(_ITERATIONS):
+    # What is a target settles in about ten.
+    iterations = 25
+    for _ in range(iterations):
         normal, right = jacobian.T @ jacobian, jacobian.T @ residual
         scaled = normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal))
         try:
@@ -152,8 +150,10 @@ def odd_variance(window: Window, fit: Fit, middle: Floats) -> float:
     squares = float(np.sum((fit.residual[pixel] - fit.residual[opposite]) ** 2)) / 4
     taken = np.einsum("ik,ik->i", fit.basis[pixel], fit.basis[pixel] - fit.basis[opposite])
     free = float(np.sum((pixel != opposite) - taken)) / 2
+    # A variance of fewer differences than this says nothing.
+    fewest_free = 5
     # Grey values are whole numbers: rounding alone leaves 1/12.
-    return max(squares / free, 1 / 12) if free >= _FEWEST_FREE else np.inf
+    return max(squares / free, 1 / 12) if free >= fewest_free else np.inf
 
 
 def _judged(parameters: Floats, jacobian: Floats, residual: Floats, sizes: Floats) -> Fit | None:

@@ -25,14 +25,9 @@ from photocal.results.adjusted import given_exposures, given_points
 
 # A round takes out a third or less of what the one before has: after this share no later one would show.
 _ROUNDS, FEW_LEFT = 8, 1e-4
-# Share of the tie points that may not meet for reasons of their own.
-FEW_APART = 0.02
 # Three rays give a pose that nothing checks.
 FEWEST_RAYS = 6
 Solved = tuple[Block, NetworkOfBlock, Solution]
-# A principal distance that leaves its start value by more than this is not what the lens has: errors of the
-# model (rolling shutter, lens, positions) go into what the block does not determine.
-CREDIBLE = 0.05
 
 
 @dataclass(frozen=True)
@@ -276,7 +271,9 @@ def _few_apart(refusal: PhotocalError, block: Block) -> bool:
     """Whether all that is wrong are some tie points whose rays do not meet."""
     ties = set(np.array(block.points.names, dtype=object)[block.points.of_role("tie")])
     apart = set(getattr(refusal, "points", ()))
-    return bool(apart) and apart <= ties and len(apart) <= FEW_APART * len(ties)
+    # Share of the tie points that may not meet for reasons of their own.
+    few_apart = 0.02
+    return bool(apart) and apart <= ties and len(apart) <= few_apart * len(ties)
 
 
 def _solved_at_last(start: Block, block: Block, poses: Floats, *, held: bool) -> Solved:
@@ -400,6 +397,9 @@ def _released(adjusted: AdjustedTies, freed: Solution, k: int) -> dict[str, Any]
     view /= np.linalg.norm(view)
     depth = (solution.points - solution.exposures[:, 3:].mean(axis=0)) @ view
     low, high = np.quantile(depth, [0.05, 0.95])
+    # A principal distance that leaves its start value by more than this is not what the lens has: errors of
+    # the model (rolling shutter, lens, positions) go into what the block does not determine.
+    credible = 0.05
     return {
         "c": float(freed.cameras[k, 0]),
         "sigma": float(np.sqrt(freed.camera_covariance[k, 0, 0])),
@@ -407,5 +407,5 @@ def _released(adjusted: AdjustedTies, freed: Solution, k: int) -> dict[str, Any]
         # Extent of the points along the mean viewing direction over their mean distance.
         "relief": float((high - low) / abs(depth.mean())),
         "variance_factor": float(freed.variance_factor),
-        "credible": abs(change) < CREDIBLE,
+        "credible": abs(change) < credible,
     }

@@ -24,11 +24,7 @@ GROSS = 3.5
 # Rays of a kind have one sigma: classes of feature scale, or of the precision of the match.
 CLASSES, FEWEST_IN_CLASS = 8, 200
 FINEST_PX = 0.02
-# An image with fewer rays has the sigmas of all.
-FEWEST_IN_IMAGE = 100
 _ROUNDS = 8
-# Classes and images in turn, until neither changes.
-_TURNS = 4
 
 
 def with_ties(block: Block, tracks: Tracks, values: Floats, sigma: Floats) -> Block:
@@ -138,9 +134,13 @@ def ray_sigmas(scale: Floats, image: Integers, size: Floats, redundancy: Floats)
     images = int(image.max(initial=-1)) + 1
     seen = redundancy > LEAST_CHECKED
     count = np.bincount(image[seen], minlength=images)
-    judged = np.flatnonzero(count >= FEWEST_IN_IMAGE)
+    # An image with fewer rays has the sigmas of all.
+    fewest_in_image = 100
+    judged = np.flatnonzero(count >= fewest_in_image)
     factor = np.ones(images)
-    for _ in range(_TURNS):
+    # Classes and images in turn, until neither changes.
+    turns = 4
+    for _ in range(turns):
         of_class = class_sigmas(scale, size / factor[image], redundancy)
         for k in judged:
             of_image = (image == k) & seen

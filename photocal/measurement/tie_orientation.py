@@ -45,8 +45,6 @@ HEIGHTS_APART_M = 3 * POSITION_SIGMA_M[2]
 # Cosine of the angle to within which recorded directions and pictures agree; of so many of them, or the
 # record is none of the pictures. A picture whose upper edge points to the sky has no direction.
 SAME_WAY, MOST, UPRIGHT = 0.87, 0.9, 0.3
-# Median of what positions of the stated sigmas miss by, over these.
-USUAL_RATIO = 0.89
 # Images of a model that is joined to another by positions alone, and how well these turn it (rad).
 FEWEST_JOINED, JOINED_TURN = 4, 0.05
 
@@ -270,7 +268,9 @@ def position_sigmas(images: Images, values: Floats, *, shifted: bool) -> tuple[F
         shift = np.median(miss, axis=0)
         miss = miss - shift
     ratio = np.linalg.norm(miss / stated[observed], axis=1) / np.sqrt(3)
-    factor = max(1.0, float(np.median(ratio)) / USUAL_RATIO)
+    # Median of what positions of the stated sigmas miss by, over these.
+    usual_ratio = 0.89
+    factor = max(1.0, float(np.median(ratio)) / usual_ratio)
     wrong = ratio > WRONG_POSITION * factor
     findings = [
         Finding("position-off", "doubtful", images.names[k], {"off_m": float(np.linalg.norm(miss[j]))})

@@ -10,9 +10,6 @@ from scipy.spatial import cKDTree
 from photocal.base.arrays import Columns, Flags, Floats, Integers
 from photocal.measurement.features import Features
 
-# Features with several directions stand at one place: they are one.
-_SAME_PX = 0.25
-
 
 @dataclass(frozen=True)
 class Tracks(Columns):
@@ -145,7 +142,9 @@ def _strongest_first(tracks: Tracks) -> tuple[Integers, Integers]:
 
 def _places(features: Features) -> Integers:
     """For each feature the first one of its image at the same place."""
-    key = np.round(features.pixels / _SAME_PX).astype(np.int64)
+    # Features with several directions stand at one place: they are one.
+    same_px = 0.25
+    key = np.round(features.pixels / same_px).astype(np.int64)
     _, first, inverse = np.unique(_numbered(key), return_index=True, return_inverse=True)
     return np.asarray(first[inverse], dtype=np.int64)
 

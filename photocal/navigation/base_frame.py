@@ -14,8 +14,6 @@ from photocal.navigation.time import GpsTime
 
 # The newest frame of the world: what precise orbits, and casters that say nothing, mostly count in.
 _OF_TODAY = "ITRF2020"
-# Less between two frames is no matter beside a base's own coordinates.
-_MATTERS_M = 0.02
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,9 @@ class BaseFrame:
     def findings(self) -> Iterator[Finding]:
         """Say what a person should know of it."""
         source, target, shift = self.source, self.target, self.shift
-        if target is None or (shift is not None and shift.size_m < _MATTERS_M):
+        # Less between two frames is no matter beside a base's own coordinates.
+        matters_m = 0.02
+        if target is None or (shift is not None and shift.size_m < matters_m):
             return
         if shift is None:
             if source is not None and source != target:

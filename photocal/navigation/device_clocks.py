@@ -10,13 +10,7 @@ from photocal.base import policy
 from photocal.base.arrays import Floats, Integers, picked
 from photocal.base.errors import IllPosedError
 
-_WINDOW = 12
 _LEAST_READINGS = 4
-_JUMP_SIGMAS = 8.0
-# A quartz clock is right to 0.01 %; from 1 % on the recording was played back at another speed.
-PLAYBACK_LIMIT = 0.01
-# Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
-_RESTART_NS = 5_000_000_000
 
 
 @dataclass(frozen=True)
@@ -49,7 +43,9 @@ class ClockSegment:
     @property
     def played_back(self) -> bool:
         """Whether the two clocks cannot both be real time."""
-        return abs(self.rate - 1) > PLAYBACK_LIMIT
+        # A quartz clock is right to 0.01 %; from 1 % on the recording was played back at another speed.
+        playback_limit = 0.01
+        return abs(self.rate - 1) > playback_limit
 
 
 @dataclass(frozen=True)
@@ -141,14 +137,16 @@ def _jump(device: Integers, reference: Integers, least_s: float) -> int | None:
     wide = run > 0
     rate = float(np.median(rise[wide] / run[wide])) if wide.any() else 1.0
     residual = y - rate * x
-    width = min(_WINDOW, n // 2)
+    window = 12
+    width = min(window, n // 2)
     step = np.zeros(n)
     for i in range(_LEAST_READINGS, n - _LEAST_READINGS + 1):
         low, high = max(0, i - width), min(n, i + width)
         trend = float(np.median(np.diff(residual[low:high]))) * (high - low) / 2
         step[i] = np.median(residual[i:high]) - np.median(residual[low:i]) - trend
     noise = policy.MAD_TO_SIGMA * float(np.median(np.abs(np.diff(residual) - np.median(np.diff(residual)))))
-    limit = max(_JUMP_SIGMAS * noise, least_s)
+    jump_sigmas = 8.0
+    limit = max(jump_sigmas * noise, least_s)
     worst = int(np.argmax(np.abs(step)))
     if abs(step[worst]) <= limit:
         return None
@@ -265,8 +263,10 @@ class AutopilotClock:
 
 def autopilot_clock(boot_ns: Integers, utc_ns: Integers, host_ns: Integers) -> AutopilotClock | None:
     """Fit an autopilot's UTC to its time since boot."""
+    # Telemetry overtakes itself by fractions of a second; a clock that goes back by more was started anew.
+    restart_ns = 5_000_000_000
     # An autopilot switched on anew counts from zero: its stretches must not be mixed.
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(boot_ns) < -_RESTART_NS) + 1, [len(boot_ns)]])
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(boot_ns) < -restart_ns) + 1, [len(boot_ns)]])
     cycles, begins = [], []
     for a, b in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
         order = a + np.argsort(boot_ns[a:b], kind="stable")

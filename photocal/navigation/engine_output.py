@@ -15,13 +15,7 @@ FIXED, FLOAT = 1, 2
 _COLUMNS = 15
 _LEAST_SIGMA_M = 1e-4
 _FIELDS = 12
-_MOST_EPOCHS = 200
-_LONGEST_LAG_S = 300.0
-_LEAST_EPOCHS = 30
-# Windows of several correlation times balance noise and what is cut off (Sokal 1997, section 3).
-_WINDOW = 5.0
 _STATUS = {1: "fixed", 2: "float"}
-_DIFFERENTIAL = 2
 # What differences do not remove of orbits, troposphere and ionosphere: a millimetre per kilometre at quiet
 # times (Odijk 2002, chapter 3).
 PER_METRE = 1e-6
@@ -188,7 +182,8 @@ def shift_by_zenith_delay(satellites: SatelliteResiduals) -> Floats:
     first = satellites.frequency == 1
     epochs = np.unique(satellites.time.ns[first])
     moved = []
-    for epoch in epochs[:: max(len(epochs) // _MOST_EPOCHS, 1)].tolist():
+    most_epochs = 200
+    for epoch in epochs[:: max(len(epochs) // most_epochs, 1)].tolist():
         rows = first & (satellites.time.ns == epoch)
         up = np.sin(satellites.elevation[rows])
         level = np.cos(satellites.elevation[rows])
@@ -210,7 +205,8 @@ def correlation_time_s(satellites: SatelliteResiduals) -> float:
     # (Sokal 1997, eq. 2.20). Residuals are taken less the mean of their system and frequency at each epoch,
     # which removes the reference satellite; what correlates the positions' errors is the same multipath.
     epochs, at = np.unique(satellites.time.ns, return_inverse=True)
-    if len(epochs) < _LEAST_EPOCHS:
+    least_epochs = 30
+    if len(epochs) < least_epochs:
         return float("nan")
     table = _centred(satellites, at, len(epochs))
     step = float(np.median(np.diff(epochs))) / 1e9
@@ -223,12 +219,15 @@ def correlation_time_s(satellites: SatelliteResiduals) -> float:
     if variance == 0:
         return float("nan")
     total = 0.5
-    for lag in range(1, min(len(table) // 3, int(_LONGEST_LAG_S / step))):
+    longest_lag_s = 300.0
+    # Windows of several correlation times balance noise and what is cut off (Sokal 1997, section 3).
+    window = 5.0
+    for lag in range(1, min(len(table) // 3, int(longest_lag_s / step))):
         together = int(np.sum(known[lag:] & known[:-lag]))
         if not together:
             break
         total += float(np.sum(filled[lag:] * filled[:-lag])) / together / variance
-        if lag >= _WINDOW * total:
+        if lag >= window * total:
             break
     return max(total, 0.5) * step
 
@@ -275,7 +274,8 @@ def trajectory_of(
 ) -> Trajectory:
     """Return the engine's positions as a trajectory."""
     apart = PER_METRE * np.linalg.norm(solution.xyz_m - base_m, axis=1)
-    apart[solution.quality > _DIFFERENTIAL] = 0.0
+    differential = 2
+    apart[solution.quality > differential] = 0.0
     status = np.array([_STATUS.get(q, "single") for q in solution.quality.tolist()], "U6")
     return Trajectory(
         solution.time,

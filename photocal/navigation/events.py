@@ -16,7 +16,7 @@ from drivers.mrk import parse_event
 from drivers.receiver import BASE_RECEIVER, BASE_UTC, TIME_BASES, TimeMarks
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import InputMalformedError, reading
-from photocal.base.time_scales import SECOND_NS
+from photocal.base.time_scales import SECOND_NS, WEEK_S
 from photocal.findings.finding import Finding
 from photocal.findings.texts import catalogue, finding_text, plain
 from photocal.measurement.listed_positions import ListedPositions, judge_listed
@@ -25,7 +25,6 @@ from photocal.navigation.flight_log import EXPOSURES, FlightLog
 from photocal.navigation.time import GpsTime, UtcTime, refuse_expired
 from photocal.navigation.trajectory import InterpolatedPositions
 
-WEEK_S = 604_800.0
 RISING, FALLING = "rising", "falling"
 _COUNTER = 1 << 16
 _MAVLINK = ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER")

@@ -26,8 +26,6 @@ from photocal.navigation.vehicle import VehicleTrack
 
 # Heights above sea level of autopilots drift by metres with the air pressure.
 _PRESSURE_M = 4.0
-# Of the autopilot's attitudes: with usual turns of 20 degrees a second half of 0.1 s is a degree.
-_LATE_ATTITUDE_S = 0.05
 # Events and the UTC that pictures state of the same exposures differ by less: delays of shutters.
 _SAME_TIME_S = 0.5
 
@@ -194,7 +192,9 @@ def _autopilot_clock(e: Evidence) -> Finding:
         "detectable_ms": comparison.detectable_s * 1e3,
         "rms_m": comparison.rms_m.tolist(),
     }
-    if abs(late) <= max(_LATE_ATTITUDE_S, comparison.detectable_s):
+    # Of the autopilot's attitudes: with usual turns of 20 degrees a second half of 0.1 s is a degree.
+    late_attitude_s = 0.05
+    if abs(late) <= max(late_attitude_s, comparison.detectable_s):
         return Finding(code, "passed", figures=figures)
     return Finding(code, "grave", figures=figures, clauses=("slow" if late > 0 else "fast",))
 

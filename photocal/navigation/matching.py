@@ -10,12 +10,7 @@ from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import IllPosedError
 
 _LEAST_PAIRS = 4
-_CERTAIN = 0.6
 _SIGMAS = 4.0
-# What nobody else can be meant by may scatter so much more.
-_LATE = 12.0
-# So many such pairs have to be less probable than this where the strays fall at random.
-_CHANCE = 5e-4
 
 
 class UnrelatedImagesError(IllPosedError):
@@ -86,7 +81,9 @@ def match(
     rows = np.arange(len(x))
     mutual = (of_image >= 0) & ~image_rivals
     mutual &= np.where(of_image >= 0, (of_event[of_image] == rows) & ~event_rivals[of_image], False)
-    _add_late(predicted, y, of_image, mutual, _LATE * scatter)
+    # What nobody else can be meant by may scatter so much more.
+    late = 12.0
+    _add_late(predicted, y, of_image, mutual, late * scatter)
     left, right = rows[mutual], of_image[mutual]
     taken = np.zeros(len(y), bool)
     taken[right] = True
@@ -120,7 +117,9 @@ def _add_late(predicted: Floats, y: Floats, of_image: Integers, mutual: Flags, r
     # A row of them is one loss: no strays of their own.
     strays = _rows(free) * _rows(lone)
     by_chance = reach * strays / float(np.ptp(y))
-    if special.pdtrc(int(paired.sum()) - 1, by_chance) < _CHANCE:
+    # So many such pairs have to be less probable than this where the strays fall at random.
+    chance = 5e-4
+    if special.pdtrc(int(paired.sum()) - 1, by_chance) < chance:
         of_image[lone[paired]], mutual[lone[paired]] = to_event[paired], True
 
 
@@ -147,7 +146,8 @@ def _best_offset(x: Floats, y: Floats, resolution: float, largest: float, drift:
     apart = candidates[np.abs(candidates - best) > 3 * reach]
     top = apart[np.argsort(-votes[np.abs(candidates - best) > 3 * reach], kind="stable")[:200]]
     rival = int(_hits(x, y, top, reach).max(initial=0))
-    if score < _LEAST_PAIRS or rival > _CERTAIN * score:
+    certain = 0.6
+    if score < _LEAST_PAIRS or rival > certain * score:
         raise (IllPosedError if 2 * score > len(x) else UnrelatedImagesError)(
             f"the match is ambiguous: an offset of {best:+.3f} s pairs {score} of {len(x)} images, "
             f"another one {rival} (middle of the flight at {middle:.0f} s)",

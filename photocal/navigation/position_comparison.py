@@ -18,10 +18,6 @@ from photocal.navigation.exposures import Exposures
 from photocal.navigation.rig import CameraOnBody
 
 _LEAST = 8
-_GROSS = 5.0
-# Of neighbours that are more alike than this it cannot be told how much.
-_MOST_ALIKE = 0.9
-_MOST = 0.8
 TIME, LEVER, AXES = "time-offset", "lever-arm", "lever-arm-axes"
 AXIS_NAMES = ("forward", "right", "down")
 
@@ -126,8 +122,9 @@ def compare_positions(pairs: PositionPairs) -> PositionComparison:
     judged = [t for t in tried if t.significant and t.p * len(tried) < policy.SIGNIFICANCE]
     best = max(judged, key=lambda t: t.gain, default=None)
     as_good = [t.name for t in judged if best and t.name != best.name and best.gain - t.gain < policy.AS_GOOD]
+    most = 0.8
     # A lever arm is known to a centimetre: exchanged axes need not explain the last of it.
-    exchange = next((t for t in judged if t.name == AXES and best and t.gain > _MOST * best.gain), None)
+    exchange = next((t for t in judged if t.name == AXES and best and t.gain > most * best.gain), None)
     return PositionComparison(
         len(rows),
         np.sqrt(np.mean(model.solved(sigma)[2] ** 2, axis=0)),
@@ -174,10 +171,11 @@ class _Model:
 
 
 def _without_gross(design: Floats, difference: Floats, rows: Integers) -> Integers:
+    gross = 5.0
     for _ in range(5):
         # Gross errors are told by what is left when all errors looked for are allowed.
         size = np.linalg.norm(_Model(design[rows], difference[rows]).solved()[2], axis=1)
-        kept = rows[size <= _GROSS * max(float(np.median(size)), 1e-6)]
+        kept = rows[size <= gross * max(float(np.median(size)), 1e-6)]
         if len(kept) == len(rows) or len(kept) < _LEAST:
             break
         rows = kept
@@ -188,7 +186,9 @@ def _noise(design: Floats, difference: Floats) -> tuple[float, float]:
     """Give the standard deviation of a difference, and which share of the differences is independent."""
     squares, _, residual, _ = _Model(design, difference).solved()
     together = float(np.sum(residual[1:] * residual[:-1]))
-    r = float(np.clip(together / max(float(np.sum(residual**2)), 1e-300), 0.0, _MOST_ALIKE))
+    # Of neighbours that are more alike than this it cannot be told how much.
+    most_alike = 0.9
+    r = float(np.clip(together / max(float(np.sum(residual**2)), 1e-300), 0.0, most_alike))
     return float(np.sqrt(squares / max(difference.size - design.shape[2], 1))), (1 - r) / (1 + r)
 
 

@@ -31,10 +31,7 @@ from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory, enu_axes_at
 from photocal.project import AirAtBase
 
-# Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.
-_ROUNDING_M = 0.005
 _LEAST_EPOCHS = 10
-_AT_ONCE = 2
 _BASE_LIMIT_M = 10.0
 # The engine uses base observations up to 30 s old.
 _BASE_AGE_NS = 30_000_000_000
@@ -52,7 +49,9 @@ def between_directions(
     f, b = forward.at(combined.time), backward.at(combined.time)
     # A direction with the worse status took no part.
     both = (f >= 0) & (b >= 0) & (forward.quality[f] == backward.quality[b])
-    apart = np.linalg.norm(fore[f] - back[b], axis=1) + _ROUNDING_M
+    # Positions are printed to 0.1 mm, and a mean weighted by full matrices may leave the line between both.
+    rounding_m = 0.005
+    apart = np.linalg.norm(fore[f] - back[b], axis=1) + rounding_m
     off = both & (np.linalg.norm(here - fore[f], axis=1) > apart)
     off &= np.linalg.norm(here - back[b], axis=1) > apart
     if not off.any():
@@ -200,8 +199,9 @@ def process(
         """Solve in one direction, or with both combined."""
         return engine.solve(mode, direction, files, options, inputs.base_m, folder)
 
+    at_once = 2
     # The engine's runs are programs of their own: two at a time keep two cores busy.
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
+    with ThreadPoolExecutor(at_once) as pool:
         if mode == "static":
             both, whole = pool.map(run, ("combined", "forward"))
             combined = static_position(_differential(whole, inputs), _differential(both, inputs))

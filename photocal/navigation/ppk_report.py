@@ -21,14 +21,8 @@ from photocal.navigation.ppk_figures import FIGURES
 from photocal.navigation.ppk_inputs import Sources, gather_inputs
 from photocal.navigation.trajectory import write_trajectory
 
-_LISTED_GAPS = 10
-_GOOD_SHARE = 95.0
-# Code positions of single frequency receivers are good to two or three metres.
-_SUSPECT_BASE_M = 5.0
 # The engine uses older observations of the base no more.
 _LONG_GAP_S = 30.0
-# Directions this far apart where one is taken as fixed are told, with the reason: two fixes agree better.
-_APART_M = 0.10
 _LISTED_PLACES = 10
 
 
@@ -55,6 +49,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
     counts = {name: int((trajectory.status == name).sum()) for name in ("fixed", "float", "single")}
     say, options = catalogue("en"), result.options
     of_options = ("systems", "elevation_deg", "rover_antenna_m", "base_antenna_m")
+    listed_gaps = 10
     figures: dict[str, Any] = {
         "schema": "photocal.ppk/1",
         **picked(result, "engine", "mode"),
@@ -72,7 +67,7 @@ def ppk_figures(result: PpkResult, remarks: list[str]) -> dict[str, Any]:
             "up_off_code_solution_m": result.base_off_code_m[2],
             "gaps": len(result.base_gaps_s),
             "longest_gaps": [
-                {"from_gps": t.iso()[0], "seconds": s} for t, s in result.base_gaps_s[:_LISTED_GAPS]
+                {"from_gps": t.iso()[0], "seconds": s} for t, s in result.base_gaps_s[:listed_gaps]
             ],
         },
         "overlap_s": float(last - first) / 1e9,
@@ -105,11 +100,14 @@ def _frame(known: BaseFrame | None) -> dict[str, Any]:
 def _findings(result: PpkResult, counts: dict[str, int], epochs: int) -> Iterator[Finding]:
     """Find what should not pass silently into results."""
     fixed = 100.0 * counts["fixed"] / epochs
-    if fixed < _GOOD_SHARE:
+    good_share = 95.0
+    if fixed < good_share:
         figures = {"percent": fixed, "n_float": float(counts["float"]), "n_single": float(counts["single"])}
         yield Finding("ppk-not-fixed", "doubtful", figures=figures)
     off = float(np.linalg.norm(result.base_off_code_m))
-    if off > _SUSPECT_BASE_M:
+    # Code positions of single frequency receivers are good to two or three metres.
+    suspect_base_m = 5.0
+    if off > suspect_base_m:
         yield Finding("base-position", "grave", figures={"off_m": off}, clauses=("off-code",))
     if result.inputs.base_frame is not None:
         yield from result.inputs.base_frame.findings()
@@ -152,7 +150,9 @@ def _directions_apart(judgement: ValidatedFixes) -> list[dict[str, Any]]:
     """List where a position counts as fixed though the directions are apart, and which was taken."""
     # The engine takes the direction with the better status; where both are fixed and differ, neither counts.
     apart = np.linalg.norm(judgement.separation_m, axis=1)
-    rows = np.flatnonzero((judgement.solution.quality == FIXED) & (apart > _APART_M))
+    # Directions this far apart where one is taken as fixed are told, with the reason: two fixes agree better.
+    apart_m = 0.10
+    rows = np.flatnonzero((judgement.solution.quality == FIXED) & (apart > apart_m))
     places = []
     for place in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ():
         fixed = (judgement.directions[place] == FIXED).all(axis=0)

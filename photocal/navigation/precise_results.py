@@ -19,8 +19,6 @@ from photocal.navigation.trajectory import enu_axes_at
 _GPS_EPOCH = dt.date(1980, 1, 6)
 _EPOCH_3 = pattern(r"> (\d{4}) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2}\d\.\d+)")
 _EPOCH_2 = pattern(r" (\d\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)([ \d]{2,3}\.\d{7})  [01]")
-# Sites that a message names.
-_MOST_LISTED = 12
 _EPHEMERIS = pattern(r"(?:[GRECJIS][ \d]\d|[ \d]\d) +\d{2,4} +\d{1,2} +\d{1,2} ")
 
 
@@ -200,9 +198,11 @@ def _of_sinex(lines: list[str], path: Path, site: str, name: str) -> PreciseResu
     code = site or (name if len(sites) > 1 else "")
     wanted = [one for one in sites if not code or one.upper() == code.upper()]
     if len(wanted) != 1:
-        near = difflib.get_close_matches(code.upper(), sites, _MOST_LISTED, 0.0) if code else list(sites)
-        listed = ", ".join(sorted(near[:_MOST_LISTED])) or "none"
-        more = "" if len(sites) <= _MOST_LISTED else ", ..."
+        # Sites that a message names.
+        most_listed = 12
+        near = difflib.get_close_matches(code.upper(), sites, most_listed, 0.0) if code else list(sites)
+        listed = ", ".join(sorted(near[:most_listed])) or "none"
+        more = "" if len(sites) <= most_listed else ", ..."
         raise ConfigurationError(
             f"has no site {code}" if code else f"has {len(sites)} sites ({listed}{more})",
             f"name one of {listed}{more}" if code else "name the site, give a file of one, or its LAT,LON,H",

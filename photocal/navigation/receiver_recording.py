@@ -19,8 +19,6 @@ from photocal.base.time_scales import week_to_ns
 from photocal.navigation.events import logged_exposures
 from photocal.navigation.flight_log import FlightLog
 
-# A survey-in is announced with rounded coordinates.
-_SAME_MARK_M = 0.01
 _MSM_FIRST, _MSM_LAST = 1071, 1137
 _NO_DIALECT = Dialect({}, np.full(1, -1, np.int16), {})
 
@@ -146,8 +144,10 @@ class ReceiverRecording:
         position = self.position_m()
         if position is None or self.surveyed_m is None or self.surveyed_sigma_m is None:
             return None
+        # A survey-in is announced with rounded coordinates.
+        same_mark_m = 0.01
         # An announced position is that of the survey-in, or was typed in.
-        if np.linalg.norm(position[0] - self.surveyed_m) > _SAME_MARK_M:
+        if np.linalg.norm(position[0] - self.surveyed_m) > same_mark_m:
             return None
         return np.full(3, self.surveyed_sigma_m / np.sqrt(3))
 

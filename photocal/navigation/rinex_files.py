@@ -23,8 +23,6 @@ from photocal.navigation.time import GpsTime
 
 _EPOCH_3 = re.compile(rb"> (\d{4}) ")
 _EPOCH_2 = re.compile(rb" (\d\d) [ \d]\d [ \d]\d [ \d]\d [ \d]\d[ \d]{2,3}\.\d{7}  \d")
-# Receivers that do not know the time yet count from 1980; some from the last roll over of the weeks.
-_BEFORE_GNSS = 1990
 # Messages of RINEX 4 that older RINEX has, and how many lines of a record it has; 0: all.
 _OF_3 = {"LNAV": 0, "FDMA": 4, "INAV": 0, "FNAV": 0, "D1": 0, "D2": 0, "D1D2": 0, "SBAS": 0}
 
@@ -140,11 +138,13 @@ def _without_1980(data: bytes) -> tuple[bytes, int]:
     body = data.find(b"\n", end) + 1
     epoch = _EPOCH_2 if data.lstrip()[:1] == b"2" else _EPOCH_3
     lost, at = 0, body
+    # Receivers that do not know the time yet count from 1980; some from the last roll over of the weeks.
+    before_gnss = 1990
     for match in epoch.finditer(data, body):
         year = int(match[1])
         year += 0 if year > 99 else 1900 if year >= 80 else 2000
         at = match.start()
-        if year >= _BEFORE_GNSS:
+        if year >= before_gnss:
             break
         lost += 1
     if not lost or end < 0:

@@ -18,8 +18,6 @@ from photocal.geometry.localisation import CommonPoints, FittedPart, Localisatio
 COLUMNS = ("point", "X", "Y", "Z", "sX", "sY", "sZ", "role")
 REPORT, FIGURES = "localisation.md", "localisation.json"
 _SIGMAS = ("sX", "sY", "sZ")
-# A scale is that of the ground, or of the map, within so many standard deviations.
-_AGREES = 3.0
 
 
 @dataclass(frozen=True)
@@ -199,7 +197,9 @@ def whose_metre(made: SiteCalibration) -> str:
     scale, sigma = made.fit.plan.parameters[3], float(np.sqrt(made.fit.plan.covariance[3, 3]))
     if not made.fit.scale_free or np.isnan(sigma):
         return "held"
-    ground, grid = (abs(scale - wanted) <= _AGREES * sigma for wanted in (1.0 / made.combined, 1.0))
+    # A scale is that of the ground, or of the map, within so many standard deviations.
+    agrees = 3.0
+    ground, grid = (abs(scale - wanted) <= agrees * sigma for wanted in (1.0 / made.combined, 1.0))
     return "either" if ground and grid else "ground" if ground else "map" if grid else "neither"
 
 

@@ -39,8 +39,6 @@ from photocal.navigation.time import GpsTime
 from photocal.navigation.trajectory import Trajectory
 
 _LOG = ".mcap"
-# How the engine numbers precise positions.
-_PRECISE = 6
 
 
 @dataclass(frozen=True)
@@ -276,7 +274,9 @@ def _precise_point(
     if "2" not in rover.bands:
         raise ill_posed("a precise point needs two frequencies", "measure a baseline instead")
     epochs = in_order(engine.solve("ppp-static", "forward", [rover.path, *files], options, None, folder))
-    epochs = epochs.rows(epochs.quality == _PRECISE)
+    # How the engine numbers precise positions.
+    precise = 6
+    epochs = epochs.rows(epochs.quality == precise)
     if not len(epochs):
         raise ill_posed(
             "the engine found no precise position", "check that the products cover the observations"

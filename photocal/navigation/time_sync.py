@@ -17,11 +17,6 @@ from photocal.navigation.device_clocks import (
 )
 from photocal.navigation.time import GpsTime
 
-# Answers that took longer than this multiple of the shortest waited in a queue on one way.
-_SLOW_ANSWER = 3.0
-_LEAST_TRIP_NS = 1_000_000
-# Clocks of computers are set by milliseconds at a time; what stands out of the scatter by more is a jump.
-_JUMP_TRIPS = 3.0
 # A receiver sends an epoch up to a tenth of a second after it: computation and transmission.
 _RECEIVER_LATE_S, _RECEIVER_LATE_SIGMA_S = 0.05, 0.03
 Received = tuple[Integers, Integers, NDArray[Any]]
@@ -50,13 +45,18 @@ def time_sync(boot_ns: Integers, host_ns: Integers, round_trip_ns: Integers) -> 
     """Fit the recording computer's clock to the autopilot's by TIMESYNC exchanges."""
     if not len(boot_ns):
         return None
-    shortest = max(int(round_trip_ns.min()), _LEAST_TRIP_NS)
-    quick = round_trip_ns <= _SLOW_ANSWER * shortest
+    # Answers that took longer than this multiple of the shortest waited in a queue on one way.
+    slow_answer = 3.0
+    least_trip_ns = 1_000_000
+    shortest = max(int(round_trip_ns.min()), least_trip_ns)
+    quick = round_trip_ns <= slow_answer * shortest
     boot, trip = boot_ns[quick], round_trip_ns[quick]
     middle = host_ns[quick] - trip // 2
     # A single middle is uncertain by what its trip goes over the shortest.
     resolution = max(float(np.median(trip - round_trip_ns.min())) / 1e9, 1e-4)
-    jump = _JUMP_TRIPS * shortest / 1e9
+    # Clocks of computers are set by milliseconds at a time; what stands out of the scatter by more is a jump.
+    jump_trips = 3.0
+    jump = jump_trips * shortest / 1e9
     try:
         models = [fit_clock(a, b, resolution, jump) for a, b in ((boot, middle), (middle, boot))]
     except IllPosedError:

@@ -17,11 +17,8 @@ COLUMNS = (
     "time_gps_ns", "lat_deg", "lon_deg", "height_m", "status", "se", "sn", "su", "sen", "seu", "snu",
 )  # fmt: skip
 LARGEST_GAP_S = 1.5
-_LEAST_TRIALS = 20
 _PRIOR_TRIALS = 10
 _WINDOW_NS = 30_000_000_000
-# Acceleration of a vehicle that is not known better, per component (small multirotors manoeuvre below it).
-_DEFAULT_ROUGHNESS = 0.5
 
 
 class Geodetic(TableColumns, Columns):
@@ -182,8 +179,12 @@ def left_out(trajectory: Trajectory) -> InterpolationTrials:
 
 def roughness(trials: InterpolationTrials, time: GpsTime) -> Floats:
     """Return how far the path strays from its interpolation around instants."""
-    if len(trials.gap_s) < _LEAST_TRIALS:
-        return np.full((len(time), 3), _DEFAULT_ROUGHNESS)
+    least_trials = 20
+    if len(trials.gap_s) < least_trials:
+        # Acceleration of a vehicle that is not known better, per component (small multirotors manoeuvre below
+        # it).
+        default_roughness = 0.5
+        return np.full((len(time), 3), default_roughness)
     square = (trials.error_m / trials.gap_s[:, None] ** 1.5) ** 2
     return np.asarray(np.maximum(np.sqrt(local_mean_square(trials.time, square, time)), 1e-4))
 

@@ -21,8 +21,6 @@ from photocal.navigation.time import GpsTime, HostTime, UtcTime
 from photocal.navigation.time_sync import Received, VehicleClocks, vehicle_clocks
 from photocal.navigation.trajectory import Trajectory
 
-_STRAY_NS = 5_000_000_000
-_MILLISECOND_NS = 1_000_000
 # Logs from an autopilot's card take UTC from when positions of its receiver were noted: late by up to 0.1 s.
 _CARD_SIGMA_S = 0.05
 _TRACKS = ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
@@ -127,7 +125,8 @@ def _timed(received: Received | None, clocks: VehicleClocks) -> Received | None:
     kept = np.flatnonzero(~_strays(device))
     host, device, fields = host[kept], device[kept], fields[kept]
     if clocks.clock is not None and len(host):
-        device, _ = clocks.clock.utc(fields["time_boot_ms"].astype(np.int64) * _MILLISECOND_NS, host)
+        millisecond_ns = 1_000_000
+        device, _ = clocks.clock.utc(fields["time_boot_ms"].astype(np.int64) * millisecond_ns, host)
     _, first = np.unique(device, return_index=True)
     return host[first], device[first], fields[first]
 
@@ -164,7 +163,8 @@ def _strays(device: Integers) -> Flags:
         return np.zeros(len(device), bool)
     padded = np.concatenate([device[:1].repeat(2), device, device[-1:].repeat(2)])
     windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
-    return np.asarray(np.abs(device - np.median(windows, axis=1).astype(np.int64)) > _STRAY_NS)
+    stray_ns = 5_000_000_000
+    return np.asarray(np.abs(device - np.median(windows, axis=1).astype(np.int64)) > stray_ns)
 
 
 def decoded_positions(log: FlightLog, link: str) -> tuple[Integers, Integers, Floats]:

@@ -13,9 +13,6 @@ import numpy as np
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import InputMalformedError, reading
 
-# Beyond this the plane of one flight is no plane any more, and the polygon rather a mistake.
-_LARGEST_EXTENT_M = 100_000.0
-
 
 @dataclass(frozen=True)
 class Area:
@@ -103,7 +100,9 @@ def area_from_corners(corners_deg: list[tuple[float, float]], where: str) -> Are
     )
     area = Area(latitude_deg, longitude_deg)
     corners_m = LocalPlane(*area.centre_deg).to_plane(latitude_deg, longitude_deg)
-    if not np.isfinite(corners_m).all() or float(np.ptp(corners_m, axis=0).max()) > _LARGEST_EXTENT_M:
+    # Beyond this the plane of one flight is no plane any more, and the polygon rather a mistake.
+    largest_extent_m = 100_000.0
+    if not np.isfinite(corners_m).all() or float(np.ptp(corners_m, axis=0).max()) > largest_extent_m:
         raise wrong("is larger than 100 km", "look for a wrong corner; one flight covers some kilometres")
     if abs(polygon_area(corners_m)) < 1.0 or _crosses_itself(corners_m):
         raise wrong("is not a simple polygon (no area, or sides that cross)", "put the corners in order")

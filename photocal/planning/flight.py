@@ -23,8 +23,6 @@ from photocal.planning.frame import (
 
 # More than any aircraft can fly in one mission: a mistaken unit, not a plan.
 _MOST_EXPOSURES = 50_000
-# Half a pixel: what the canon-elph study takes for a tie point in one image.
-IMAGE_SIGMA_PX = 0.5
 # Control points and check points, east and north in the plane of the flight, m.
 Layout = tuple[Floats, Floats]
 # Side of the grid of candidate places as a share of the root of the area.
@@ -208,6 +206,8 @@ def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
     gsd = ground_sample_distance(height_m, frame)
     across: Side = "columns" if request.along == "rows" else "rows"
     base = air_base(request.forward_overlap, frame.side_px(request.along) * gsd)
+    # Half a pixel: what the canon-elph study takes for a tie point in one image.
+    image_sigma_px = 0.5
     return LevelGeometry(
         height_m,
         scale_denominator(gsd, frame.pixel_m),
@@ -216,7 +216,7 @@ def level_geometry(request: FlightRequest, height_m: float) -> LevelGeometry:
         base,
         air_base(request.side_overlap, frame.side_px(across) * gsd),
         exposure_interval(base, request.speed_m_s),
-        corner_precision(frame, height_m, base, IMAGE_SIGMA_PX),
+        corner_precision(frame, height_m, base, image_sigma_px),
         expected_altimetric_accuracy(height_m, base, frame.focal_m, frame.pixel_m),
     )
 

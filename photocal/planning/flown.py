@@ -20,8 +20,6 @@ CELLS_ACROSS = 60
 _PARALLEL_RAD, _LEVEL = math.radians(20.0), 0.15
 # A point in fewer images has no height that is checked.
 FEWEST_RAYS = 3
-# Steps in which a ray meets the ground.
-_STEPS = 4
 # Corners and middles of the sides of an image, as shares of them, in order around it.
 BORDER = np.array([[0, 0], [1, 0], [2, 0], [2, 1], [2, 2], [1, 2], [0, 2], [0, 1]]) / 2.0
 
@@ -246,10 +244,12 @@ def _cells_of_pixels(images: OrientedImages, ground: GroundCells) -> Integers:
     across = np.array([(k + 0.5) / CELLS_ACROSS for k in range(CELLS_ACROSS)])
     raster = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
     seen = []
+    # Steps in which a ray meets the ground.
+    steps = 4
     for station, rays in zip(images.station, directions(images, raster), strict=True):
         slope = rays[:, :2] / -np.minimum(rays[:, 2], -1e-9)[:, None]
         height = np.full(len(rays), station[2] - _ground_below(station[None], ground)[0])
-        for _ in range(_STEPS):
+        for _ in range(steps):
             cells = _cell_of(station[:2] + slope * height[:, None], ground)
             height = station[2] - ground.places[cells, 2]
         seen.append(cells)

@@ -19,8 +19,6 @@ _LAYER = Layer(
     has_heights=False,
     columns={"name": "TEXT", **dict.fromkeys(_NUMBERS, "DOUBLE")},
 )
-# The longest vector of the picture is this share of its width.
-_LONGEST = 0.08
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,9 @@ def _draw(made: PositionDifferences, path: Path) -> None:
         x, y = made.station[:, 0], made.station[:, 1]
         plane = np.linalg.norm(made.d_m[:, :2], axis=1)
         width = max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
-        times = _LONGEST * width / max(float(plane.max()), 1e-9)
+        # The longest vector of the picture is this share of its width.
+        longest = 0.08
+        times = longest * width / max(float(plane.max()), 1e-9)
         high = max(float(np.abs(made.d_m[:, 2]).max()), 1e-9)
         drawn = axes.scatter(x, y, c=made.d_m[:, 2], cmap="RdBu_r", vmin=-high, vmax=high, s=18)
         axes.quiver(x, y, *(made.d_m[:, :2] * times).T, angles="xy", scale_units="xy", scale=1.0, width=0.003)

@@ -19,8 +19,6 @@ from photocal.planning.area import grid
 from photocal.planning.flight import Layout, PlannedFlight
 from photocal.planning.frame import PlanningCamera
 
-# Tie points per side of a footprint: 25 in each photo.
-_TIES_PER_SIDE = 5
 SELF_CALIBRATION = ("c", "x0", "y0", "K1", "K2", "P1", "P2")
 
 
@@ -145,7 +143,9 @@ def _ties(flight: PlannedFlight) -> Floats:
     """A net of tie points over all ground that the photos may show; those in one photo drop out later."""
     sides = [min(level.footprint_m) for level in flight.levels]
     reach = max(max(level.footprint_m) for level in flight.levels) / 2.0
-    step = min(sides) / _TIES_PER_SIDE
+    # Tie points per side of a footprint: 25 in each photo.
+    ties_per_side = 5
+    step = min(sides) / ties_per_side
     exposures = np.vstack([strip.exposures_m for strip in flight.strips])
     return grid(exposures.min(axis=0) - reach, exposures.max(axis=0) + reach, step)
 

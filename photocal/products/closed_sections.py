@@ -10,8 +10,6 @@ from photocal.base.errors import IllPosedError
 from photocal.products.sections import RingPoints
 
 Shape = Literal["curve", "polygon"]
-# Gauss-Legendre nodes that integrate the products of cubics and their slopes exactly.
-_NODES = 3
 _ROW = (
     "{section:<8} {points:>6} {height_m:>10.3f} {height_sigma_m:>8.4f} {area_m2:>12.4f} {area_sigma_m2:>8.4f}"
 )
@@ -29,7 +27,9 @@ def outline_form(points: Floats, shape: Shape) -> Floats:
     chords = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
     along = np.concatenate([[0.0], np.cumsum(chords)])
     basis = CubicSpline(along, np.vstack([np.eye(n), np.eye(n)[:1]]), bc_type="periodic")
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    # Gauss-Legendre nodes that integrate the products of cubics and their slopes exactly.
+    nodes = 3
+    node, weight = np.polynomial.legendre.leggauss(nodes)
     at = (along[:-1, None] + chords[:, None] * (node + 1.0) / 2.0).ravel()
     weights = (chords[:, None] * weight / 2.0).ravel()
     value, slope = basis(at), basis(at, 1)

@@ -8,8 +8,6 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError
 from photocal.products.sections import Tank, volume_between_sections
 
-MOST_LEVELS = 10_000
-
 
 @dataclass(frozen=True)
 class Filled:
@@ -40,7 +38,8 @@ def filling_table(tank: Tank, step_m: float, wall_thickness: float = 0.0) -> tup
     if len(radius) < 2:
         raise ConfigurationError("a filling table needs two sections", "measure another ring")
     whole = float(height[-1] - height[0])
-    if not whole / MOST_LEVELS < step_m <= whole:
+    most_levels = 10_000
+    if not whole / most_levels < step_m <= whole:
         raise ConfigurationError(f"levels every {step_m:g} m make no table", f"the sections span {whole:g} m")
     levels = np.append(np.arange(step_m, whole * (1 - 1e-9), step_m), whole)
     return tuple(Filled(0.0, float(at), *_filled(radius, height, covariance, float(at))) for at in levels)

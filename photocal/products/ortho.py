@@ -14,9 +14,6 @@ from photocal.products.orthophoto import Recipe
 from photocal.products.raster import HEIGHT_TAG, describe, system_wkt, terrain_source, write_terrain
 from photocal.products.terrain import HEIGHT_KINDS, Bounds, Grid, grid_of_points, read_terrain_points
 
-# Cells so many pixels wide leave pixels out.
-_COARSE = 2.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class Orthophoto:
@@ -86,7 +83,9 @@ class Orthophoto:
             f"{self.path}: {size}, {self.resampling}, {share}, {self.height_kind} heights",
         ]
         lines += [f"  {name}: {100 * n / count:.1f} %" for name, n in self.cells.items()]
-        if grid.cell > _COARSE * self.pixel_m:
+        # Cells so many pixels wide leave pixels out.
+        coarse = 2.0
+        if grid.cell > coarse * self.pixel_m:
             lines.append(
                 f"a cell is {grid.cell / self.pixel_m:.1f} pixels wide and takes the value of one place, no "
                 f"mean: fine patterns alias; {self.pixel_m:.2g} m cells show all that the images do"

@@ -22,9 +22,6 @@ from photocal.products.raster import RasterFile, describe, geotiff, read_image, 
 from photocal.products.terrain import Bounds, Grid, Terrain, TerrainSource
 
 METHODS = {"nearest": NEAREST, "bilinear": BILINEAR, "cubic": CUBIC}
-# A terrain model is sampled at most so densely to learn its mean height.
-_SAMPLE = 512
-_PASSES = 100
 _CLOSE_M = 1e-5
 
 
@@ -120,7 +117,9 @@ def overview(terrain: TerrainSource, raster: RasterFile, bounds: Bounds) -> Terr
     cell = math.sqrt(
         abs(raster.transform[0] * raster.transform[4] - raster.transform[1] * raster.transform[3])
     )
-    step = max(cell, max(east - west, north - south) / _SAMPLE)
+    # A terrain model is sampled at most so densely to learn its mean height.
+    sample = 512
+    step = max(cell, max(east - west, north - south) / sample)
     columns, rows = max(int((east - west) / step), 1), max(int((north - south) / step), 1)
     heights = np.full((rows, columns), np.nan)
     x = west + (np.arange(columns) + 0.5) * step
@@ -242,7 +241,8 @@ def terrain_points(
     above = frame.to_given(shots.station[number : number + 1])[0, 2] - height
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.where(rays[:, 2] < 0, -above / rays[:, 2], np.nan)
-    for _ in range(_PASSES):
+    passes = 100
+    for _ in range(passes):
         given = frame.to_given(station + along[:, None] * rays)
         gap = given[:, 2] - terrain.at(given[:, 0], given[:, 1])
         step = -gap / rays[:, 2]

@@ -20,8 +20,6 @@ Heights = NDArray[np.floating]
 Bounds = tuple[float, float, float, float]
 
 HEIGHT_KINDS = ("ellipsoidal", "orthometric", "local")
-# Larger grids would not fit into memory beside the triangles.
-_MOST_CELLS = 100_000_000
 _STRIP = 64
 
 
@@ -187,7 +185,9 @@ def grid_of_points(
     low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
     west, south = np.floor(low / cell) * cell
     columns, rows = (np.maximum(np.ceil((high - [west, south]) / cell - 1e-9), 1)).astype(np.int64)
-    if columns * rows > _MOST_CELLS:
+    # Larger grids would not fit into memory beside the triangles.
+    most_cells = 100_000_000
+    if columns * rows > most_cells:
         raise ConfigurationError(
             f"a cell of {cell:g} m makes {columns} x {rows} cells", "choose larger cells"
         )

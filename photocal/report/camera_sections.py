@@ -4,6 +4,7 @@ import numpy as np
 from scipy import special
 
 from photocal.adjustment.readout import Readout
+from photocal.base import policy
 from photocal.findings.digits import power_of_ten, symbol, unit_power
 from photocal.findings.document import (
     Column,
@@ -22,7 +23,6 @@ from photocal.report import sensor
 from photocal.report.figures import correlation_picture, natural_width, radial_curve, residual_map
 from photocal.report.stored_analysis import AnalysedRun
 
-CONFIDENCE = 0.95
 STRONG = 0.9
 
 # Second opinions on standard deviations, see `analysis.robust`.
@@ -121,7 +121,7 @@ def _opinions(camera_id: str, run: AnalysedRun) -> dict[str, tuple[float | None,
 
 def critical_t(dof: int) -> float:
     """Two-sided 95 % point of Student's distribution."""
-    return float(special.stdtrit(max(dof, 1), (1.0 + CONFIDENCE) / 2.0))
+    return float(special.stdtrit(max(dof, 1), (1.0 + policy.CONFIDENCE) / 2.0))
 
 
 def insignificant(camera: Camera, dof: int) -> list[str]:

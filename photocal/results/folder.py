@@ -20,7 +20,7 @@ from photocal.base.files import write_json
 from photocal.block.camera_setup import CameraKeys, camera_keys, camera_of
 from photocal.block.folder import IMAGE_SIGMAS
 from photocal.block.model import InputFile, fingerprint
-from photocal.block.table import known_rows, read_table, write_table
+from photocal.block.table import LONG_TABLE, known_rows, read_table, write_table
 from photocal.geometry.camera import MOTION, PARAMETERS, SHAKE, Camera
 from photocal.geometry.oriented_images import OrientedImages
 from photocal.results.result import (
@@ -44,8 +44,6 @@ _SAME = {
     *("readout_direction", "shake_rad"),
 }
 _SOME = {"shutter", "gust", "prior_correlation", "stated_by"}
-# Residual tables longer than this are written as Parquet.
-LONG_TABLE = 500_000
 # Of larger files it is not asked whether they were read before: their digests take as long as they do.
 _SHARED_BYTES = 1 << 31
 

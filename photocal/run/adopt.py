@@ -43,11 +43,6 @@ from photocal.run.adoption_figures import (
 
 SCHEMA = "photocal.adoption/1"
 FIGURES = "adoption.json"
-# How often the sigmas of image coordinates are estimated, where the program states none.
-_WEIGHTINGS = 2
-FEWEST_FREE = 5.0
-# Sigmas are found to one per cent.
-_SETTLED = 0.02
 # Two variances are different from this significance on.
 LEAST = 0.0005
 
@@ -163,7 +158,10 @@ def _adjusted(foreign: ForeignProject, output: Path, step: Step) -> tuple[Foreig
 def _weighted(foreign: ForeignProject) -> ForeignProject:
     """Estimate the sigmas of tie points and of marks from their residuals, px."""
     block, tie = foreign.block, foreign.block.points.of_role("tie")[foreign.block.observations.point]
-    for _ in range(_WEIGHTINGS):
+    # How often the sigmas of image coordinates are estimated, where the program states none.
+    weightings = 2
+    fewest_free = 5.0
+    for _ in range(weightings):
         try:
             # Control that is exchanged says nothing of the marks.
             residuals = adjust_network(by_rays_alone(block)).residuals
@@ -174,7 +172,7 @@ def _weighted(foreign: ForeignProject) -> ForeignProject:
         squares = [float(np.nansum(residuals.residual[rays] ** 2)) for rays in (kinds, ~kinds)]
         sigma = np.full_like(block.observations.sigma, np.sqrt(sum(squares) / sum(free)))
         # Marks get a sigma of their own where theirs is another for certain.
-        if min(free) > FEWEST_FREE:
+        if min(free) > fewest_free:
             ratio = squares[1] / free[1] / (squares[0] / free[0])
             if not LEAST < float(f.cdf(ratio, free[1], free[0])) < 1 - LEAST:
                 for rays, square, count in zip((tie, ~tie), squares, free, strict=True):
@@ -191,8 +189,10 @@ def _as_residuals_agree(block: Block) -> dict[str, Floats]:
     """Variances of control points and of positions along the axes, m^2, (3,), that the residuals show."""
     network = assemble(block).network
     try:
+        # Sigmas are found to one per cent.
+        settled = 0.02
         # Frames may be as stiff as they are stated to be, or stiffer.
-        estimated = estimate_components(network, hold=("rig",), settled=_SETTLED)
+        estimated = estimate_components(network, hold=("rig",), settled=settled)
         members = member_tests(factored(estimated.network, estimated.solution.state), estimated.solution)
     except (IllPosedError, NotConvergedError):
         return {}

@@ -28,8 +28,6 @@ from photocal.measurement.tie_block import TIE, intersected, views_of
 from photocal.measurement.tracks import Tracks
 
 GROSS_RAYS = "rays-left-out.csv"
-# What a camera is known to while gross errors are sought, as a share of c.
-ROUGHLY = 0.01
 # Control so many times farther than usual from where its rays meet would bend the block; so much is enough to
 # tell what is usual.
 FAR, ENOUGH_CONTROL = 30.0, 5
@@ -37,8 +35,6 @@ FAR, ENOUGH_CONTROL = 30.0, 5
 FEWEST_RAYS, MOST_NAMED = 4, 6
 # The distance of a point with a smaller parallax is known to a fifth at best, with a measurement of 1 px.
 LEAST_PARALLAX_PX = 5.0
-# No plane image reaches farther from its middle, in principal distances.
-WIDEST = 1e3
 
 
 def without_gross_rays(foreign: ForeignProject, output: Path) -> ForeignProject:
@@ -134,7 +130,9 @@ def by_rays_alone(block: Block) -> Block:
 
 def _nearly_known(camera: Camera) -> Camera:
     """The camera with c, x0 and y0 within a hundredth of c: a level block alone does not determine them."""
-    sigma = np.where(among("c", "x0", "y0"), ROUGHLY * camera.value("c"), camera.prior_sigma)
+    # What a camera is known to while gross errors are sought, as a share of c.
+    roughly = 0.01
+    sigma = np.where(among("c", "x0", "y0"), roughly * camera.value("c"), camera.prior_sigma)
     return replace(camera, prior_sigma=np.minimum(sigma, camera.prior_sigma))
 
 
@@ -191,7 +189,9 @@ def _with_directions(block: Block) -> tuple[Block, int]:
     views, seen = views_of(block, ShiftedFrame(np.zeros(3))), block.observations
     with np.errstate(over="ignore", invalid="ignore"):
         ideal, c = views.ideal(seen.image, seen.values)
-        good = (np.abs(ideal) < WIDEST * c[:, None]).all(axis=1)
+        # No plane image reaches farther from its middle, in principal distances.
+        widest = 1e3
+        good = (np.abs(ideal) < widest * c[:, None]).all(axis=1)
     return replace(block, observations=seen.rows(good)), int((~good).sum())
 
 

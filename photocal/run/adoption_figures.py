@@ -13,9 +13,6 @@ from photocal.geometry.camera import MODELS, PARAMETERS
 from photocal.geometry.rotation import matrix_from_angles
 from photocal.results.result import Result
 
-# A common shift of the positions is told as one of the datum from here on, in its standard deviations.
-SHIFTED = 3.0
-
 
 def camera_figures(foreign: ForeignProject, result: Result) -> dict[str, Any]:
     """Their parameters of each camera and ours, with sigmas and the difference in ours."""
@@ -260,7 +257,10 @@ def adoption_text(figures: dict[str, Any]) -> str:
     shift = figures["positions"]
     if shift is not None and shift["estimated"]:
         text = ", ".join(f"{shift['common_shift_m'][a]:+.3f} +- {shift['sigma_m'][a]:.3f}" for a in "xyz")
-        large = any(abs(shift["common_shift_m"][a]) > SHIFTED * shift["sigma_m"][a] for a in "xyz")
+        # A common shift of the positions is told as one of the datum from here on, in its standard
+        # deviations.
+        shifted = 3.0
+        large = any(abs(shift["common_shift_m"][a]) > shifted * shift["sigma_m"][a] for a in "xyz")
         verdict = "positions and control are not of one datum" if large else "not significant"
         lines.append(f"all positions, adjusted minus given: {text} m (X, Y, Z): {verdict}")
     for row in figures["control"]:

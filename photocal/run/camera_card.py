@@ -38,8 +38,6 @@ ASIDE = {
     "thm": "thumbnails", "thumbnail": "thumbnails", "thumbnails": "thumbnails", "misc": "thumbnails",
     "s": "pictures of the screen", "scr": "pictures of the screen",
 }  # fmt: skip
-# Pictures with a longer pause between them are of two flights, s.
-PAUSE_S = 600.0
 _MEDIA = re.compile(r"(?i)\d{3}_?(media|\d{4})|dji_\d{12}_\d{3}(_.*)?|dcim|panorama|hyperlapse")
 _MISSION = re.compile(r"(?i)dji_\d{12}_\d{3}(_.*)?")
 _NAME = re.compile(r"(?i)(?:dji|\d{3}|pano|max|hyperlapse)_.*?(?:\d{3,5})(?:_([A-Z]+(?:_[A-Z]+)?))?")
@@ -121,10 +119,12 @@ def flights_of(pictures: Mapping[Path, ImageFacts]) -> tuple[tuple[ImageFacts, .
     """Pictures by flight: between two lies a pause, or another folder of a mission."""
     timed = sorted(pictures, key=lambda path: (pictures[path].taken, path))
     flights, last, where = list[list[ImageFacts]](), "", Path()
+    # Pictures with a longer pause between them are of two flights, s.
+    pause_s = 600.0
     for path in timed:
         image = pictures[path]
         other = path.parent != where and bool(_MISSION.fullmatch(path.parent.name))
-        if not flights or other or (last and image.taken and _apart_s(last, image.taken) > PAUSE_S):
+        if not flights or other or (last and image.taken and _apart_s(last, image.taken) > pause_s):
             flights.append([])
         flights[-1].append(image)
         last, where = image.taken, path.parent

@@ -29,10 +29,6 @@ _OTHER = (5.0, 0.0, 0.0, 0.0)
 _OCTETS = {"observations.csv": 45.0, "observations.parquet": 20.0}
 # Before a block tells.
 RAYS_OF_A_PICTURE = 200.0
-# What is seen of the pace is set beside so many seconds as expected, and beside what a run before took.
-_AS_EXPECTED_S = 0.5
-# A stage that takes longer than expected has at least this share of what it took before it.
-_OVERDUE = 0.1
 TOLD_EVERY_S = 1.0
 
 
@@ -78,7 +74,9 @@ class Course:
         self._stage, self._title, self._expected = "", "", 0.0
         self._done, self._total = 0.0, float("nan")
         self._share = 0.0
-        self._took = self._meant = _AS_EXPECTED_S + seen_s
+        # What is seen of the pace is weighed against so many seconds as expected, and what a run before took.
+        as_expected_s = 0.5
+        self._took = self._meant = as_expected_s + seen_s
 
     def begin(self, stage: str) -> None:
         """Begin with a stage."""
@@ -125,7 +123,9 @@ class Course:
         piece_left = piece_s * (1.0 / share - 1.0) if known and share > 0.0 else None
         left = max(pace * self._expected - stage_s, piece_left or 0.0)
         if self._expected:
-            left = max(left, _OVERDUE * stage_s)
+            # A stage that takes longer than expected has at least this share of what it took before it.
+            overdue = 0.1
+            left = max(left, overdue * stage_s)
         left += pace * sum(self._ahead.values())
         # What turns out to be longer stops the bar and does not turn it back.
         self._share = max(self._share, elapsed / (elapsed + left) if elapsed + left > 0.0 else 0.0)
@@ -142,12 +142,13 @@ def followed(course: Course, *listeners: Callable[[Standing], None]) -> Iterator
 
     def tell() -> None:
         """Tell until the run has ended."""
+        told_every_s = 1.0
         while True:
             for listener in listeners:
                 # No work ends because it cannot be told how far it is.
                 with suppress(OutputError, OSError):
                     listener(course.standing())
-            if ended.wait(TOLD_EVERY_S):
+            if ended.wait(told_every_s):
                 return
 
     beside = Thread(target=tell, daemon=True)

@@ -25,8 +25,6 @@ from photocal.run.project_checks import FREED, unfit
 HEIGHTS = ("ellipsoidal", "orthometric", "local")
 # Around a place, deg: grids are looked up there.
 _AROUND = 0.2
-# Control this near to the pictures' positions is in their zone, m beyond their width.
-_REACH_M = 200.0
 
 
 @dataclass
@@ -378,6 +376,8 @@ def _system_of(points: ObjectPoints, placed: Sequence[ImageFacts]) -> str:
     except PhotocalError:
         return ""
     low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
-    reach = np.linalg.norm(high - low) + _REACH_M
+    # Control this near to the pictures' positions is in their zone, m beyond their width.
+    reach_m = 200.0
+    reach = np.linalg.norm(high - low) + reach_m
     away = np.linalg.norm(np.median(points.values[:, :2], axis=0) - (low + high) / 2)
     return zone if away < reach else ""

@@ -35,9 +35,6 @@ PICTURES = "pictures.csv"
 CODE_LEVEL_M = (1.5, 1.5, 3.0)
 # How far the cameras of a frame may be apart, m: the sigma of each coordinate.
 APART_M = 0.1
-# By how much later a head may expose than the first, s: by pictures of a recorded head some 10 to 30 ms.
-# Where readouts differ, so do their middles: heads begin together, or end together.
-LATER_S = 0.02
 # A camera of another c is another camera: this share of it, or so many sigmas of what the pictures say.
 UNLIKE, FAR_SIGMAS = 0.1, 3.0
 _ESTIMATE = ("c", "x0", "y0", "K1", "K2", "K3", "P1", "P2")
@@ -355,6 +352,9 @@ class _Text:
         if self.frame is None:
             return
         readouts = [self._stated(k).camera.value("readout") for k in range(len(self.cameras))]
+        # By how much later a head may expose than the first, s: by pictures of a recorded head some 10 to 30
+        # ms. Where readouts differ, so do their middles: heads begin together, or end together.
+        later_s = 0.02
         for name, readout in zip(self.cameras[1:], readouts[1:], strict=True):
             half = (readout - readouts[0]) / 2
             yield "\n[[head]]  # rotated as the pictures state; rotation_deg and its sigma where it is known"
@@ -363,7 +363,7 @@ class _Text:
             yield f"centre_m = [0.0, 0.0, 0.0]  # x right, y up, z backwards of {self.cameras[0]}: assumed"
             yield f"centre_sigma_m = {APART_M}"
             yield f"time_s = {half:.4g}  # middle of its readout, where those of all begin together: assumed"
-            yield f"time_sigma_s = {np.hypot(LATER_S, half):.3g}"
+            yield f"time_sigma_s = {np.hypot(later_s, half):.3g}"
         self.missing.append(
             f"the distance between the cameras is not stated: {APART_M} m assumed (centre_m in [[head]])"
         )

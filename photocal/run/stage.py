@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 # Smaller files are read each time: nothing deceives that, and it takes no time.
 _SMALL_BYTES = 1 << 22
-# A file that changes twice within the clock's step keeps its times: so young ones are not remembered.
-_YOUNG_NS = 2_000_000_000
 # What a stage was made from and what it wrote.
 RECORD = "stage.json"
 _REMEDY = "choose another output in the project file"
@@ -69,7 +67,9 @@ class Digests:
                 return digest
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        if large and time.time_ns() - max(state.st_mtime_ns, state.st_ctime_ns) > _YOUNG_NS:
+        # A file that changes twice within the clock's step keeps its times: so young ones are not remembered.
+        young_ns = 2_000_000_000
+        if large and time.time_ns() - max(state.st_mtime_ns, state.st_ctime_ns) > young_ns:
             self._known[name] = [*hint, digest]
         return digest
 

@@ -13,7 +13,6 @@ from acquire.simulate.gnss.settings import GALILEO, GPS, LIGHT_M_S
 from photocal.base.time_scales import DAY_NS, GPS_EPOCH_NS, SECOND_NS, WEEK_S
 
 _NUMBER = {GPS: 1077, GALILEO: 1097}
-_LATENCY_NS = 100_000_000
 _STATION = 1
 _MS_M = LIGHT_M_S * 1e-3
 # What stands for "no value" in the signed fields.
@@ -33,6 +32,7 @@ def observation_messages(observations: SatelliteObservations) -> Iterator[tuple[
     clock = observations.clock
     systems = np.array([s.system for s in observations.satellites])
     true_ns = clock.true_gps_ns
+    latency_ns = 100_000_000
     for epoch in np.flatnonzero(clock.tag_gps_ns % SECOND_NS == 0).tolist():
         first, after = np.searchsorted(rows["epoch"], [epoch, epoch + 1])
         here = rows[first:after]
@@ -42,7 +42,7 @@ def observation_messages(observations: SatelliteObservations) -> Iterator[tuple[
             more = place + 1 < len(present)
             tow_ms = int(clock.tag_gps_ns[epoch]) % (WEEK_S * SECOND_NS) // 1_000_000
             head = joined([(_NUMBER[system], 12), (_STATION, 12), (tow_ms, 30), (int(more), 1), (0, 18)])
-            yield int(true_ns[epoch]) + _LATENCY_NS, octets(head + _body(of_system, observations))
+            yield int(true_ns[epoch]) + latency_ns, octets(head + _body(of_system, observations))
 
 
 def _body(rows: NDArray[np.void], observations: SatelliteObservations) -> str:

@@ -19,7 +19,6 @@ from photocal.base.time_scales import SECOND_NS
 
 SUBFRAME_S, PAGE_S = 6, 2
 GST_BEHIND_WEEKS = 1024
-PAGES = 25
 _PREAMBLE = "10001011"
 # Which of D29*, D30* and which data bits each parity bit sums (IS-GPS-200N, table 20-XIV).
 _PARITY = (
@@ -45,7 +44,6 @@ _ISSUE = (1, 4)
 _SUBFRAME_S = 30
 
 Bits = list[tuple[int, int]]
-_SUBFRAME_PAGES = 15
 # Word types of one subframe of 30 s (tables 42 and 43). 0 is the spare word, which carries the time; in the
 # places of 7 and 8 every other subframe has 9 and 10.
 _E1B = (2, 4, 6, 7, 8, 0, 0, 0, 0, 0, 1, 3, 5, 0, 0)
@@ -78,7 +76,8 @@ def subframe(ephemeris: Ephemeris, gps_s: int, sky: SkySettings, almanacs: Seque
     number = tow // SUBFRAME_S % 5 + 1
     count = (tow // SUBFRAME_S + 1) % 100_800
     handover = field(count, 17) + "00" + field(number, 3)
-    page = tow // 30 % PAGES
+    pages = 25
+    page = tow // 30 % pages
     e, issue = ephemeris, (ephemeris.issue & 0xFF, 8)
     if number == 1:
         # After the week: P code on L2.
@@ -307,7 +306,8 @@ def page(
 ) -> list[int]:
     """Return the page that begins at a time, as u-blox hands it over."""
     week, tow = divmod(gps_s, 604_800)
-    kind = _SEQUENCE[band][tow // PAGE_S % _SUBFRAME_PAGES]
+    subframe_pages = 15
+    kind = _SEQUENCE[band][tow // PAGE_S % subframe_pages]
     if kind in (7, 8):
         data = almanac_word(kind == 8, tow, almanacs)
     else:

@@ -19,8 +19,6 @@ GRAVITY_M_S2 = 9.80665
 # and even the change of its curvature continuous.
 KNOT_S = 1.0
 DEGREE = 5
-# Specific drag of a small multirotor, 1/s: at 10 m/s of air it leans by about 12 degrees.
-_DRAG_PER_S = 0.21
 _AIRBORNE_M = 2.0
 # East, north, up to north, east, down.
 TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -192,8 +190,10 @@ class Motion:
         share = self._airborne(time)[0]
         air = self.way(time, nu=1)
         air[:, :2] -= self.wind_m_s
+        # Specific drag of a small multirotor, 1/s: at 10 m/s of air it leans by about 12 degrees.
+        drag_per_s = 0.21
         # The hull damps what is faster than the spline: sway does not tilt.
-        thrust = share * (self.way(time, nu=2) + _DRAG_PER_S * air) + [0.0, 0.0, GRAVITY_M_S2]
+        thrust = share * (self.way(time, nu=2) + drag_per_s * air) + [0.0, 0.0, GRAVITY_M_S2]
         yaw = self.course(time)
         ahead = np.column_stack([np.sin(yaw), np.cos(yaw)])
         right = np.column_stack([np.cos(yaw), -np.sin(yaw)])

@@ -11,8 +11,6 @@ from acquire.simulate.world.motion import Motion
 from acquire.simulate.world.world import World
 from photocal.base.arrays import Flags, Floats, Integers
 
-MARGIN_PX = 8.0
-
 
 def seen(points_m: Floats, pose: Pose, camera: TrueCamera) -> Floats:
     """Give columns and rows of points, each by its own pose or all by one, shape (n, 2).
@@ -86,9 +84,10 @@ def observe(world: World) -> MeasuredPoints:
         heights = world.terrain.height(plan[:, 0], plan[:, 1])
         points = np.vstack([points, np.column_stack([plan, heights])])
     places, rows = [], []
+    margin_px = 8.0
     for number in np.flatnonzero(kept_images(world)).tolist():
         place = seen_rolling(points, world.exposures, number, world.motion, world.rig, given.camera.readout_s)
-        rows.append(np.flatnonzero(world.exposures.cameras[number].sees(place, MARGIN_PX)))
+        rows.append(np.flatnonzero(world.exposures.cameras[number].sees(place, margin_px)))
         places.append(place[rows[-1]])
     image = np.repeat(np.flatnonzero(kept_images(world)), [len(seen_there) for seen_there in rows])
     point, pixels = np.concatenate(rows), np.concatenate(places)

@@ -15,8 +15,6 @@ from acquire.simulate.world.world import World, picture_stamps
 from photocal.base.arrays import Floats
 
 MAKER = "simulated"
-# Most of the time is spent outside the interpreter: threads share the painted ground.
-_WORKERS = 2
 _EXIF, _GPS = 0x8769, 0x8825
 _XMP = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
 <x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
@@ -58,7 +56,9 @@ def write_pictures(world: World, folder: Path, advance: Callable[[float], None])
         path = folder / names[number]
         image.save(path, "JPEG", quality=given.quality, subsampling=0, exif=exif, **more)
 
-    with ThreadPoolExecutor(_WORKERS) as pool:
+    # Most of the time is spent outside the interpreter: threads share the painted ground.
+    workers = 2
+    with ThreadPoolExecutor(workers) as pool:
         for _ in pool.map(make, kept):
             advance(1 / len(kept))
 

@@ -16,8 +16,6 @@ from acquire.simulate.world.exposures import antenna_at, antenna_velocity
 from acquire.simulate.world.world import World
 from photocal.base.arrays import Floats, Integers
 
-PULSE_S = 0.02
-
 
 @dataclass(frozen=True)
 class RecordedWire:
@@ -147,7 +145,8 @@ def _rover(world: World) -> Antenna:
 
 def _events(world: World) -> Pulses:
     rising = world.gps_ns(world.exposures.event_s)
-    falling = world.gps_ns(world.exposures.event_s + PULSE_S)
+    pulse_s = 0.02
+    falling = world.gps_ns(world.exposures.event_s + pulse_s)
     if world.has(SimulatedFault.EVENT_TIME_BASE):
         # The receiver was set to mark in UTC and says GNSS.
         return Pulses(rising, falling, time_base="gnss", stamped_in="utc")

@@ -20,14 +20,8 @@ Fields = Mapping[str, Any]
 
 AUTOPILOT, RADIO = (1, 1), (51, 68)
 LABEL = "SIMULATED FLIGHT, made by photocal"
-# From the autopilot's trigger to the pulse of the camera's hot shoe.
-TRIGGER_LEAD_S = 0.065
-# How long an error of the filter stays; exposures are farther apart.
-CORRELATION_S = 0.8
 _POSITION_SIGMA_M = np.array([0.6, 0.6, 1.0])
-_CLOCK_JITTER_S = 0.0003
 _WAYPOINT, _TAKE_OFF, _LAND = 16, 22, 21
-_GLOBAL_RELATIVE = 6
 
 
 @dataclass(frozen=True)
@@ -74,7 +68,9 @@ def make_filter(world: World) -> Filter:
     count = int(world.motion.duration_s / step) + 2
     sigma = np.radians(world.configuration.rig.attitude_sigma_deg)
     positions = _wander(count, step / 30.0, random) * _POSITION_SIGMA_M
-    return Filter(world, positions, _wander(count, step / CORRELATION_S, random) * sigma, step)
+    # How long an error of the filter stays; exposures are farther apart.
+    correlation_s = 0.8
+    return Filter(world, positions, _wander(count, step / correlation_s, random) * sigma, step)
 
 
 def _wander(count: int, share: float, random: np.random.Generator) -> Floats:
@@ -145,7 +141,8 @@ def _status(world: World) -> Iterator[SentMessage]:
     state = {"base_mode": np.where(flying, 209, 81), "system_status": np.where(flying, 4, 3)}
     fixed = {"type": 2, "autopilot": 3, "custom_mode": 3, "mavlink_version": 3}
     yield from _rows("HEARTBEAT", time, {**fixed, **state})
-    read = time + random.standard_normal(len(time)) * _CLOCK_JITTER_S
+    clock_jitter_s = 0.0003
+    read = time + random.standard_normal(len(time)) * clock_jitter_s
     utc_us = world.utc_ns(read) // 1000
     yield from _rows(
         "SYSTEM_TIME", time + 0.003, {"time_unix_usec": utc_us, "time_boot_ms": _since_boot(world, time, 1e3)}
@@ -223,7 +220,9 @@ def _positions(world: World, view: Filter) -> Iterator[SentMessage]:
 
 def _pictures(world: World, view: Filter) -> Iterator[SentMessage]:
     event, geoid = world.exposures.event_s, world.configuration.place.geoid_m
-    trigger = event - TRIGGER_LEAD_S
+    # From the autopilot's trigger to the pulse of the camera's hot shoe.
+    trigger_lead_s = 0.065
+    trigger = event - trigger_lead_s
     numbers = np.arange(1, len(event) + 1)
     yield from _rows("CAMERA_TRIGGER", trigger, {"time_usec": world.utc_ns(trigger) // 1000, "seq": numbers})
     place, _ = view.place(event)
@@ -255,11 +254,12 @@ def _mission(world: World) -> Iterator[SentMessage]:
     route = np.vstack([home, place, home])
     commands = [_TAKE_OFF, *([_WAYPOINT] * len(place)), _LAND]
     yield SentMessage(5.0, AUTOPILOT, "MISSION_COUNT", {"count": len(route), "target_system": 255})
+    global_relative = 6
     for number, (where, command) in enumerate(zip(route.tolist(), commands, strict=True)):
         item = {
             "target_system": 255,
             "seq": number,
-            "frame": _GLOBAL_RELATIVE,
+            "frame": global_relative,
             "command": command,
             "autocontinue": 1,
             "x": round(np.degrees(where[0]) * 1e7),

@@ -15,9 +15,6 @@ from acquire.simulate.world.terrain import HeightField, make_terrain
 from photocal.base.arrays import Floats, Integers, spread
 from photocal.base.errors import ConfigurationError
 
-# The plate lies on the highest ground beneath it, on stones of this height.
-ABOVE_GROUND_M = 0.03
-_CANDIDATES = 60
 GPS_EPOCH_UNIX_S = 315_964_800
 LEAST_ABOVE_GROUND_M = 5.0
 # Parts of the truth that are drawn one by one, so that a change of one leaves the others as they are.
@@ -56,7 +53,9 @@ def make_targets(
     steps = np.linspace(-0.6, 0.6, 7) * given.side_m
     east, north = np.meshgrid(steps, steps)
     around = terrain.height(places[:, 0, None] + east.ravel(), places[:, 1, None] + north.ravel())
-    centre = np.column_stack([places, around.max(axis=1) + ABOVE_GROUND_M])
+    # The plate lies on the highest ground beneath it, on stones of this height.
+    above_ground_m = 0.03
+    centre = np.column_stack([places, around.max(axis=1) + above_ground_m])
     control = np.isin(np.arange(count), spread(places, given.control, []))
     numbers = np.where(control, np.cumsum(control), np.cumsum(~control)).tolist()
     kinds = [("control", "GCP") if chosen else ("check", "CHK") for chosen in control.tolist()]
@@ -77,8 +76,9 @@ def spread_points(area_m: Floats, count: int, random: np.random.Generator) -> Fl
 
     low, high = area_m.min(axis=0), area_m.max(axis=0)
     chosen = np.empty((0, 2))
+    candidates = 60
     while len(chosen) < count:
-        drawn = random.uniform(low, high, (_CANDIDATES, 2))
+        drawn = random.uniform(low, high, (candidates, 2))
         drawn = drawn[Outline(area_m).contains_points(drawn)]
         if not len(drawn):
             continue

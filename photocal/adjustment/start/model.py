@@ -20,10 +20,6 @@ SHARP = np.radians(1.0)
 # Images are resected from this many points, or from fewer when there are no more; those that see at least
 # this share of what the best one sees, together.
 PLENTY, FEWEST, BATCH = 10, 4, 0.5
-# The model is adjusted whenever it has grown by this share.
-GROWTH = 1.2
-# Adjustment may raise the median residual by this factor where it brings the points' own residuals down.
-STRAINED = 1.5
 # A ray is left out when it misses its point by this many times the median, within these bounds (in principal
 # distances); so many of one point at most.
 UNLIKE, LEAST, ASTRAY = 8.0, 2e-3, 0.03
@@ -79,6 +75,8 @@ def grown(model: Model, among: Flags, limit: int | None = None) -> Model:
     model = intersected(model)
     adjusted_at = int(model.oriented.sum())
     failed = ~among
+    # The model is adjusted whenever it has grown by this share.
+    growth = 1.2
     while limit is None or model.oriented.sum() < limit:
         most = len(among) if limit is None else limit - int(model.oriented.sum())
         model, tried = _next_images(model, failed, most)
@@ -91,7 +89,7 @@ def grown(model: Model, among: Flags, limit: int | None = None) -> Model:
             continue
         failed |= tried & ~model.oriented
         model = intersected(model)
-        if model.oriented.sum() > GROWTH * adjusted_at:
+        if model.oriented.sum() > growth * adjusted_at:
             model = adjusted(model)
             adjusted_at = int(model.oriented.sum())
     return without_misfits(adjusted(model)) if model.oriented.any() else model
@@ -217,7 +215,9 @@ def adjusted(model: Model) -> Model:
     if any(camera.estimated.any() for camera in network.cameras):
         cameras = tuple(camera.with_values(v) for camera, v in zip(seen.cameras, state.cameras, strict=True))
         better = replace(better, bearings=seen.by(cameras))
-    return better if misfit(better) < STRAINED * misfit(model) else model
+    # Adjustment may raise the median residual by this factor where it brings the points' own residuals down.
+    strained = 1.5
+    return better if misfit(better) < strained * misfit(model) else model
 
 
 def robust_adjustment(network: Network, start: State) -> tuple[State, Floats]:

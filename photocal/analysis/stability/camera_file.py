@@ -15,9 +15,6 @@ from photocal.base.errors import ConfigurationError, PhotocalError
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.geometry.camera import PARAMETERS, Camera, among, camera
 
-# Two decimals of p correlations move an eigenvalue by no more than 0.005 p: more is no rounding.
-ROUNDING_OF_A_CORRELATION = 0.005
-
 
 class _Pix4dParameters(Table):
     f: PositiveFloat
@@ -130,7 +127,9 @@ def _with_sigmas(made: Camera, entry: CameraKeys, where: str) -> Camera:
     except PhotocalError as refusal:
         raise wrong(refusal.what, refusal.remedy) from None
     least = float(np.linalg.eigvalsh(estimates.correlation)[0])
-    if least < -ROUNDING_OF_A_CORRELATION * len(names):
+    # Two decimals of p correlations move an eigenvalue by no more than 0.005 p: more is no rounding.
+    rounding_of_a_correlation = 0.005
+    if least < -rounding_of_a_correlation * len(names):
         raise wrong(
             f"the correlation matrix is not positive definite (least eigenvalue {least:.3f})",
             "correct the entry that was misprinted",

@@ -14,9 +14,6 @@ from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError, NotConvergedError
 from photocal.geometry.camera import PARAMETERS, Camera
 
-# What moves the image by less than this with one standard deviation, px rms, is no difference in the image.
-_NOTHING_PX = 0.02
-
 
 @dataclass(frozen=True)
 class ChiSquared:
@@ -141,7 +138,10 @@ def _visible(
     basis, _ = np.linalg.qr(design)
     left = moved - (moved @ basis) @ basis.T
     directions, strength, _ = np.linalg.svd(left, full_matrices=False)
-    rank = int(np.sum(strength / np.sqrt(len(pixels)) > _NOTHING_PX))
+    # What moves the image by less than this with one standard deviation, px rms, is no difference in the
+    # image.
+    nothing_px = 0.02
+    rank = int(np.sum(strength / np.sqrt(len(pixels)) > nothing_px))
     return np.asarray(directions[:, :rank]), np.asarray(left)
 
 

@@ -8,8 +8,6 @@ from scipy import special
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 
-RAYS_PER_CELL = 20
-
 
 @dataclass(frozen=True)
 class VarianceComponent:
@@ -179,6 +177,7 @@ def residual_map(
 
 def grid_shape(size_px: tuple[int, int], rays: int) -> tuple[int, int]:
     """Choose how many cells the rays can fill."""
-    wanted = max(1.0, rays / RAYS_PER_CELL)
+    rays_per_cell = 20
+    wanted = max(1.0, rays / rays_per_cell)
     columns = int(np.clip(np.sqrt(wanted * size_px[0] / size_px[1]), 1, 12))
     return columns, max(1, round(columns * size_px[1] / size_px[0]))

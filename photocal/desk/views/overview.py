@@ -17,11 +17,6 @@ from photocal.navigation.exposures import Exposures
 from photocal.planning.flown import BORDER, GroundCells, cells_seen, directions, level_ground
 from photocal.run.exposures import EXPOSURES
 
-# Cells of the overlap on the map; it is a picture, not a measurement.
-_MOST_CELLS = 40_000
-# Beyond so many heights an oblique image has no footprint worth drawing.
-_FARTHEST = 4.0
-
 
 def overview(shown: Shown) -> dict[str, Any]:
     """All that the map and the 3-D view need but tie points and overlap, which come as arrays."""
@@ -90,7 +85,9 @@ def footprints(shown: Shown) -> Floats:
     drop = (local.station[:, 2] - level)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         ground = local.station[:, None, :2] + rays[..., :2] / -rays[..., 2:] * drop[..., None]
-    far = np.linalg.norm(ground - local.station[:, None, :2], axis=2) > _FARTHEST * np.abs(drop)
+    # Beyond so many heights an oblique image has no footprint worth drawing.
+    farthest = 4.0
+    far = np.linalg.norm(ground - local.station[:, None, :2], axis=2) > farthest * np.abs(drop)
     bad = (far | (rays[..., 2] >= 0)).any(axis=1) | ~np.isfinite(ground).all(axis=(1, 2))
     places = np.concatenate([ground, np.full((*ground.shape[:2], 1), level)], axis=2)
     places[bad] = np.nan
@@ -225,6 +222,8 @@ def overlap(shown: Shown) -> tuple[dict[str, Any], bytes]:
 def _coarse(ground: GroundCells) -> GroundCells:
     """Every second, third ... cell, until there are few enough for a picture."""
     rows = len(ground.places) // ground.columns
-    step = int(np.ceil(np.sqrt(len(ground.places) / _MOST_CELLS)))
+    # Cells of the overlap on the map; it is a picture, not a measurement.
+    most_cells = 40_000
+    step = int(np.ceil(np.sqrt(len(ground.places) / most_cells)))
     kept = ground.places.reshape(rows, ground.columns, 3)[::step, ::step]
     return GroundCells(kept.reshape(-1, 3), ground.cell_m * step, kept.shape[1])

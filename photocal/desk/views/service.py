@@ -26,8 +26,6 @@ from photocal.run.left_out import leave_out, take_back
 from photocal.run.summary import read_json
 
 Made = TypeVar("Made")
-# Decoded pictures in memory: one is looked at, the others are thumbnails.
-_HELD_PX = 25_000_000
 
 
 class Look:
@@ -37,7 +35,9 @@ class Look:
     """
 
     def __init__(self, desk: Desk) -> None:
-        self._desk, self._tiles = desk, Tiles(desk.cache, held_px=_HELD_PX)
+        # Decoded pictures in memory: one is looked at, the others are thumbnails.
+        held_px = 25_000_000
+        self._desk, self._tiles = desk, Tiles(desk.cache, held_px=held_px)
         self._lock = threading.RLock()
         self._state: object = None
         self._shown: Shown | None = None

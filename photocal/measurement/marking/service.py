@@ -35,8 +35,6 @@ from photocal.measurement.target_centre import ground_bend, measurable
 from photocal.measurement.target_patterns import FLAT
 
 FARTHEST_REACH_PX = 60.0
-# Decimals in marks.csv: what is shown is what is written.
-_DECIMALS = 4
 # A name has something to see and nothing that breaks a line.
 _NAME = r"^[^\x00-\x1f\x7f]*[^\x00-\x20\x7f][^\x00-\x1f\x7f]*$"
 _FILES = {
@@ -193,7 +191,9 @@ class MarkingService:
         sigma = (BY_HAND_PX, BY_HAND_PX)
         if snapped is not None:
             place, sigma = (snapped.x, snapped.y), snapped.sigma
-        x, y, *sigmas = (round(value, _DECIMALS) for value in (*place, *sigma))
+        # Decimals in marks.csv: what is shown is what is written.
+        decimals = 4
+        x, y, *sigmas = (round(value, decimals) for value in (*place, *sigma))
         self._store.put(Mark(click.image, click.point, x, y, (sigmas[0], sigmas[1]), ""))
         return self.state() | {"snapped": None if snapped is None else snapped.kind}
 

@@ -26,19 +26,10 @@ SMALLEST_PX: dict[Kind, float] = {"circle": 8.0, "cross": 8.0, "ring": 12.0, "ho
 _IN_VAIN = 2
 # Codes that are tried when the project names none.
 DICTIONARIES = ("apriltag_36h11", "4x4_1000", "5x5_1000", "6x6_1000")
-# Targets look the same when turned by 180 degrees: what is less alike (correlation) is not fitted at all.
-LEAST_ALIKE = 0.75
-# The picture of the target must explain the grey values: noise in parts of the contrast.
-WORST_MISFIT = 0.15
-LEAST_CONTRAST = 12.0
 # Even ground around circles and rings that is used once their size is known: px, and as a part of it.
 _BESIDE_PX, _BESIDE = 1.5, 0.13
-# Who clicks knows better than this, px.
-COARSEST_PX = 0.1
 # Edges of a target are sharp, px or parts of its size; blots of soil and leaves are not.
 BLUNTEST_PX, BLUNTEST_PART = 1.6, 0.06
-# A circle or hourglass whose edges fill it is a blot itself: as a part of its size.
-BLOT_PART = 0.13
 
 
 @dataclass(frozen=True)
@@ -72,13 +63,15 @@ def snap(
             return _snapped("code", min(codes, key=_variance))
     best: tuple[Kind, Centre] | None = None
     in_vain = 0
+    # Targets look the same when turned by 180 degrees: what is less alike (correlation) is not fitted at all.
+    least_alike = 0.75
     for size in SIZES:
         middle, likeness = symmetric_place(grey, place, reach, size / 2)
         # Of small targets there may be several within reach: the one that was clicked counts, too.
         starts = (place, middle) if size <= 2 * reach else (middle,)
         fits: list[tuple[Kind, Centre]] = []
         # A ring is none where something simpler fits.
-        for group in (_SIMPLE, _HOLLOW) if likeness >= LEAST_ALIKE else ():
+        for group in (_SIMPLE, _HOLLOW) if likeness >= least_alike else ():
             fits = fits or [
                 (kind, centre)
                 for kind in kinds
@@ -115,7 +108,9 @@ def _sharp(kind: Kind, centre: Centre, size: float) -> bool:
     # The blur stands last among the parameters of all pictures.
     blur = abs(float(centre.shape[-1]))
     across = float(centre.shape[:2].sum()) if kind == "circle" else size
-    blot = kind in ("circle", "hourglass") and blur > BLOT_PART * across
+    # A circle or hourglass whose edges fill it is a blot itself: as a part of its size.
+    blot_part = 0.13
+    blot = kind in ("circle", "hourglass") and blur > blot_part * across
     return not blot and blur <= max(BLUNTEST_PX, BLUNTEST_PART * size)
 
 
@@ -156,8 +151,13 @@ def symmetric_place(
 
 def _good(centre: Centre, place: tuple[float, float], reach: float) -> bool:
     near = math.hypot(centre.column - place[0], centre.row - place[1]) <= reach
-    clear = centre.contrast >= LEAST_CONTRAST and centre.noise <= WORST_MISFIT * centre.contrast
-    return near and clear and max(centre.sigma) <= COARSEST_PX
+    # The picture of the target must explain the grey values: noise in parts of the contrast.
+    worst_misfit = 0.15
+    least_contrast = 12.0
+    clear = centre.contrast >= least_contrast and centre.noise <= worst_misfit * centre.contrast
+    # Who clicks knows better than this, px.
+    coarsest_px = 0.1
+    return near and clear and max(centre.sigma) <= coarsest_px
 
 
 def _fit(kind: Kind, grey: Grey, place: tuple[float, float], size: float, bend: Floats) -> Centre | None:

@@ -25,17 +25,11 @@ if TYPE_CHECKING:
 VERSION = 1
 TILE_PX = 512
 _QUALITY = 88
-# JPEG blocks of 8 by 8 pixels can be decoded as 4, 2 or 1 pixel: levels 1 to 3 cost no full decoding.
-_COARSEST_DECODED = 3
-# No picture has more levels: a side of 2^24 pixels.
-_MOST_LEVELS = 16
 # Decoded levels are held until they are this many pixels together, 3 bytes each; one may be larger.
 _HELD_PX = 80_000_000
 # Tiles on disk: about 40 pictures of 50 megapixels looked at all over, for a month.
 MOST_BYTES = 2_000_000_000
 UNUSED_S = 30 * 86_400.0
-# The disk is looked through again when so much of its share was written.
-_SWEEP_PART = 20
 _MANY_BITS = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
 
 
@@ -92,7 +86,9 @@ class Tiles:
 
     def tidy(self) -> None:
         """Remove from the disk what is too much or too old, where enough was written for it to pay."""
-        if self._written * _SWEEP_PART >= self._most_bytes:
+        # The disk is looked through again when so much of its share was written.
+        sweep_part = 20
+        if self._written * sweep_part >= self._most_bytes:
             self._written = 0
             sweep(self._folder, self._most_bytes, UNUSED_S, time.time())
 
@@ -108,7 +104,9 @@ class Tiles:
         return known[1]
 
     def _make(self, picture: Path, key: str, address: TileAddress) -> bytes:
-        if not 0 <= address.level <= _MOST_LEVELS:
+        # No picture has more levels: a side of 2^24 pixels.
+        most_levels = 16
+        if not 0 <= address.level <= most_levels:
             raise InputNotFoundError("has no such tile", "look at another place", where=picture)
         with self._decoding:
             level = self._level(picture, key, address.level)
@@ -156,7 +154,9 @@ def _decoded(picture: Path, level: int) -> "Image":
 def _scaled(image: "Image", level: int) -> int:
     """Let a JPEG be decoded at a smaller scale; gives the level that this will be."""
     width, height = image.size
-    wanted = min(level, _COARSEST_DECODED)
+    # JPEG blocks of 8 by 8 pixels can be decoded as 4, 2 or 1 pixel: levels 1 to 3 cost no full decoding.
+    coarsest_decoded = 3
+    wanted = min(level, coarsest_decoded)
     if image.format != "JPEG" or wanted == 0:
         return 0
     image.draft(image.mode, (max(width >> wanted, 1), max(height >> wanted, 1)))
