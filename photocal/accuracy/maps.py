@@ -26,7 +26,7 @@ _LONGEST = 0.12
 # Names of more points than this would hide the vectors.
 _NAMED = 60
 _INK = "#1f4e9c"
-# Axes are placed by hand: to have their places searched draws each figure three times.
+# Axes are placed by hand: to have their places searched takes as long as to draw them.
 _MAP_INCHES = (7.0, 6.0)
 _HISTOGRAM_INCHES = (7.0, 2.6)
 
