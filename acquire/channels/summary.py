@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.mounting import mounting_of
+from acquire.channels.verdict import Verdict, verdict_on
 from acquire.log.reader import LogReader, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
 from drivers.frames import Batch, Wire
@@ -169,9 +170,18 @@ class LogSummary:
     topics: Counter[tuple[str, str, str]]
     metadata: dict[str, dict[str, str]]
     parameters: dict[str, dict[str, float]] = field(default_factory=dict)
+    exposures: Counter[str] = field(default_factory=Counter)
+
+    def verdict(self) -> Verdict:
+        """Judge whether the log is complete and can be processed."""
+        return verdict_on(self._figures(), self.exposures)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the figures for programs."""
+        """Return the figures for programs, with the verdict on them."""
+        figures = self._figures()
+        return {**figures, "verdict": verdict_on(figures, self.exposures).as_json()}
+
+    def _figures(self) -> dict[str, Any]:
         return {
             "schema": "acquire.info/1",
             "file": str(self.path),
@@ -201,6 +211,7 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
     fixes: dict[str, Counter[str]] = {}
     topics: Counter[tuple[str, str, str]] = Counter()
     parameters: dict[str, dict[str, float]] = {}
+    exposures: Counter[str] = Counter()
     for chunk in reader.chunks():
         for messages in chunk:
             channel = messages.channel
@@ -210,6 +221,8 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
                 receiver = channel.topic.removeprefix("/gnss/").removesuffix("/status")
                 counts = fixes.setdefault(receiver, Counter())
                 counts.update(str(read_json(payload, path).get("fix")) for payload in messages.payloads)
+            elif schema == "photocal.Exposure":
+                exposures.update(str(read_json(payload, path).get("edge")) for payload in messages.payloads)
             elif schema == "photocal.Parameter":
                 contents = [read_json(payload, path) for payload in messages.payloads]
                 values = {str(p["name"]): float(p["value"]) for p in contents if p.get("value") is not None}
@@ -222,7 +235,7 @@ def summarise(path: Path, dialect: Dialect) -> LogSummary:
                 elif (wire := known_wire(encoding)) is not None:
                     batch = batch_of_payloads(wire, messages.payloads, dialect)
                     summary.add(batch, messages.log_ns)
-    return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata, parameters)
+    return LogSummary(path, reader.complete, links, fixes, topics, reader.metadata, parameters, exposures)
 
 
 def _sender(source: tuple[int, int], parts: list[Bytes]) -> dict[str, int]:

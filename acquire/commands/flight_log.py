@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 Log = Annotated[Path, argument("Flight log (.mcap).")]
 Link = Annotated[str | None, option("Link, when the log has several.")]
+Types = Annotated[bool, option("List frames by type, and the topics of the log.", "--types")]
 
 
 def import_(
@@ -101,8 +102,8 @@ def _sentence(result: "Imported") -> str:
     return f"{text}; time: {result.log_time}"
 
 
-def info(log: Log, as_json: AsJson = False) -> None:
-    """Show links, frames by type, rates, gaps, damage, fixes, sources and clocks of a flight log.
+def info(log: Log, types: Types = False, as_json: AsJson = False) -> None:
+    """Say whether a flight log is complete and can be processed; show its links, gaps, fixes and clocks.
 
     Example: `acquire info flight.mcap`
     """
@@ -110,12 +111,12 @@ def info(log: Log, as_json: AsJson = False) -> None:
     from drivers.mavlink.dialect import ardupilotmega
 
     summary = summarise(log, ardupilotmega())
-    answer(as_json, summary.as_json, lambda: _text(summary))
+    answer(as_json, summary.as_json, lambda: _text(summary, types=types))
 
 
-def _text(summary: "LogSummary") -> str:
+def _text(summary: "LogSummary", *, types: bool) -> str:
     figures = summary.as_json()
-    lines = [f"{figures['file']}: {figures['bytes']} bytes"]
+    lines = [*summary.verdict().lines(), "", f"{figures['file']}: {figures['bytes']} bytes"]
     if not figures["complete"]:
         lines.append("  ends early: this is what is whole in it; acquire recover repairs it")
         if every := figures["metadata"].get("recording", {}).get("flush_s"):
@@ -123,7 +124,7 @@ def _text(summary: "LogSummary") -> str:
                 f"  made safe every {every} s: a cut of the power, too, costs that and the time of a flush"
             )
     for link in figures["links"]:
-        lines += ["", *_link(link)]
+        lines += ["", *_link(link, types=types)]
         notes = figures["metadata"].get(f"import {link['link']}")
         if notes:
             lines.append(f"  source {notes['file']}, SHA-256 {notes['sha256']}")
@@ -137,6 +138,8 @@ def _text(summary: "LogSummary") -> str:
         sender = source.split("/")[0]
         lines += ["", f"mounting as {len(parameters)} parameters of {sender} tell it (body axes)"]
         lines += mounting_of(parameters).lines()
+    if not types:
+        return "\n".join(lines)
     lines += ["", "topics"]
     for topic in figures["topics"]:
         kind = topic["schema"] or topic["encoding"]
@@ -144,7 +147,7 @@ def _text(summary: "LogSummary") -> str:
     return "\n".join(lines)
 
 
-def _link(link: dict[str, Any]) -> list[str]:
+def _link(link: dict[str, Any], *, types: bool) -> list[str]:
     gaps = link["gaps"]
     lines = [
         f"{link['link']}: {link['frames']} frames, {link['frame_bytes']} bytes in {link['duration_s']:.1f} s",
@@ -158,6 +161,8 @@ def _link(link: dict[str, Any]) -> list[str]:
     ]
     if link["clock"]:
         lines.append(f"  clock: {link['clock']['verdict']}")
+    if not types:
+        return lines
     lines.append(f"  {'type':<34} {'frames':>8} {'rate Hz':>9} {'longest gap s':>14}")
     for kind in sorted(link["types"], key=lambda t: -t["frames"]):
         rate = "" if kind["rate_hz"] is None else f"{kind['rate_hz']:.2f}"

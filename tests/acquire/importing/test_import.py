@@ -135,6 +135,19 @@ def info(acquire: Acquire, path: Path) -> dict[str, Any]:
     return answer
 
 
+def test_a_log_says_whether_it_can_be_processed(logs: dict[str, Path], acquire: Acquire) -> None:
+    said = info(acquire, logs["moving"])["verdict"]
+    assert said["exposures"] == {"mark": 589}
+    assert said["exposures_possible"]["possible"]
+    both = info(acquire, logs["m8p"])["verdict"]
+    assert both["ppk"]["possible"]
+    told = acquire("info", logs["dronekit"]).stdout
+    assert "none triggered, reported or marked" in told
+    assert "PPK no (no raw observations)" in told
+    assert "unknown 142" not in told
+    assert "unknown 142" in acquire("info", logs["dronekit"], "--types").stdout
+
+
 def test_info_of_the_dronekit_flight(logs: dict[str, Path], acquire: Acquire) -> None:
     figures = info(acquire, logs["dronekit"])
     (link,) = figures["links"]

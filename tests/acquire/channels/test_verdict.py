@@ -1,0 +1,65 @@
+"""What `acquire info` says of a log before packing up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from acquire.channels.verdict import verdict_on
+
+
+def kind(name: str, longest_gap_s: float = 0.2) -> dict[str, Any]:
+    return {"type": name, "frames": 100, "longest_gap_s": longest_gap_s}
+
+
+def link(name: str, *kinds: dict[str, Any], damage: int = 0) -> dict[str, Any]:
+    return {"link": name, "types": list(kinds), "damage_bytes": damage, "frame_bytes": 10_000}
+
+
+ROVER = link("rover", kind("RXM-RAWX"), kind("RXM-SFRBX"), kind("TIM-TM2", 30.0))
+BASE = link("base", kind("1077", 1.0), kind("1005", 10.0))
+SEEN = {"trigger": 10, "feedback": 10, "rising": 10, "falling": 9}
+
+
+def figures(*links: dict[str, Any], complete: bool = True) -> dict[str, Any]:
+    return {"links": list(links), "complete": complete}
+
+
+def test_a_whole_flight_is_complete() -> None:
+    said = verdict_on(figures(ROVER, BASE), SEEN)
+    assert said.complete
+    assert said.lines() == [
+        "verdict: complete",
+        "  pictures: 10 triggered, 10 reported by the autopilot, 10 time marks",
+        "  can be processed: PPK yes; exposures yes",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("links", "seen", "words"),
+    [
+        (
+            (ROVER, BASE),
+            {**SEEN, "feedback": 9},
+            "1 of 10 pictures are not among the reported by the autopilot",
+        ),
+        (
+            (ROVER, link("base", kind("1077", 7.5))),
+            SEEN,
+            "base: raw observations with gaps, the longest 7.5 s",
+        ),
+        ((ROVER, link("base", kind("1077"), damage=4_000)), SEEN, "4000 bytes belong to no valid frame"),
+        ((ROVER,), SEEN, "PPK no (raw observations of rover only"),
+        ((link("rover", kind("RXM-RAWX")), BASE), SEEN, "no satellite orbits"),
+        ((ROVER, BASE), {}, "exposures no (no time mark and no camera feedback)"),
+    ],
+)
+def test_what_lacks_is_named(links: tuple[dict[str, Any], ...], seen: dict[str, int], words: str) -> None:
+    assert words in "\n".join(verdict_on(figures(*links), seen).lines())
+
+
+def test_a_cut_log_is_not_complete() -> None:
+    said = verdict_on(figures(ROVER, BASE, complete=False), SEEN)
+    assert not said.complete
+    assert "acquire recover" in "\n".join(said.lines())
