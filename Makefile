@@ -16,7 +16,7 @@ if command -v apt-get >/dev/null && { [ "$$(id -u)" = 0 ] || { command -v sudo >
 else echo "$$lacking is not installed; on Debian run: sudo apt-get install $$lacking"; exit 1; fi; }
 endef
 
-.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual lock lowest audit vendor clean
+.PHONY: help engine setup demo demo-dcs460 test quick wheel check bench evidence manual docs lock lowest audit vendor clean
 
 help:
 	@echo "make demo    simulate a flight, record it, process it, compare with the truth"
@@ -28,6 +28,7 @@ help:
 	@echo "make bench   measure speed"
 	@echo "make evidence  the long statistical studies, into docs/evidence"
 	@echo "make manual  renew the command pages and the figure of the architecture"
+	@echo "make docs    the docs as a site, into build/site"
 	@echo "make setup   only install (.venv, locked packages, compiled kernels)"
 	@echo "make lowest  test with the lowest versions that pyproject.toml allows"
 	@echo "make audit   licences, hashes, wheels per platform, bill of materials, two builds of one wheel"
@@ -85,6 +86,13 @@ evidence: $(READY)
 manual: $(READY)
 	$(BIN)/python -m tests.docs
 
+# The site of the docs, in build/site; MkDocs has an environment of its own.
+docs: $(READY)
+	[ -x .docs-venv/bin/mkdocs ] || { $(PYTHON) -m venv --clear .docs-venv && .docs-venv/bin/python -m pip install $(PIP) --require-hashes -r docs/requirements.lock; }
+	$(BIN)/python -m tests.docs.site
+	NO_MKDOCS_2_WARNING=1 .docs-venv/bin/mkdocs build --quiet -f build/mkdocs.yml
+	@echo "open build/site/index.html"
+
 vendor: $(READY)
 	$(BIN)/python -m tests.vendor
 
@@ -93,6 +101,8 @@ lock:
 	.lock-venv/bin/python -m pip install --quiet pip-tools
 	.lock-venv/bin/pip-compile --quiet --all-extras --generate-hashes --allow-unsafe --strip-extras \
 	    --no-emit-index-url --no-emit-find-links --no-header --no-annotate --all-build-deps -o requirements.lock pyproject.toml
+	.lock-venv/bin/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras \
+	    --no-emit-index-url --no-emit-find-links --no-header --no-annotate -o docs/requirements.lock docs/requirements.in
 	rm -rf .lock-venv
 
 # Rooms that are fast and together use every dependency. Packages of then warn about those of today.

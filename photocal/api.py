@@ -274,7 +274,7 @@ def block_of_arrays(
     image_names
         Names of the images; 1, 2, 3 ... where not given.
     check
-        Names of points that take no part as control and are compared with the result.
+        Names of points not used as control, which are compared with the result.
 
     Returns
     -------
@@ -499,7 +499,7 @@ def run_project(
     again
         Stage to be made although nothing has changed.
     rehash
-        Read all files again, whatever their size and times say.
+        Hash all files again, even if their sizes and times are unchanged.
 
     Returns
     -------

@@ -320,7 +320,7 @@ class Contents(Table):
             # Pictures of a ready block are shown, not measured.
             given.remove("images")
         if self.measurements is not None and self.measurements.block is not None and given:
-            raise ValueError(f"[{given[0]}] stands beside a ready block, which has all of this: remove one")
+            raise ValueError(f"[{given[0]}] is given with a ready block, which contains it: remove one")
         if len({camera.id for camera in self.camera}) < len(self.camera):
             raise ValueError("two cameras have the same id: rename one")
         return self
@@ -428,7 +428,7 @@ def read_project(path: Path) -> Project:
         folder, path = path, path / NAME
         if not path.exists():
             remedy = f"photocal new {folder} looks at its pictures and tables and writes one"
-            raise InputNotFoundError(f"holds no {NAME}", remedy, where=folder)
+            raise InputNotFoundError(f"has no {NAME}", remedy, where=folder)
     contents = read_toml(path, Contents, {"folder": path.parent})
     cameras = [make_camera(keys, path) for keys in contents.camera]
     # Nobody said: the adjustment of the flight will tell.

@@ -49,7 +49,7 @@ CLOCK = JsonLayout(
         "boot_s": number("time since the device started"),
         "gps_week": integer("GPS week"),
         "gps_seconds_of_week_s": number("GPS time of week"),
-        "leap_s": integer("GPS time less UTC, as the receiver told it"),
+        "leap_s": integer("GPS time less UTC, as the receiver reported it"),
         "round_trip_ns": integer("duration of a TIMESYNC exchange, host to device and back"),
     },
 )

@@ -29,7 +29,7 @@ def import_(
         list[str] | None, option("Recording with the name of its link.", metavar="NAME=FILE")
     ] = None,
     date: Annotated[
-        str | None, option("UTC date of the beginning of streams that do not tell it.", metavar="YYYY-MM-DD")
+        str | None, option("UTC date of the beginning of streams without a date.", metavar="YYYY-MM-DD")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -170,9 +170,7 @@ def replay(
     log: Log,
     to: Annotated[str, option("udp://HOST:PORT, tcp://HOST:PORT (waits for a reader) or pty.")],
     link: Link = None,
-    speed: Annotated[
-        float, option("Times the pace of the recording; 0: as fast as it is taken.", min=0)
-    ] = 1.0,
+    speed: Annotated[float, option("Speed factor; 0: as fast as the receiver accepts.", min=0)] = 1.0,
     as_json: AsJson = False,
 ) -> None:
     """Send the raw frames of a link, byte for byte and in their order.

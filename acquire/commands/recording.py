@@ -27,7 +27,7 @@ def check(
     seconds: Annotated[float, option("How long to listen.", min=0.1, max=600)] = 5.0,
     as_json: Annotated[bool, option("Print the findings as JSON.", "--json")] = False,
 ) -> None:
-    """Look at ports, heartbeats, fix, rates, disk space and clock before a flight.
+    """Check ports, heartbeats, fix, rates, disk space and clock before a flight.
 
     The rates asked for are requested by `acquire record`; here they are only seen. Ends with 10 when
     something is not as it should be.
@@ -131,9 +131,7 @@ def monitor(
     page: Annotated[bool, option("Show it as a local web page instead.", "--page")] = False,
     address: Address = "127.0.0.1:8740",
     debrief: Annotated[Path | None, option("File that `photocal debrief` writes: the page shows it.")] = None,
-    plan: Annotated[
-        Path | None, option("Mission that is flown (flight.waypoints): the page lays it under the track.")
-    ] = None,
+    plan: Annotated[Path | None, option("Planned mission (flight.waypoints), drawn under the track.")] = None,
     foxglove: Annotated[
         bool, option("Also serve the channels to Foxglove, with a token.", "--foxglove")
     ] = False,

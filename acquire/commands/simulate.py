@@ -57,14 +57,16 @@ def simulate(
 @app.command()
 def flight(
     configuration: Annotated[
-        Path, argument("Its plan; `small` and `survey` are known.", metavar="CONFIG.toml|NAME")
+        Path, argument("Plan of the flight; `small` and `survey` are shipped.", metavar="CONFIG.toml|NAME")
     ],
     output: Annotated[Path, option("Folder to make: site/ and truth/.", "-o", "--output")],
-    level: Annotated[str | None, option("pictures, observations or block, instead of the file's.")] = None,
+    level: Annotated[
+        str | None, option("pictures, observations or block; overrides the configuration.")
+    ] = None,
     observations_only: Annotated[
         bool, option("The same as --level block: fast, for statistics.", "--observations-only")
     ] = False,
-    seed: Annotated[int | None, option("Instead of the file's.", min=0)] = None,
+    seed: Annotated[int | None, option("Random seed; overrides the configuration.", min=0)] = None,
     fault: Annotated[list[str] | None, option(FAULTS)] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -103,21 +105,23 @@ def serve(
     flown: Annotated[
         Path, argument("A simulated flight with streams, or its plan.", metavar="DIR|CONFIG.toml")
     ],
-    speed: Annotated[float, option("Times as fast as it was.", min=0.01, max=100)] = 1.0,
+    speed: Annotated[float, option("Speed factor.", min=0.01, max=100)] = 1.0,
     record: Annotated[
         Path | None,
         option("Configuration for `acquire record` to write; without: record.toml in site/.", metavar="FILE"),
     ] = None,
-    udp_port: Annotated[int, option("To which the vehicle sends; 0: any free one.", min=0, max=65535)] = 0,
+    udp_port: Annotated[
+        int, option("Port to which the vehicle sends; 0: any free port.", min=0, max=65535)
+    ] = 0,
     base_on_tcp: Annotated[
-        bool, option("The base is a TCP server, not a serial port.", "--base-on-tcp")
+        bool, option("Simulate the base as a TCP server instead of a serial port.", "--base-on-tcp")
     ] = False,
     at_once: Annotated[
-        bool, option("Begin at once, not when the recorder speaks to the devices.", "--at-once")
+        bool, option("Begin immediately, without waiting for the recorder.", "--at-once")
     ] = False,
     now: Annotated[
         bool,
-        option("For practice: fly the plan anew, with all clocks as of now; begins in a minute.", "--now"),
+        option("For practice: fly the plan with all clocks set to now; begins in a minute.", "--now"),
     ] = False,
     linger: Annotated[float, option("Seconds to stay after the end.", min=0)] = 3.0,
     as_json: AsJson = False,

@@ -128,7 +128,7 @@ def way_of(source: RecordedBytes, form: RecordingFormat, link: str, dialect: Dia
         boot = boot_time(source.batches(form.framer(dialect)), formats())
         if boot is None:
             raise InputMalformedError(
-                "the autopilot's receiver never told UTC with a 3D fix: its times cannot be placed",
+                "the autopilot's receiver never reported UTC with a 3D fix: its times cannot be placed",
                 where=source.path,
                 remedy="import a log that was recorded outdoors",
             )

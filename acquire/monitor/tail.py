@@ -22,6 +22,9 @@ from photocal.base.errors import InputMalformedError, InputNotFoundError, Photoc
 _MOST_CHUNKS = 20
 _NAME = re.compile(r"flight-(\d{8}T\d{6}Z)(?:_(\d+))?\.mcap")
 
+# The name of the first file of a recording, and which of its files one is.
+_Part = tuple[str, int]
+
 
 class Tail:
     """Reads what is new in the logs of a recording."""
@@ -30,7 +33,8 @@ class Tail:
         self._folders = [] if isinstance(source, Path) else list(source)
         self._waiting = [source] if isinstance(source, Path) else []
         self._reader: LogReader | None = None
-        self._seen: set[Path] = set()
+        # What each log says that was there; the one that is read may be gone since.
+        self._parts: dict[Path, _Part] = {}
         self.flight = ""
         self.trouble = ""
 
@@ -81,7 +85,7 @@ class Tail:
         if not self._waiting:
             return False
         path = self._waiting.pop(0)
-        if self._reader is None or not _goes_on(self._reader.path, path):
+        if self._reader is None or not self._goes_on(self._reader.path, path):
             self.flight = path.name
         self._reader = LogReader(path)
         return True
@@ -90,38 +94,30 @@ class Tail:
         """Return files newer than the one that is read; at the beginning those of the latest flight."""
         paths = [path for folder in self._folders if folder.is_dir() for path in folder.iterdir()]
         # Of a file that was just made it is not known yet which recording it belongs to.
-        unseen = {
-            path: _part(path) for path in paths if path not in self._seen and _NAME.fullmatch(path.name)
-        }
-        parts = {path: part for path, part in unseen.items() if part is not None}
-        self._seen.update(parts)
+        unseen = [path for path in paths if path not in self._parts and _NAME.fullmatch(path.name)]
+        parts = {path: part for path in unseen if (part := _part(path)) is not None}
+        self._parts.update(parts)
         logs = sorted(parts, key=lambda path: (parts[path], path.name))
         if self._reader is not None:
-            current = _part(self._reader.path) or _named(self._reader.path)
+            current = self._parts[self._reader.path]
             return [path for path in logs if parts[path] > current]
         first = len(logs) - 1
-        while first > 0 and _goes_on(logs[first - 1], logs[first]):
+        while first > 0 and self._goes_on(logs[first - 1], logs[first]):
             first -= 1
         return logs[max(first, 0) :]
 
+    def _goes_on(self, before: Path, path: Path) -> bool:
+        """Whether a log goes on with the flight of the one before it.
 
-def _goes_on(before: Path, path: Path) -> bool:
-    """Whether a log goes on with the flight of the one before it.
-
-    The next file of a recorder does, and that of one which died and was started again at once. A log that was
-    closed as it should be is followed by another flight.
-    """
-    earlier, later = _part(before) or _named(before), _part(path) or _named(path)
-    if earlier[0] == later[0]:
-        return True
-    last_s = _written_s(before)
-    # Files of one flight follow each other within this time, also when the recorder was started again.
-    same_flight_s = 60.0
-    return last_s is not None and _begun_s(path) - last_s <= same_flight_s and not _has_end(before)
-
-
-# The name of the first file of a recording, and which of its files one is.
-_Part = tuple[str, int]
+        The next file of a recorder does, and that of one which died and was started again at once. A log that
+        was closed as it should be is followed by another flight.
+        """
+        if self._parts[before][0] == self._parts[path][0]:
+            return True
+        last_s = _written_s(before)
+        # Files of one flight follow each other within this time, also when the recorder was started again.
+        same_flight_s = 60.0
+        return last_s is not None and _begun_s(path) - last_s <= same_flight_s and not _has_end(before)
 
 
 def _part(path: Path) -> _Part | None:
@@ -132,7 +128,8 @@ def _part(path: Path) -> _Part | None:
             return None
         begun = any(True for _ in reader.chunks())
     except (OSError, PhotocalError):
-        return _named(path)
+        # What stands before the damage counts.
+        begun = True
     table = reader.metadata.get(PART_OF, {})
     if "first_file" in table and (number := table.get("file", "")).isdecimal():
         return table["first_file"], int(number)

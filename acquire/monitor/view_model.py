@@ -301,13 +301,14 @@ def _link(name: str, link: LinkState, state: RecordingState, now_ns: int) -> Lin
     over_s = max(min(RATE_OVER_S, end - link.first_ns // SECOND_NS), 1)
     silent_s = _seconds(now_ns - link.last_ns) if link.last_ns else None
     if silent_s is None:
-        word = Word(link.trouble or "not heard yet", "bad" if link.trouble else "warn")
+        word = Word(link.trouble or "no data yet", "bad" if link.trouble else "warn")
     elif link.trouble:
-        word = Word(f"{link.trouble} for {silent_s:.0f} s", "bad")
+        trouble = "no data" if link.trouble == "silent" else link.trouble
+        word = Word(f"{trouble} for {silent_s:.0f} s", "bad")
     elif silent_s > _SILENT_S:
-        word = Word(f"silent for {silent_s:.0f} s", "warn")
+        word = Word(f"no data for {silent_s:.0f} s", "warn")
     else:
-        word = Word("heard", "good")
+        word = Word("receiving", "good")
     return LinkRow(
         name=name,
         state=word,
@@ -337,7 +338,7 @@ def _receiver(name: str, receiver: ReceiverState, state: RecordingState, now_ns:
 
 def _fix(fix: str, stale_s: float) -> Word:
     if stale_s > _STALE_S:
-        return Word(f"not told for {stale_s:.0f} s", "bad")
+        return Word(f"last heard {stale_s:.0f} s ago", "bad")
     worth = WORTH.get(fix, 0)
     level = "bad" if worth < LEAST_WORTH else "good" if fix == "rtk_fixed" else "warn"
     return Word(NAMES.get(fix, fix), level)
@@ -345,7 +346,7 @@ def _fix(fix: str, stale_s: float) -> Word:
 
 def _correction(age_s: float | None) -> Word:
     if age_s is None:
-        return Word("none told", "off")
+        return Word("none reported", "off")
     level = "good" if age_s <= OLD_CORRECTION_S else "warn" if age_s <= DEAD_CORRECTION_S else "bad"
     return Word(f"{age_s:.1f} s old" if age_s < 10 else f"{age_s:.0f} s old", level)
 
@@ -358,7 +359,7 @@ def _camera(name: str, state: RecordingState) -> CameraRow:
     if counted.unreported:
         words.append(f"{len(counted.unreported)} missed: {_shortened(missed)}")
     if marks.unreported:
-        words.append(f"{len(marks.unreported)} time marks not told: {_shortened(untold)}")
+        words.append(f"{len(marks.unreported)} time marks missing: {_shortened(untold)}")
     if words:
         word = Word(", ".join(words), "bad")
     elif counted.feedbacks:
@@ -367,7 +368,7 @@ def _camera(name: str, state: RecordingState) -> CameraRow:
         # A camera without feedback is no failure, but nobody knows whether it takes pictures.
         word = Word("no feedback so far", "warn" if counted.triggers >= _UNHEARD_TRIGGERS else "good")
     else:
-        word = Word("all marks told", "good")
+        word = Word("all time marks received", "good")
     return CameraRow(
         link=name,
         state=word,
@@ -387,14 +388,14 @@ def _shortened(missed: str) -> str:
 
 def _mode(vehicle: VehicleState, now_ns: int) -> Word:
     if not vehicle.mode:
-        return Word("not told", "off")
+        return Word("not reported", "off")
     return _unless_stale(Word(vehicle.mode, "good"), vehicle.time_ns, now_ns)
 
 
 def _unless_stale(word: Word, told_ns: int, now_ns: int) -> Word:
     """What was told too long ago is not known any more, however good it was."""
     silent_s = _seconds(now_ns - told_ns)
-    return Word(f"{word.text}, told {silent_s:.0f} s ago", "bad") if silent_s > _STALE_S else word
+    return Word(f"{word.text}, last heard {silent_s:.0f} s ago", "bad") if silent_s > _STALE_S else word
 
 
 def _battery(name: str, battery: Battery, now_ns: int) -> BatteryRow:

@@ -17,7 +17,7 @@ MOST_ALIKE, ALIKE_S = 20, 10.0
 
 ALARM = JsonLayout(
     "photocal.Alarm",
-    "Something that a person at the field laptop was told.",
+    "A message to the person at the field laptop.",
     {
         "kind": words(
             "lost, back, source_changed, clock_jump, silent, heard_again, flood, disk_low, disk_full, "
@@ -165,7 +165,7 @@ class SilenceWatch:
         if link not in self._announced:
             return []
         self._announced.discard(link)
-        return [Alarm("heard_again", link, "is heard again", time_ns)]
+        return [Alarm("heard_again", link, "data again", time_ns)]
 
     def look(self, steady_s: float, time_ns: int) -> list[Alarm]:
         """Return the alarms of links that have become too silent."""
@@ -174,5 +174,5 @@ class SilenceWatch:
             silence = steady_s - self._heard_s.get(link, self.start_s)
             if silence > limit and link not in self._announced:
                 self._announced.add(link)
-                alarms.append(Alarm("silent", link, f"is silent for more than {limit:g} s", time_ns))
+                alarms.append(Alarm("silent", link, f"no data for more than {limit:g} s", time_ns))
         return alarms

@@ -89,7 +89,9 @@ class LinkConfiguration(Table):
             raise ValueError("user and password_env belong to an ntrip link")
         has_position = self.position is not None or self.position_from is not None
         if has_position and not self.url.startswith(("ntrip:", "ntrips:")):
-            raise ValueError("position and position_from belong to an ntrip link: a caster is told them")
+            raise ValueError(
+                "position and position_from belong to an ntrip link: they are sent to the caster"
+            )
         return self
 
 

@@ -128,7 +128,7 @@ def _judge(link: LinkConfiguration, heard: _Heard, seconds: float) -> list[Check
             heard.frames > 0,
             f"{heard.frames / seconds:.1f} per second, {heard.damage_bytes} bytes of damage"
             if heard.frames
-            else f"silent for {seconds:g} s",
+            else f"no data for {seconds:g} s",
         )
     ]
     if link.protocol == "mavlink":
@@ -143,7 +143,7 @@ def _judge(link: LinkConfiguration, heard: _Heard, seconds: float) -> list[Check
         good = rate >= _LEAST_RATE * wanted
         checks.append(_check(f"{name}: rate of {message}", good, f"{rate:.1f} of {wanted:g} Hz"))
     if heard.fix or link.protocol == "mavlink" or link.ublox is not None:
-        checks.append(_check(f"{name}: fix", heard.fix_good, heard.fix or "none told"))
+        checks.append(_check(f"{name}: fix", heard.fix_good, heard.fix or "none reported"))
     if heard.host_minus_device_s is not None:
         offset = heard.host_minus_device_s
         good = abs(offset) <= _CLOCK_LIMIT_S

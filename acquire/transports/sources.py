@@ -195,7 +195,7 @@ class UdpSource(Source):
         """Send one datagram to the device; raises `NobodyThereError` before it was heard."""
         host, _, port = self.device.rpartition(":")
         if not host:
-            raise NobodyThereError("nobody was heard yet")
+            raise NobodyThereError("no device has sent anything yet")
         with _losing(OSError):
             self._opened.sendto(data, (host, int(port)))
 

@@ -1,4 +1,4 @@
-"""Two camera models of one block, judged by check points that took no part."""
+"""Two camera models of one block, judged by check points kept out of the adjustment."""
 
 import numpy as np
 

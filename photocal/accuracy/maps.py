@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 # Longest vector as a share of the width of the map, and of the extent of the points.
 _LONGEST = 0.12
 _INK = "#1f4e9c"
+# Axes are placed by hand: to have their places searched draws each figure three times.
 _MAP_INCHES = (7.0, 6.0)
 _HISTOGRAM_INCHES = (7.0, 2.6)
 
@@ -120,8 +121,8 @@ def residual_map(discrepancies: Discrepancies) -> Figure | None:
     if not known.any():
         return None
     names = tuple(name for name, has in zip(discrepancies.points, known.tolist(), strict=True) if has)
-    figure = Figure(figsize=_MAP_INCHES, layout="constrained")
-    axes = figure.add_subplot()
+    figure = Figure(figsize=_MAP_INCHES)
+    axes = figure.add_axes((0.12, 0.08, 0.85, 0.84))
     enlarge = draw_vectors(axes, names, table[known], "{:+.2f}".format, "{:g} m".format, _INK)
     axes.ticklabel_format(style="plain", useOffset=False)
     axes.set_xlabel("E (m)")
@@ -140,15 +141,16 @@ def histograms(discrepancies: Discrepancies) -> Figure:
 
     known = [(name, discrepancies.component(name)[1]) for name in COMPONENTS]
     known = [(name, values) for name, values in known if len(values)]
-    figure = Figure(figsize=_HISTOGRAM_INCHES, layout="constrained")
-    for column, (name, values) in enumerate(known, start=1):
-        axes = figure.add_subplot(1, len(known), column)
+    figure = Figure(figsize=_HISTOGRAM_INCHES)
+    wide = 0.93 / max(len(known), 1)
+    for column, (name, values) in enumerate(known):
+        axes = figure.add_axes((0.07 + wide * column, 0.17, wide - 0.05, 0.73))
         draw_histogram(axes, values, "#9db8d9", _INK)
         sample = moments(values)
         axes.set_xlabel(f"d{name} (m)")
         axes.set_title(f"n {sample.n}, mean {sample.mean_m:+.3f}, RMSE {sample.rmse_m:.3f}", fontsize=7)
         axes.tick_params(labelsize=7)
-        if column == 1:
+        if column == 0:
             axes.set_ylabel("check points")
     return figure
 
@@ -164,8 +166,8 @@ def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | N
     if gsd_m is None or not names:
         return None
     length, angle = np.hypot(*plane.T), np.linspace(0.0, 2.0 * math.pi, 181)
-    figure = Figure(figsize=(4.5, 4.5), layout="constrained")
-    axes = figure.add_subplot()
+    figure = Figure(figsize=(4.5, 4.5))
+    axes = figure.add_axes((0.16, 0.11, 0.81, 0.83))
     axes.plot(plane[:, 0], plane[:, 1], "+", color=_INK)
     for k, (count, colour) in enumerate(
         zip(within_gsd(length, gsd_m), ("#1f4e9c", "#b3261e"), strict=True), 1

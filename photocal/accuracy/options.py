@@ -29,15 +29,11 @@ class JudgementOptions(Options):
     survey_vertical: Annotated[
         float | None, Option("Vertical RMSE of the survey of the check points, metres.")
     ] = None
-    target_horizontal: Annotated[
-        float | None, Option("Horizontal (radial) RMSE that is asked for, metres.")
-    ] = None
-    target_vertical: Annotated[float | None, Option("Vertical RMSE that is asked for, metres.")] = None
+    target_horizontal: Annotated[float | None, Option("Required horizontal (radial) RMSE, metres.")] = None
+    target_vertical: Annotated[float | None, Option("Required vertical RMSE, metres.")] = None
     gsd: Annotated[
         float | None,
-        Option(
-            "Ground sampling distance, metres: how many points lie within one and two; a block gives its own."
-        ),
+        Option("Ground sampling distance, metres, to count points within one and two; a block has its own."),
     ] = None
 
     def question(self) -> "Question":

@@ -54,3 +54,13 @@ def standard_error(values: Floats) -> Floats:
     if m < 3:
         return np.full(values.shape[1:], np.nan)
     return np.asarray(np.sqrt((m - 1) / m * np.sum((values - values.mean(axis=0)) ** 2, axis=0)))
+
+
+def least_standard_error(values: Floats, whole: Floats, m: int) -> Floats:
+    """Lower bound of the jackknife standard error where some of m removals leave nothing determined.
+
+    About the estimate of the whole, sqrt((m - 1) / m sum (t - t_whole)^2): each missing term would add to it.
+    """
+    if m < 3 or not len(values):
+        return np.full(whole.shape, np.nan)
+    return np.asarray(np.sqrt((m - 1) / m * np.sum((values - whole) ** 2, axis=0)))

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, IllPosedError
@@ -151,18 +152,16 @@ def f_test(
 
     Canon ELPH study (FCT-UNESP), equations 11 to 13.
     """
-    from scipy import stats
-
     chosen = estimates.select(parameters)
     p = len(chosen.names)
     statistic = quadratic_form(chosen) / p
     # With sigmas that are known for sure p F is chi-squared; the library's F has no such limit.
     known = np.isinf(degrees_of_freedom)
     critical = float(
-        stats.chi2.ppf(1 - alpha, p) / p if known else stats.f.ppf(1 - alpha, p, degrees_of_freedom)
+        special.chdtri(p, alpha) / p if known else special.fdtri(p, degrees_of_freedom, 1 - alpha)
     )
     p_value = float(
-        stats.chi2.sf(p * statistic, p) if known else stats.f.sf(statistic, p, degrees_of_freedom)
+        special.chdtrc(p, p * statistic) if known else special.fdtrc(p, degrees_of_freedom, statistic)
     )
     return FTest(kind, chosen.names, statistic, critical, p_value, statistic >= critical)
 

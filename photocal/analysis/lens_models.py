@@ -138,7 +138,7 @@ def _nearby(_fitted: AdjustedNetwork, removals: Removals, out: Flags) -> State:
     """Leave images out near the minimum: a lens that is quite another one without them hangs on them."""
     nearby = removals.without(out, NEAR)
     if nearby is None:
-        raise NotConvergedError(f"the lens hangs on {int(out.sum())} of {len(out)} images")
+        raise NotConvergedError(f"the lens depends on {int(out.sum())} of {len(out)} images")
     return nearby.state
 
 

@@ -15,11 +15,15 @@ class AnalysisOptions(Options):
         Path | None, Option("Block folder of the run, or its set-up file, when it is not found.")
     ] = None
     alpha: Annotated[float, Option("Level of the significance tests.", least=1e-4, most=0.5)] = 0.10
-    correlation: Annotated[float, Option("Correlations from here on are named.", least=0.0, most=1.0)] = 0.8
+    correlation: Annotated[
+        float, Option("Report correlations |r| from this value on.", least=0.0, most=1.0)
+    ] = 0.8
     bootstrap: Annotated[
         int,
         Option(
-            "Adjust so many blocks of images drawn with replacement; 100 tell enough.", least=0, most=10_000
+            "Number of bootstrap blocks, with images drawn with replacement; 100 are enough.",
+            least=0,
+            most=10_000,
         ),
     ] = 0
 
@@ -31,9 +35,7 @@ class PublishedOptions(Options):
     matrix: Annotated[
         Path | None, Option("CSV of the correlations or the covariance of published parameters.")
     ] = None
-    set_name: Annotated[str | None, Option("Set of a published table; without, all of them.", ("--set",))] = (
-        None
-    )
+    set_name: Annotated[str | None, Option("Set of a published table; default: all sets.", ("--set",))] = None
     degrees_of_freedom: Annotated[float, Option("Redundancy behind published parameters.", least=1.0)] = (
         float("inf")
     )

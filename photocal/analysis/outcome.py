@@ -177,7 +177,7 @@ class Opinions:
     """Standard deviations of a camera by parameter; NaN where there were too few images.
 
     standard_error, standard_error_corrected: with images left out, and the same after the corrections.
-    not_possible: images without which the rest is not determined.
+    not_possible: images without which the rest is not determined; standard errors are then lower bounds.
     """
 
     formal: dict[str, float]
@@ -196,13 +196,17 @@ class Opinions:
     def largest(self, parameter: str, formal: float) -> tuple[float, str]:
         """Largest opinion that is more than a third above the formal one, and whose it is; else "formal".
 
-        Leaving out images stands in for the sandwich where there are too few of them.
+        Leaving out images stands in for the sandwich where there are too few of them. Where it is not
+        possible for each, what it says is a lower bound: "at_least", also for the formal one.
         """
         others = {name: _known(getattr(self, name), parameter) for name in ("sandwich", "bootstrap")}
         if others["sandwich"] is None:
             others = {"jackknife": _known(self.standard_error, parameter), **others}
         sigma, whose = max((value or 0.0, name) for name, value in others.items())
-        return (sigma, whose) if sigma > formal and apart(formal, sigma) else (formal, "formal")
+        if not (sigma > formal and apart(formal, sigma)):
+            sigma, whose = formal, "formal"
+        bound = self.not_possible and others.get("sandwich") is None and whose in ("formal", "jackknife")
+        return sigma, "at_least" if bound else whose
 
 
 def _known(sigmas: dict[str, float] | None, parameter: str) -> float | None:

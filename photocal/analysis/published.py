@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from photocal.analysis.components import Components, Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import StrongCorrelation, strong_correlations
@@ -162,7 +162,7 @@ def one_angle(estimates: Estimates) -> Finding | None:
 def _global_test(one: "_Printed", alpha: float) -> PrintedSigmaTest | None:
     if one.sigma0 is None or not np.isfinite(one.freedom):
         return None
-    critical = float(chi2.ppf(1.0 - alpha, one.freedom))
+    critical = float(special.chdtri(one.freedom, alpha))
     return PrintedSigmaTest(one.sigma0, one.freedom * one.sigma0**2, critical)
 
 

@@ -10,7 +10,13 @@ from photocal.adjustment.factored import camera_covariance_column
 from photocal.adjustment.leverage import cameras_without
 from photocal.adjustment.near import Removals
 from photocal.adjustment.normal import other_equations
-from photocal.adjustment.removed import FEWEST, groups_of, standard_error, state_without
+from photocal.adjustment.removed import (
+    FEWEST,
+    groups_of,
+    least_standard_error,
+    standard_error,
+    state_without,
+)
 from photocal.adjustment.score import followed_by
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
@@ -28,7 +34,7 @@ class Jackknife:
 
     left_out: images that were left out together, one entry for each of m adjustments.
     cameras (m, cameras, 20): parameters without them.
-    standard_error (cameras, 20): NaN for fewer than three of them.
+    standard_error (cameras, 20): NaN for fewer than three removals, a lower bound where one was not possible.
     not_possible: images without which the rest is not determined.
     """
 
@@ -53,8 +59,9 @@ def jackknife(fit: AdjustedNetwork, done: Callable[[], None] = lambda: None) -> 
     together = [tuple(names[i] for i in np.flatnonzero(out)) for out in groups]
     left_out = tuple(group for group, can in zip(together, possible, strict=True) if can)
     not_possible = (name for group, can in zip(together, possible, strict=True) if not can for name in group)
-    values = values[possible]
-    return Jackknife(left_out, values, standard_error(values), tuple(not_possible))
+    whole, values = fit.state.cameras, values[possible]
+    errors = standard_error(values) if possible.all() else least_standard_error(values, whole, len(groups))
+    return Jackknife(left_out, values, errors, tuple(not_possible))
 
 
 def _without_each(

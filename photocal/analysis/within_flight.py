@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.score import score
@@ -59,8 +60,6 @@ def _within(
     fit: AdjustedNetwork, name: str, slope: Floats, information: Floats, courses: Iterable[str]
 ) -> Within:
     """Test one parameter, from the normal equations of its thirds and its drifts."""
-    from scipy import stats
-
     freedom = fit.solution.degrees_of_freedom
     count = PARTS - 1
     covariance = np.linalg.inv(information[:count, :count])
@@ -77,4 +76,4 @@ def _within(
         normal, along = float(information[k, k]), float(slope[k])
         drifts[key] = -along / normal, normal**-0.5, statistic(along**2 / normal, 1)
     parts = np.vstack([[0.0, 0.0], np.column_stack([amounts, np.sqrt(np.diag(covariance))])])
-    return Within(name, parts, drifts, together, float(stats.f.sf(together, count, freedom - count)))
+    return Within(name, parts, drifts, together, float(special.fdtrc(count, freedom - count, together)))

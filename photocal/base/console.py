@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, NoReturn, TextIO, get_args, get_orig
 from unicodedata import category
 
 import typer
+from typer.core import TyperGroup
 
 from photocal.base.errors import (
     ConfigurationError,
@@ -33,9 +34,26 @@ LINE_EVERY_S = 10.0
 JSON_EVERY_S = 2.0
 
 
+class _Commands(TyperGroup):
+    """Commands that the help lists with their whole summaries, however long."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list of commands."""
+        known = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        rows = [(name, summary(one.help or "")) for name, one in known if one is not None and not one.hidden]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+def summary(help_text: str) -> str:
+    """Return the first paragraph of a help text as one line."""
+    return " ".join(help_text.strip().partition("\n\n")[0].split())
+
+
 def application(help_text: str) -> typer.Typer:
     """Make a command line application with the shared settings."""
     return typer.Typer(
+        cls=_Commands,
         help=help_text,
         no_args_is_help=True,
         add_completion=False,
@@ -108,6 +126,9 @@ def _parameters(kind: type[Any]) -> list[inspect.Parameter]:
 
 
 AsJson = Annotated[bool, option("Print the figures as JSON.", "--json")]
+Language = Annotated[
+    str, option("Language of the texts: en or pt-BR; default: that of LANG.", "--lang", "--language")
+]
 Details = Annotated[bool, option("Print all tests, figures and findings, not only the verdict.", "--details")]
 Address = Annotated[str, option("HOST:PORT of the page. Beyond this computer the page demands a token.")]
 

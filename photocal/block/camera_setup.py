@@ -166,7 +166,7 @@ def with_prior(keys: CameraKeys, where: object) -> CameraKeys:
     wrong = ConfigurationError.at(f"{where}, camera {keys.id}")
     twice = [name for name in ("parameters", "prior_sigma", "prior_correlation") if getattr(keys, name)]
     if twice:
-        raise wrong(f"prior_from stands beside {twice[0]}", "remove one of them")
+        raise wrong(f"prior_from and {twice[0]} are both given", "remove one of them")
     folder = Path(where).parent if isinstance(where, Path) else Path()
     prior = read_prior(folder / keys.prior_from, keys.id)
     for what in ("model", "unit", "size_px"):
@@ -331,7 +331,7 @@ def _with_known_readout(keys: CameraKeys, place: str, interior: Camera) -> Camer
         return interior
     wrong = ConfigurationError.at(place)
     if "readout" in keys.parameters:
-        raise wrong("readout_from stands beside a readout in parameters", "remove one of them")
+        raise wrong("readout_from and a readout in parameters are both given", "remove one of them")
     try:
         known, sigma = known_readout(keys.readout_from, keys.size_px)
     except ConfigurationError as refusal:

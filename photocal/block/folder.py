@@ -279,7 +279,7 @@ def _cross(table: TextTable, sigma: Floats) -> Floats | None:
     linked = cross.any(axis=1)
     whole = np.asarray((np.isfinite(sigma) & (sigma > 0)).all(axis=1))
     remedy = "give sX, sY and sZ with covariances that fit them (m^2)"
-    refuse(table, linked & ~whole, "a covariance stands beside a missing sigma", remedy)
+    refuse(table, linked & ~whole, "a covariance is given without its sigma", remedy)
     matrix = covariance_matrices(np.where(whole[:, None], sigma, 1.0), cross * whole[:, None])
     refuse(table, np.linalg.eigvalsh(matrix)[:, 0] <= 0, "the covariance is not positive definite", remedy)
     return cross

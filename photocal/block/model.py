@@ -253,7 +253,7 @@ class Block:
     repetition
         How repeated readings agree, where the block has them.
     check_distances
-        Known distances that take no part, by the index of their points.
+        Known distances not used in the adjustment, by the index of their points.
     heads
         Cameras that are fixed to each other, the first of each frame among them.
     global_test

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 from photocal.analysis.options import AnalysisOptions, PublishedOptions
-from photocal.base.console import AsJson, Details, answer, argument, option, progress, spread
+from photocal.base.console import AsJson, Details, Language, answer, argument, option, progress, spread
 from photocal.base.errors import ConfigurationError
 from photocal.report.options import CertificateOptions
 
@@ -28,7 +28,7 @@ def adjust(
         float | None, option("Write error ellipses and ellipsoids of this probability, such as 0.95.")
     ] = None,
     reliability: Annotated[
-        bool, option("Write the smallest errors that the tests find.", "--reliability")
+        bool, option("Write the smallest errors that the tests detect.", "--reliability")
     ] = False,
     components: Annotated[
         bool, option("Estimate the sigma of each group of observations and use it.", "--components")
@@ -82,14 +82,14 @@ def analyse(
     ],
     analysis: AnalysisOptions,
     published: PublishedOptions,
-    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    language: Language = "",
     *,
     details: Details = False,
     as_json: AsJson = False,
 ) -> None:
     """Analyse a calibration: a verdict, hidden errors worst first, significance, correlations, method.
 
-    The block of the run is adjusted again, with one thing changed at a time. It is looked for where the run
+    The block of the run is adjusted again, with one change at a time. It is looked for where the run
     says, beside the run and below the current folder, and recognised by its hashes. The answer is also
     written as analysis.json into the run, from where `photocal certificate` takes it.
 
@@ -102,15 +102,16 @@ def analyse(
     """
     from photocal.analysis.analyse_run import analyse_run, analysis_record
     from photocal.findings.document import text
-    from photocal.findings.texts import catalogue
+    from photocal.findings.texts import catalogue, spoken
     from photocal.findings.verdict import verdict_json, verdict_section
     from photocal.report.analysis_sections import analysed, calibrated
     from photocal.report.analysis_sections import published as of_published
     from photocal.report.certificate import overall
     from photocal.report.stored_analysis import read_run
-    from photocal.run.summary import told_beside
+    from photocal.run.summary import stage_findings
 
-    say = catalogue(language)
+    # What is stored and scripted stays as it is wherever it is made.
+    say, stored = catalogue(spoken(language)), catalogue(language or "en")
     if run.is_file():
         from photocal.analysis.published import analyse_published, published_record
 
@@ -124,12 +125,12 @@ def analyse(
         return
     levels = analysis.alpha, analysis.correlation
     with progress("adjusting again", 1.0) as advance:
-        outcome = analyse_run(run, analysis.block, *levels, advance, say, analysis.bootstrap)
+        outcome = analyse_run(run, analysis.block, *levels, advance, stored, analysis.bootstrap)
     made = read_run(run)
-    given = overall(made, (), told_beside(run))
+    given = overall(made, (), stage_findings(run))
     answer(
         as_json,
-        lambda: {**analysis_record(outcome, say), "verdict": verdict_json(given, say)},
+        lambda: {**analysis_record(outcome, stored), "verdict": verdict_json(given, stored)},
         lambda: text([verdict_section(given, say), *(analysed if details else calibrated)(made, say)]),
     )
 

@@ -47,6 +47,13 @@ class OtherSources(Options):
             "rmse_m, t (reference minus product); optional set."
         ),
     ] = None
+    variance: Annotated[
+        Path | None,
+        Option(
+            "Instead of a block: CSV of an experiment, for the analysis of variance: columns that end in _m "
+            "are values, the others factors."
+        ),
+    ] = None
     experiment: Annotated[
         Path | None, Option("Instead of a block: TOML file with interior orientations and control patterns.")
     ] = None
@@ -93,6 +100,14 @@ def judge_moments(path: Path, standards: tuple[Standard, ...], question: Questio
     sets = read_moments(path).items()
     made = tuple(assess_moments(name, moments, standards, question) for name, moments in sets)
     return moments_record(made), moments_text(made, question)
+
+
+def judge_variance(path: Path) -> Judged:
+    """Tell which factors of a printed experiment move its errors."""
+    from photocal.accuracy.variance_analysis import SCHEMA, analyse_table, variance_record, variance_text
+
+    analysed = analyse_table(path)
+    return {"schema": SCHEMA, "variance": variance_record(analysed)}, variance_text(analysed)
 
 
 def judge_block(
@@ -237,16 +252,16 @@ def check(
     """Judge a block or a product at its check points: statistics, tests and accuracy classes.
 
     A block is georeferenced three ways (direct, integrated, indirect); lever arm, boresight, time and
-    datum errors are looked for. Two classes are given side by side: by precision (the bias removed) and
+    datum errors are tested. Two classes are given side by side: by precision (the bias removed) and
     by accuracy (90 % of the points within PEC and RMSE within the standard error).
 
     Example: `photocal check field7 -o field7-check --scale 1:1000`
     """
-    sources = (block, other.discrepancies, other.moments, other.experiment, product.points)
+    sources = (block, *vars(other).values(), product.points)
     if sum(source is not None for source in sources) != 1:
         raise ConfigurationError(
             "there must be one thing to check",
-            "name a block or project, or --discrepancies, --moments, --experiment or --points",
+            "name a block or project, or --discrepancies, --moments, --variance, --experiment or --points",
         )
     # What is wrong with them is said before anything is computed.
     question, standards = judgement.question(), judgement.standards()
@@ -259,6 +274,8 @@ def check(
         raise ConfigurationError("--control-numbers needs a block", "name a block or project")
     elif other.moments is not None:
         judged = judge_moments(other.moments, standards, question)
+    elif other.variance is not None:
+        judged = judge_variance(other.variance)
     elif other.discrepancies is not None:
         from photocal.accuracy.discrepancies import read_discrepancies
 

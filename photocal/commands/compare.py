@@ -41,6 +41,11 @@ def compare(
     (height_m, relief_m), terrains_each and seed. [[published]] gives printed figures to follow: method,
     definition, tolerance_px, values = [[first, second, px], ...].
 
+    Last, one test whether two calibrations are equal as parameter vectors, d' (S1 + S2)^-1 d with their whole
+    covariances, against chi-squared; beside it the same of what the difference does in the image when the
+    exterior orientation may turn the bundle back: a difference of parameters that no picture shows is none.
+    From three on both are asked of all together, about their mean. --json has it as `joint`.
+
     Certificates, runs and projects give their calibrations with all sigmas and correlations, in the order of
     time: stability of one camera over several flights. From three on, the variance between flights and the
     uncertainty of a future use follow; certificates that state temperatures, c against temperature and time.

@@ -18,7 +18,7 @@ def desk(
 ) -> None:
     """Open a window on a folder: choose, check, run, look, certify, on a local web page.
 
-    Everything that it does is done by commands, and it shows each of them.
+    The page runs commands and shows each of them.
 
     Example: `photocal desk flight`
     """

@@ -26,13 +26,14 @@ _PORTS = ("ttyUSB*", "ttyACM*")
 
 
 def doctor(
-    folder: Annotated[Path, argument("Where you will record or process.")] = Path(),
+    folder: Annotated[Path, argument("Folder where you will record or process.")] = Path(),
     crs: Annotated[
-        str | None, option("System of a project, such as EPSG:31982+5773: are its grids here?")
+        str | None,
+        option("System of a project, such as EPSG:31982+5773: check that its grids are installed."),
     ] = None,
     as_json: Annotated[bool, option("Print the checks as JSON.", "--json")] = False,
 ) -> None:
-    """Say whether this machine is ready to record and to process.
+    """Check whether this machine is ready to record and to process.
 
     Python, packages, kernels, PPK engine, browser, serial ports, clock, disk, memory, grids, leap seconds and
     key have one line each: good, poor (something will be slow or missing) or bad, with what helps.
@@ -224,9 +225,9 @@ def fetch_grids(
     crs: Annotated[str, argument("System of the project, with its heights: EPSG:31982+5773.")],
     area: Annotated[
         tuple[float, float, float, float] | None,
-        option("Degrees; without, the whole area of the system.", metavar="W S E N"),
+        option("Limits in degrees; default: the whole area of the system.", metavar="W S E N"),
     ] = None,
-    dry: Annotated[bool, option("Only say what is missing.", "--dry-run")] = False,
+    dry: Annotated[bool, option("Only list what is missing.", "--dry-run")] = False,
     as_json: Annotated[bool, option("Print the names as JSON.", "--json")] = False,
 ) -> None:
     """Fetch the grids that a reference system needs, so that it can be used without a network.

@@ -26,7 +26,7 @@ def export(
     ] = "",
     as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
-    """Export cameras, orientations, points and measurements; says what a change of camera model costs.
+    """Export cameras, orientations, points and measurements; report the cost of a changed camera model.
 
     Example: `photocal export run --format colmap -o colmap`
     """

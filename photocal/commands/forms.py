@@ -8,14 +8,14 @@ from photocal.base.console import answer, option
 
 def forms(
     output: Annotated[Path, option("PDF to write.", "-o", "--output")],
-    kinds: Annotated[str, option("station, flight, targets, laboratory, rover, with commas between.")] = (
+    kinds: Annotated[str, option("station, flight, targets, laboratory, rover, separated by commas.")] = (
         "station,flight,targets"
     ),
     plan: Annotated[
         Path | None, option("plan.geojson of `photocal plan`: a station sheet for each of its points.")
     ] = None,
     stations: Annotated[int, option("Places of the camera before a test field.", min=1, max=20)] = 3,
-    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    language: Annotated[str, option("Language: en or pt-BR.", "--lang", "--language")] = "en",
     as_json: Annotated[bool, option("Print what was written as JSON.", "--json")] = False,
 ) -> None:
     """Write sheets to print: GNSS stations, flight log, targets, laboratory, test of a rover.

@@ -152,5 +152,5 @@ def _camera_lines(camera: dict[str, Any]) -> list[str]:
         f"({100 * released['change']:+.1f} %); the relief is {100 * released['relief']:.0f} % of the distance"
     )
     if not released["credible"]:
-        says += ": not credible, what the model lacks goes into it; oblique or crossed views determine c"
+        says += ": not credible, it absorbs what the model lacks; oblique or crossed views determine c"
     return [*lines, says]

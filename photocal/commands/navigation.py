@@ -89,7 +89,8 @@ def survey(
 ) -> None:
     """Compute static baselines, adjust them as a network and write points with full covariances.
 
-    Baselines with blunders are left out and named. Heights are ellipsoidal unless the system says else.
+    Baselines with blunders are left out and named. Heights are ellipsoidal unless the system
+    states otherwise.
 
     Example: `photocal survey control.toml -o control`
     """
@@ -124,7 +125,7 @@ def localise(
         str, option("free, ground (metres on the ground), or a number: local over map.")
     ] = "free",
     level: Annotated[bool, option("Heights differ by a shift, not by a tilted plane.", "--level")] = False,
-    without: Annotated[str, option("Common points that take no part, with commas between.")] = "",
+    without: Annotated[str, option("Common points to leave out, separated by commas.")] = "",
     as_json: AsJson = False,
 ) -> None:
     """Calibrate a site: tie a local system to a map system by the points that both tables name.

@@ -1,4 +1,4 @@
-"""`photocal plan`, `flown`: a photo flight over a polygon, and what it covered of it."""
+"""`photocal plan`, `plan-network`, `flown`: photo flights and close-range networks, what a flight covered."""
 
 from pathlib import Path
 from typing import Annotated
@@ -35,19 +35,48 @@ def plan(
     answer(as_json, made.figures, lambda: f"{made}\nwritten to {output}: {', '.join(names)}{missing}")
 
 
+def plan_network(
+    network: Annotated[Path, argument("TOML file: camera, object, stations, datum, distances.")],
+    output: Annotated[
+        Path | None, option("Folder for figures, picture, block and adjustment.", "-o", "--output")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Expect the precision of a close-range network before the photos are taken.
+
+    Stations around an object or a test field, with their rolls, are adjusted without errors: sigmas of the
+    targets, of the stations and of the camera follow, and the correlations of its parameters. [camera] has
+    focal_mm, pixel_um, image_px, image_sigma_px, estimate; [object] field, cylinder or points (a CSV) and
+    steepest_deg; [[stations]] ring or at, target, rolls_deg; [datum] control and control_sigma_m, or held
+    (a photo); without both inner constraints; [[distance]] between and sigma_m. The folder `block` is what
+    `photocal adjust` takes. Examples to begin with: configs/networks.
+
+    Example: `photocal plan-network configs/networks/test-field.toml -o planned`
+    """
+    from photocal.planning.close_range import plan_network as planned
+
+    with progress("adjusting the planned network", None):
+        made = planned(network)
+    names = () if output is None else made.write(output)
+    written = f"\nwritten to {output}: {', '.join(names)}" if names else ""
+    answer(as_json, made.figures, lambda: f"{made}{written}")
+
+
 def flown(
     block: Annotated[Path, argument("Block folder, PROJECT.toml, or a set-up file of another program.")],
     run: Annotated[Path | None, option("Adjustment of the block; without: orientations as given.")] = None,
     images: Annotated[Path | None, option("Folder of the image files, for exposure time and ISO.")] = None,
     plan: Annotated[Path | None, option("plan.json of `photocal plan`, to compare with.")] = None,
-    exposure_ms: Annotated[float | None, option("Exposure time where the images do not tell it, ms.")] = None,
-    speed: Annotated[float | None, option("Speed over ground where the block does not tell it, m/s.")] = None,
+    exposure_ms: Annotated[float | None, option("Exposure time, ms, if the images do not state it.")] = None,
+    speed: Annotated[
+        float | None, option("Speed over ground, m/s, if it cannot be derived from the block.")
+    ] = None,
     output: Annotated[
         Path | None, option("Folder for figures, table, map and picture.", "-o", "--output")
     ] = None,
     as_json: Annotated[bool, option("Print the figures as JSON.", "--json")] = False,
 ) -> None:
-    """Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, smear.
+    """Measure a flown block: height, ground sampling, tilt, real overlaps, rays, gaps, motion blur.
 
     Overlap is the share of an image that the next one (forward) or the neighbouring strip (side) shows, over
     the ground through the block's points.

@@ -1,10 +1,10 @@
-"""`photocal ortho`, `volume`: orthophotos and mosaics of oriented images, and the volume of a round tank."""
+"""`photocal ortho`, `contours`, `volume`: orthophotos of oriented images, contours, the volume of a tank."""
 
 from pathlib import Path
 from typing import Annotated
 
 from photocal.base.console import AsJson, answer, argument, option, spread
-from photocal.products.options import OrthoOptions, VolumeOptions
+from photocal.products.options import ContourOptions, OrthoOptions, VolumeOptions
 
 
 @spread
@@ -25,13 +25,41 @@ def ortho(
 ) -> None:
     """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.
 
-    The terrain hides nothing from the images here: houses that are not in the model lean.
+    Occlusions are not modelled: houses that are missing from the terrain model lean. Seams run where the
+    next image looks straighter down, and grey values stay those of the images. For blended seams and balanced
+    colours hand over the orientations, `photocal export RUN --format metashape -o DIR`: in Metashape import
+    the cameras, then "Calibrate Colors" and "Build Orthomosaic" with mosaic blending.
 
     Example: `photocal ortho block --run run --images photos --dtm dtm.tif --cell 0.1 -o ortho.tif`
     """
     from photocal.products.ortho import ortho as made_of
 
     made = made_of(block, images, dtm, output, options=options)
+    answer(as_json, made.figures, lambda: str(made))
+
+
+@spread
+def contours(
+    dtm: Annotated[
+        Path,
+        argument("Terrain model: any raster that GDAL reads, or a CSV of points (X, Y, Z, optional line)."),
+    ],
+    output: Annotated[Path, option("File to write: .dxf, .shp or .gpkg.", "-o", "--output")],
+    *,
+    options: ContourOptions,
+    as_json: AsJson = False,
+) -> None:
+    """Write the contours of a terrain model for CAD (DXF) or GIS (Shapefile, GeoPackage).
+
+    Vertices have the height as Z. Shapefile and GeoPackage have the columns `height`, `index` (1 for an index
+    contour) and `kind` (of the heights), and the reference system. A DXF has its index contours on a layer of
+    their own, is in metres, and has its reference system in a .prj beside it.
+
+    Example: `photocal contours dtm.tif --interval 0.5 -o contours.dxf`
+    """
+    from photocal.products.contours import contours as made_of
+
+    made = made_of(dtm, output, options)
     answer(as_json, made.figures, lambda: str(made))
 
 

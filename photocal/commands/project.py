@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from photocal.base.console import AsJson, Details, answer, argument, one_bar, option, printable, progress
+from photocal.base.console import (
+    AsJson,
+    Details,
+    Language,
+    answer,
+    argument,
+    one_bar,
+    option,
+    printable,
+    progress,
+)
 
 if TYPE_CHECKING:
     from photocal.debrief.verdict import Debrief
@@ -15,18 +25,18 @@ if TYPE_CHECKING:
 def new(
     folder: Annotated[Path, argument("Folder of a flight: pictures, control, marks, logs.")],
     crs: Annotated[
-        str, option("System of the control points, where their file has none: code or name.")
+        str, option("Coordinate system of the control points if their file states none: code or name.")
     ] = "",
-    height: Annotated[str, option("Of the control points: ellipsoidal or orthometric.")] = "",
+    height: Annotated[str, option("Height kind of the control points: ellipsoidal or orthometric.")] = "",
     marks: Annotated[
-        str, option("Size (1/2) and turn (exif, 90) of the pictures that the marks were made in.")
+        str, option("Size (1/2) and rotation (exif, 90) of the pictures in which the marks were made.")
     ] = "",
     again: Annotated[
-        bool, option("Keep the answers and comments of project.toml, add what was found since.", "--again")
+        bool, option("Keep the answers and comments of project.toml and add new findings.", "--again")
     ] = False,
     as_json: Annotated[bool, option("Print what was found as JSON.", "--json")] = False,
 ) -> None:
-    """Look at a folder and write its project.toml, saying what was found and what is missing.
+    """Inspect a folder and write its project.toml; list what was found and what is missing.
 
     Example: `photocal new flight`, then `photocal run flight/project.toml`
     """
@@ -57,7 +67,7 @@ def adopt(
     gcp: Annotated[Path | None, option("gcp_list.txt for a project without control.")] = None,
     as_json: Annotated[bool, option("Print adoption.json.", "--json")] = False,
 ) -> None:
-    """Adjust a project of Pix4D, Metashape, ODM, OpenSfM, COLMAP or MicMac anew, beside its own result.
+    """Adjust a project of Pix4D, Metashape, ODM, OpenSfM, COLMAP or MicMac again and compare.
 
     Example: `photocal adopt field/1_initial/params -o second-opinion`
     """
@@ -71,20 +81,25 @@ def adopt(
 
 
 def run(
-    projects: Annotated[list[Path], argument("Project file, or its folder; several are run one by one.")],
-    until: Annotated[str | None, option("Last stage to be made.")] = None,
-    again: Annotated[str | None, option("Stage to be made again although nothing has changed.")] = None,
+    projects: Annotated[
+        list[Path], argument("Project files, or their folders; several run one after another.")
+    ],
+    until: Annotated[str | None, option("Last stage to run.")] = None,
+    again: Annotated[
+        str | None, option("Force this stage to run again, although nothing has changed.")
+    ] = None,
     rehash: Annotated[
-        bool, option("Read all files again, whatever their size and times say.", "--rehash")
+        bool, option("Hash all files again, even if their sizes and times are unchanged.", "--rehash")
     ] = False,
-    workers: Annotated[int, option("Projects at a time.", min=1)] = 1,
+    workers: Annotated[int, option("Number of projects to process in parallel.", min=1)] = 1,
     cluster: Annotated[str | None, option("Dask scheduler that runs the projects: tls://HOST:PORT.")] = None,
+    language: Language = "",
     details: Details = False,
     as_json: AsJson = False,
 ) -> None:
     """Process a flight: PPK, exposures, image points, calibration, check points, analysis, certificate.
 
-    Without a flight log the pictures and their control points, positions, or neither, take its place.
+    A flight log is optional: pictures alone, or with control points or positions, are enough.
 
     Each stage has its folder in the project's work folder and is kept while neither its inputs nor the code
     that it runs change. Files of yours in these folders stay, and are named. The project file is described in
@@ -94,35 +109,38 @@ def run(
     """
     import datetime as dt
 
+    from photocal.findings.texts import catalogue, spoken
     from photocal.run.campaign import run_projects
     from photocal.run.summary import summary_text
 
+    say = catalogue(spoken(language))
     day = dt.datetime.now().astimezone().date()
     figures = run_projects(projects, day, until, again, rehash, workers, cluster, one_bar(as_json))
     answer(
         as_json,
         lambda: figures[0] if len(projects) == 1 else figures,
-        lambda: "\n\n".join(summary_text(figure, details=details) for figure in figures),
+        lambda: "\n\n".join(summary_text(figure, say, details=details) for figure in figures),
     )
 
 
 def debrief(
     project: Annotated[Path, argument("Project file, or the folder that has `project.toml`.")],
     since: Annotated[
-        Path | None, option("Run folder or file of cameras of the last calibration, to hold c against.")
+        Path | None, option("Run folder or file of cameras of the last calibration, to compare c with.")
     ] = None,
-    workers: Annotated[int, option("Processes; 0: one for each core.", min=0)] = 0,
-    language: Annotated[str, option("Language: en or pt-BR.")] = "en",
+    workers: Annotated[int, option("Number of processes; 0: one for each core.", min=0)] = 0,
+    language: Language = "",
     live: Annotated[
-        bool, option("Go on in flight: judge pictures as they come into the folder, until Ctrl-C.", "--live")
+        bool,
+        option("Run during the flight: judge pictures as they arrive in the folder, until Ctrl-C.", "--live"),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Judge a flight before the crew drives home: complete, to be looked at, or to be flown again.
+    """Judge a flight before the crew drives home: complete, to be checked, or to be flown again.
 
     Exposures without pictures, blurred and badly exposed pictures, another camera or lens setting, positions
     that are not fixed, strips with too little overlap, ground that is not covered, and a quick calibration on
-    reduced pictures. Run it again while pictures come in: what was looked at is kept. The answer is also
+    reduced pictures. Run it again while pictures come in: finished checks are kept. The answer is also
     written as debrief.json into the project's work folder: `acquire monitor --page --debrief` shows it.
 
     With --live it follows the folder that a tethered camera or a picture link writes into, by the positions
@@ -134,11 +152,11 @@ def debrief(
 
     from photocal.debrief.verdict import debrief as judged
     from photocal.debrief.verdict import debrief_json, debrief_text
-    from photocal.findings.texts import catalogue, finding_text
+    from photocal.findings.texts import catalogue, finding_text, spoken
     from photocal.project import read_project
 
     file = project / "project.toml" if project.is_dir() else project
-    say, last = catalogue(language), () if since is None else _cameras(since)
+    say, last = catalogue(spoken(language)), () if since is None else _cameras(since)
     known, crew = read_project(file), workers or os.cpu_count() or 1
     if live:
         from photocal.base.operating_system import stopped_by_signals

@@ -10,8 +10,8 @@ def rover_test(
     sets: Annotated[Path, argument("CSV of the measured sets: series, set, point, E, N, h (m).")],
     distance: Annotated[float, option("Known horizontal distance of both rover points, m.")],
     height_difference: Annotated[float, option("Known height of the second point over the first, m.")],
-    sigma: Annotated[str, option("Standard deviations that the rover is said to have: PLANE,HEIGHT, m.")],
-    earlier: Annotated[str, option("Those of an earlier full test: PLANE,HEIGHT, m.")] = "",
+    sigma: Annotated[str, option("Stated standard deviations of the rover: PLANE,HEIGHT, m.")],
+    earlier: Annotated[str, option("Standard deviations of an earlier full test: PLANE,HEIGHT, m.")] = "",
     as_json: AsJson = False,
 ) -> None:
     """Test a GNSS rover (RTK) in the field after ISO 17123-8, simplified or full.

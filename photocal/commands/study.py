@@ -18,7 +18,7 @@ def study(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Repeat a published study: copy its files, run its commands, compare with what it printed.
+    """Repeat a published study: copy its files, run its commands, compare with the printed results.
 
     The folder then holds the inputs, the printed tables, study.toml with the commands, and results/: the
     answer of each command, and compared.csv with every printed figure beside ours.

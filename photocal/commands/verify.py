@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def keys(
     new: Annotated[str | None, option("Make the key of this person or office.", metavar="NAME")] = None,
-    passphrase: Annotated[str, option("That the new key asks for.", envvar="PHOTOCAL_PASSPHRASE")] = "",
+    passphrase: Annotated[str, option("Passphrase for the new key.", envvar="PHOTOCAL_PASSPHRASE")] = "",
     journal: Annotated[bool, option("Check and list what was signed.", "--journal")] = False,
     file: Annotated[Path | None, option("Another journal.")] = None,
     as_json: Annotated[bool, option("Print as JSON.", "--json")] = False,
@@ -62,14 +62,16 @@ def keys(
 
 def sign(
     certificate: Annotated[Path, argument("Folder of a certificate, or its certificate.json.")],
-    passphrase: Annotated[str, option("Of the key, if it has one.", envvar="PHOTOCAL_PASSPHRASE")] = "",
+    passphrase: Annotated[
+        str, option("Passphrase of the signing key, if it has one.", envvar="PHOTOCAL_PASSPHRASE")
+    ] = "",
     time_stamp: Annotated[
         str | None,
         option("Time stamping authority (RFC 3161) that gets the digest of the signature.", metavar="URL"),
     ] = None,
     as_json: Annotated[bool, option("Print what was signed as JSON.", "--json")] = False,
 ) -> None:
-    """Sign a certificate with the key of `photocal keys`: each file of its folder, as it lies there.
+    """Sign a certificate with the key of `photocal keys`: every file of its folder.
 
     The signature, `signature.json` beside them, is noted in a journal whose entries depend on each other.
     With a time stamp (`signature.tsr`) an independent authority says that it existed then.
@@ -116,7 +118,7 @@ def verify(
         Path | None, option("List of keys, `FINGERPRINT NAME` each: one of them must have signed.")
     ] = None,
     trust: Annotated[
-        bool, option("Remember the key, which you have compared, from now on.", "--trust")
+        bool, option("Trust this key from now on, after you have compared its fingerprint.", "--trust")
     ] = False,
     revoked: Annotated[
         Path | None, option("List of revoked keys, `FINGERPRINT YYYY-MM-DD REASON` each, beside your own.")

@@ -165,7 +165,7 @@ def debrief(project: Project, processes: Workers, progress: Progress, last: Sequ
                 findings.append(Finding("no-ppk", "grave", figures={"reason": refusal_of_ppk}))
         except PhotocalError as refusal:
             findings.append(Finding("exposures-unknown", "grave", figures={"reason": str(refusal)}))
-        with progress("looking at pictures", len(paths)) as done:
+        with progress("checking pictures", len(paths)) as done:
             # What was looked at before is kept by its content.
             looks = list(run_tasks(pictures.look, ((path, plan) for path in paths), processes, done))
         if run is not None:

@@ -327,7 +327,7 @@ def read_foreign_file(path: Path) -> ForeignProject:
     if form is None:
         names = "; ".join(f"{form.title}: {', '.join(form.opens)}" for form in known() if form.opens)
         raise InputMalformedError(
-            "holds no block that is known",
+            "has no block in a known format",
             f"name a block folder, or a file of another program ({names})",
             where=path,
         )
@@ -370,7 +370,7 @@ def _of_folder(folder: Path) -> ForeignProject:
     if refusal is not None:
         raise refusal
     raise InputNotFoundError(
-        "holds no project that is known",
+        "has no project in a known format",
         f"name the folder of a project of another program ({'; '.join(form.title for form in forms)})",
         where=folder,
     )

@@ -109,7 +109,7 @@ def _a_priori(report: Path) -> float:
         if match:
             return number(match.group(1).decode("latin-1"), report, "S0 a priori")
     raise ConfigurationError(
-        "nothing tells the a priori standard deviation of the image coordinates",
+        "the a priori standard deviation of the image coordinates is not stated",
         f"put the report {report.name} beside it",
         where=report.with_suffix(".phc"),
     )

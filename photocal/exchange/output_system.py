@@ -62,7 +62,7 @@ def utm_zone_of(lonlat: Floats, places: Floats) -> tuple[str, tuple[str, ...]]:
     return "local", ("the places are in no UTM zone: taken as Cartesian",)
 
 
-HEIGHTS_UNSAID = "the files do not say what their heights count from: they are taken as they stand"
+HEIGHTS_UNSAID = "the files do not state the reference of their heights: they are used as given"
 
 
 def _kinds(system: Any) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ SCHEMA = "photocal.findings/1"
 
 @dataclass(frozen=True, repr=False)
 class Findings:
-    """What checks found, in the order in which it is told.
+    """What checks found, in the order in which it is reported.
 
     Attributes
     ----------

@@ -3,6 +3,7 @@
 import datetime as dt
 import json
 import math
+import os
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -66,6 +67,12 @@ class Catalogue:
         """Write a date in words."""
         month = self.messages["date.months"].split()[day.month - 1]
         return self("date.form", day=day.day, month=month, year=day.year)
+
+
+def spoken(language: str = "") -> str:
+    """Return the language of texts at the terminal: the one asked for, else that of the environment."""
+    told = filter(None, map(os.environ.get, ("LC_ALL", "LC_MESSAGES", "LANG")))
+    return language or ("pt-BR" if next(told, "").lower().startswith("pt") else "en")
 
 
 @cache

@@ -26,7 +26,7 @@ _ORDER = ("refused", "grave", "doubtful", "consequence")
 # What concerns only a camera that is carried elsewhere: this block absorbed it.
 _OF_CAMERA = frozenset((
     "c-on-positions", "c-changed", "c-bias",
-    "jackknife", "significance", "not_significant",
+    "jackknife", "image-needed", "significance", "not_significant",
     "only_its_prior", "weak_principal_distance", "weak_principal_distance_shape",
     "focal_length_differs", "px_printed_as_mm", "pitch_contradicts_sensor",
     "pitch_contradicts_focal_length", "pitch_not_square", "distortion_folds_outside",
@@ -37,7 +37,7 @@ _OF_CAMERA = frozenset((
 # What concerns only coordinates: no camera parameter follows from it.
 _OF_BLOCK = frozenset((
     "check-outside-prediction", "check-as-control", "check-at-control",
-    "no-check-points", "no-image", "one-image-only",
+    "no-check-points", "strips-without-control", "no-image", "one-image-only",
     "image-left-out", "unknown-mark", "unknown-target", "mark-outside", "marks-reframed",
     "control-off", "control-far", "marks-apart", "mark-left-out", "control-in-corner", "distance-left-out",
     "mark-off", "targets-not-sought", "target-ambiguous",

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
@@ -211,8 +212,6 @@ def _tested(
     sum_of_squares: tuple[float, int, bool],
 ) -> tuple[Floats, Floats]:
     """Miss of each point by all others, and the probability of a larger one."""
-    from scipy import stats
-
     squares, redundancy, known = sum_of_squares
     k = residual.shape[1]
     miss, probability = np.full(residual.shape, np.nan), np.full(len(residual), np.nan)
@@ -226,8 +225,8 @@ def _tested(
         miss[i] = variance @ np.linalg.solve(left, v)
         statistic = float(v @ np.linalg.solve(left, v))
         if known:
-            probability[i] = stats.chi2.sf(statistic, k)
+            probability[i] = special.chdtrc(k, statistic)
         elif redundancy > k:
             rest = max(squares - statistic, 1e-18 * max(squares, 1e-12)) / (redundancy - k)
-            probability[i] = stats.f.sf(statistic / k / rest, k, redundancy - k)
+            probability[i] = special.fdtrc(k, redundancy - k, statistic / k / rest)
     return miss, probability

@@ -56,7 +56,7 @@ def causes_of(
     if first is None:
         network = assemble(mounted).network
         try:
-            with because("the block whose causes are sought"):
+            with because("the block to be tested for causes"):
                 first = fit(network)
         except PhotocalError:
             # Wrong control may be what hinders: the rest of the block tells.

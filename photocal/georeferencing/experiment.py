@@ -35,6 +35,7 @@ from photocal.georeferencing.methods import (
     of_method,
     with_roles,
 )
+from photocal.georeferencing.prior_sigma import PriorRun, run_priors
 from photocal.georeferencing.support import Support, SupportRun, run_supports, support_of
 
 Use = Literal["weighted", "fixed", "as-given"]
@@ -53,6 +54,7 @@ class Experiment:
     patterns: empty: the block's own roles.
     noise: direct orientations are the adjusted ones with this noise.
     camera: which camera of the block the interior orientations are of; the others stay as they are.
+    prior: stated sigmas of positions, m, and of attitudes, rad, to be tried in every combination.
     """
 
     block: Block
@@ -66,6 +68,7 @@ class Experiment:
     confidence: float = 0.95
     camera: int = 0
     supports: tuple[Support, ...] = ()
+    prior: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,7 @@ class ExperimentOutcome:
     runs: tuple[ExperimentRun, ...]
     left_out: tuple[WithoutControlPoint, ...]
     supports: tuple[SupportRun, ...] = ()
+    priors: tuple[PriorRun, ...] = ()
 
     @property
     def pairs(self) -> tuple[RunPair, ...]:
@@ -172,6 +176,7 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
         noisy = degraded(block, experiment.noise, np.random.default_rng(experiment.seed))
         block = replace(block, images=noisy.images, positions=noisy.positions, attitudes=noisy.attitudes)
         block = replace(block, mounting=noisy.mounting)
+    priors = run_priors(block, *experiment.prior, reference, done)
     given_control: Pattern = ("", np.flatnonzero(block.points.of_role("control")))
     runs = []
     for method in experiment.methods:
@@ -183,7 +188,7 @@ def run_experiment(experiment: Experiment, done: Callable[[], None] = lambda: No
                 runs.append(_run(setup, method, interior, use, pattern, experiment.confidence, reference))
                 done()
     left = _leave_one_out(block, experiment.methods, done) if experiment.leave_one_out else ()
-    return ExperimentOutcome(tuple(runs), left, supported)
+    return ExperimentOutcome(tuple(runs), left, supported, priors)
 
 
 def spread_points(block: Block, candidates: Integers, count: int) -> Integers:
@@ -287,6 +292,11 @@ class _Pattern(Table):
     points: list[str] = Field(min_length=1)
 
 
+class _Prior(Table):
+    position_m: tuple[PositiveFloat, ...] = Field(min_length=1)
+    attitude_deg: tuple[PositiveFloat, ...] = Field(min_length=1)
+
+
 class _Support(Table):
     name: str
     points: tuple[str, ...] = ()
@@ -308,6 +318,7 @@ class _File(Table):
     interior: _Interior | None = None
     control: _Control = _Control()
     support: tuple[_Support, ...] = ()
+    prior: _Prior | None = None
 
 
 def read_experiment(
@@ -340,6 +351,9 @@ def read_experiment(
         asked.confidence,
         camera,
         tuple(support_of(block, one.name, one.points, one.distances, one.held) for one in asked.support),
+        ((), ())
+        if asked.prior is None
+        else (asked.prior.position_m, tuple(map(math.radians, asked.prior.attitude_deg))),
     )
 
 

@@ -1,6 +1,7 @@
 """Results of an experiment: JSON, text, tables and plots of the RMSE at the check points."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,11 +9,14 @@ import numpy as np
 
 from photocal.accuracy.discrepancies import SIGN
 from photocal.accuracy.maps import save_figures
+from photocal.accuracy.variance_analysis import Effect, analyse_variance, variance_record, variance_tables
 from photocal.base.arrays import as_plain, picked
+from photocal.base.errors import ConfigurationError
 from photocal.base.files import output_folder, rows_text, write_json
 from photocal.findings.document import Section, table, text
 from photocal.georeferencing.differences import Differences, rms
 from photocal.georeferencing.experiment import ExperimentOutcome, ExperimentRun, RunPair, WithoutControlPoint
+from photocal.georeferencing.prior_sigma import prior_plot, prior_record, prior_rows, prior_tables
 from photocal.georeferencing.support import support_rows, support_table
 
 if TYPE_CHECKING:
@@ -96,7 +100,23 @@ def to_json(outcome: ExperimentOutcome) -> dict[str, Any]:
         },
     }
     content["supports"] = support_rows(outcome.supports)
+    content["variance"] = variance_record(_variance(outcome))
+    content["prior"] = prior_record(outcome.priors)
     return {key: as_plain(part) for key, part in content.items()}
+
+
+def _variance(outcome: ExperimentOutcome) -> dict[str, tuple[Effect, ...]]:
+    """Part the variance of the RMSE at check points by what was varied; empty where nothing repeats it."""
+    runs = [(run, run.check.rmse) for run in outcome.runs if run.check is not None and run.check.names]
+    keys = ("interior", "use", "pattern", "method")
+    factors = {key: [str(getattr(run, key)) for run, _ in runs] for key in keys}
+    rmse = np.array([values for _, values in runs]).reshape(-1, 3)
+    found = {}
+    for name, values in (("plane", np.hypot(rmse[:, 0], rmse[:, 1])), ("Z", rmse[:, 2])):
+        # Runs that failed leave combinations out.
+        with suppress(ConfigurationError):
+            found[f"RMSE {name}"] = analyse_variance(factors, values)
+    return found
 
 
 def to_text(outcome: ExperimentOutcome) -> str:
@@ -128,6 +148,8 @@ def to_text(outcome: ExperimentOutcome) -> str:
         table("pair by pair: RMSE of the differences at check points, m", ("", "X", "Y", "Z"), pairs),
         table("leave one out: d, w", of_left, left),
         support_table(outcome.supports),
+        *variance_tables(_variance(outcome)),
+        *(prior_tables(outcome.priors) if outcome.priors else ()),
     )
     return text([Section("", tuple(made for made in tables if made.rows))])
 
@@ -145,6 +167,8 @@ def write_experiment(outcome: ExperimentOutcome, folder: Path) -> tuple[str, ...
     texts = {"runs.csv": _csv([_flat(run) for run in outcome.runs])} if outcome.runs else {}
     if outcome.supports:
         texts["supports.csv"] = _csv(support_rows(outcome.supports))
+    if outcome.priors:
+        texts["priors.csv"] = _csv(prior_rows(outcome.priors))
     if outcome.pairs:
         texts["pairs.csv"] = _csv([_pair(pair) for pair in outcome.pairs])
     if outcome.left_out:
@@ -154,6 +178,7 @@ def write_experiment(outcome: ExperimentOutcome, folder: Path) -> tuple[str, ...
         for name, text in texts.items():
             (aside / name).write_text(text, encoding="utf-8")
         drawn = {"rmse.pdf": rmse_plot(outcome), "rmse_by_control.pdf": control_plot(outcome)}
+        drawn["priors.pdf"] = prior_plot(outcome.priors)
         figures = save_figures(aside, drawn)
     return ("experiment.json", *texts, *figures)
 

@@ -11,6 +11,7 @@ from photocal.georeferencing.comparison import BlockCheck, Judged, coarsely_plac
 from photocal.georeferencing.differences import Differences
 from photocal.georeferencing.methods import Method
 from photocal.georeferencing.separation import Separation
+from photocal.georeferencing.strip_control import strip_findings
 from photocal.hypotheses.findings import cause_findings
 
 # Without ground points all points of a flight share the errors of its rig and of few images: at worst they
@@ -31,6 +32,9 @@ def block_findings(check: BlockCheck) -> tuple[Finding, ...]:
         listed += separation_findings(check.separation)
     if check.judged and not any(judged.check.names for judged in check.judged):
         listed.append(Finding("no-check-points", "note"))
+    adjusted = next((one.result for one in check.judged if one.result.method != "direct"), None)
+    if adjusted is not None:
+        listed += strip_findings(check.block, adjusted.exposures)
     return (*listed, *_refused(check))
 
 

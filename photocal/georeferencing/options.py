@@ -17,13 +17,14 @@ class RepetitionOptions(Options):
     """Numbers of control points, and the noise of simulated exposures."""
 
     control_numbers: Annotated[
-        str | None, Option("How much control is needed: repeat with so many control points, such as 0,1,3,5.")
+        str | None,
+        Option("Repeat with these numbers of control points, such as 0,1,3,5, to see how many are needed."),
     ] = None
     simulate_direct: Annotated[
         str | None,
         Option("Noise M,DEG of simulated exposures for direct georeferencing from the adjusted orientation."),
     ] = None
-    seed: Annotated[int, Option("Of that noise.")] = 0
+    seed: Annotated[int, Option("Random seed of the simulated noise.")] = 0
 
     def noise(self) -> "tuple[Degradation, np.random.Generator] | None":
         """Give the noise of simulated exposures, m and rad; ConfigurationError for a text that is none."""

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.groups import GroupTest, tested
@@ -90,7 +90,7 @@ def _pattern(adjusted: AdjustedNetwork) -> tuple[float, float]:
     noise = (total - between) / (rays - cells)
     f = between / cells / max(noise, 1e-300)
     # The unknowns of the images take some of what cells have in common: F is cautious.
-    if stats.f.sf(f, cells, rays - cells) >= policy.SIGNIFICANCE:
+    if special.fdtrc(cells, rays - cells, f) >= policy.SIGNIFICANCE:
         return 0.0, total / rays
     return max(0.0, between - cells * noise) / total, noise
 
@@ -155,7 +155,7 @@ def memory_of(adjusted: AdjustedNetwork) -> Memory | None:
     scaled = residual / np.sqrt(np.where(square > 0.0, square, 1.0))
     correlation = float(np.mean((scaled[1:] * scaled[:-1])[together]))
     # Without correlation its variance is one over the number of products (Bartlett 1946).
-    p_value = float(stats.norm.sf(correlation * np.sqrt(3.0 * pairs)))
+    p_value = float(special.ndtr(-correlation * np.sqrt(3.0 * pairs)))
     group = next(group for group in adjusted.solution.groups if group.name == "position")
     size = math.sqrt(max(group.chi_squared, 0.0) / max(group.redundancy, 1.0))
     return Memory(correlation, p_value, pairs, size)

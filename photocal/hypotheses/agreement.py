@@ -1,6 +1,7 @@
 """Whether the images of a block agree about a systematic error, whatever their rays by the hundred say."""
 
 import numpy as np
+from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork, left_without, without_images
 from photocal.adjustment.factored import factored
@@ -48,9 +49,7 @@ def _spread(fit: AdjustedNetwork, information: float, shown: Floats, residuals: 
 
 
 def _probability(amount: float, sigma: float, freedom: int) -> float:
-    from scipy import stats
-
-    return float(2 * stats.t.sf(abs(amount) / sigma, freedom)) if sigma > 0.0 and freedom > 0 else 1.0
+    return float(2 * special.stdtr(freedom, -abs(amount) / sigma)) if sigma > 0.0 and freedom > 0 else 1.0
 
 
 def _left_out(fit: AdjustedNetwork, field: RayField) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.linalg import block_diag
 
 from photocal.adjustment.adjust import adjust
@@ -207,7 +207,7 @@ def _likelihood(seen: Predicted, covariance: Floats) -> float:
 def _contradiction(
     seen: Predicted, rows: tuple[int, ...], error: Floats, sigma: Floats, *, exchanged: bool = False
 ) -> Contradiction:
-    away = stats.norm.isf(policy.SIGNIFICANCE / 2) + stats.norm.isf(1.0 - policy.POWER)
+    away = special.ndtri(policy.POWER) - special.ndtri(policy.SIGNIFICANCE / 2)
     points = tuple(int(seen.points[k]) for k in rows)
     count = len(list(combinations(range(len(seen.d)), len(rows))))
     return Contradiction(points, exchanged, error, sigma, error / sigma, away * sigma, count)
@@ -217,7 +217,7 @@ def _exchange(seen: Predicted) -> Contradiction | None:
     """Two points whose coordinates, exchanged, make all agree, and as they are do not."""
     n = len(seen.d)
     freedom = seen.d.size - seen.common.shape[1]
-    limit = float(stats.chi2.isf(policy.SIGNIFICANCE, freedom))
+    limit = float(special.chdtri(freedom, policy.SIGNIFICANCE))
     now = misfit(seen.d, seen.covariance, seen.common, ())
     if now <= limit:
         return None
@@ -229,9 +229,9 @@ def _exchange(seen: Predicted) -> Contradiction | None:
     best, i, j = min(tried)
     # As good as removing both: an exchange has no unknown.
     removed = misfit(seen.d, seen.covariance, seen.common, (i, j))
-    if best > limit and best - removed > float(stats.chi2.isf(policy.SIGNIFICANCE, 6)):
+    if best > limit and best - removed > float(special.chdtri(6, policy.SIGNIFICANCE)):
         return None
-    if now - best < float(stats.chi2.isf(policy.SIGNIFICANCE / len(tried), 6)):
+    if now - best < float(special.chdtri(6, policy.SIGNIFICANCE / len(tried))):
         return None
     error = seen.given[[j, i]] - seen.given[[i, j]]
     spread = [_beside_others(seen.d, seen.covariance, seen.common, (i, j), k)[1] for k in (i, j)]
@@ -247,7 +247,7 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[
     (0.1 %, divided by the choices); of the kinds the most probable (Schwarz 1978).
     """
     n, freedom, nobody = len(d), d.size - common.shape[1], (tuple[int, ...](), _ALL_AXES)
-    if freedom < 1 or misfit(d, covariance, common, ()) <= stats.chi2.isf(policy.SIGNIFICANCE, freedom):
+    if freedom < 1 or misfit(d, covariance, common, ()) <= special.chdtri(freedom, policy.SIGNIFICANCE):
         return nobody
     options = list[tuple[float, tuple[int, ...], tuple[int, ...], bool]]()
     for axes in _WRONG:
@@ -259,13 +259,13 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[
             subsets = _subsets(n, best, size)
             tried = sorted((misfit(d, covariance, common, rows, axes), rows) for rows in subsets)
             least, best = tried[0]
-            chance = stats.chi2.isf(policy.SIGNIFICANCE / (n - size + 1), len(axes))
-            if least > stats.chi2.isf(policy.SIGNIFICANCE, left) or agreed - least < chance:
+            chance = special.chdtri(len(axes), policy.SIGNIFICANCE / (n - size + 1))
+            if least > special.chdtri(left, policy.SIGNIFICANCE) or agreed - least < chance:
                 continue
             agreed = least
             # Of points that disagree nobody knows which one is wrong.
-            apart = stats.chi2.isf(policy.SIGNIFICANCE, len(axes))
-            clear = len(tried) == 1 or tried[1][0] - least >= apart
+            apart = special.chdtri(len(axes), policy.SIGNIFICANCE)
+            clear = len(tried) == 1 or bool(tried[1][0] - least >= apart)
             chosen = (_cost(d, covariance, common, best, axes), best, axes, clear)
             options = [one for one in options if one[2] != axes] + [chosen]
     if not options:
@@ -304,9 +304,9 @@ def _scaled(d: Floats, covariance: Floats, common: Floats) -> tuple[int, ...]:
         )
         (best, k), (second, _) = tries[:2]
         scale = max(best / rest, 1.0)
-        if (chi_squared - best) / 3.0 / scale <= stats.f.isf(policy.SIGNIFICANCE / n, 3, rest):
+        if (chi_squared - best) / 3.0 / scale <= special.fdtri(3, rest, 1.0 - policy.SIGNIFICANCE / n):
             return removed
-        if second - best < stats.chi2.isf(policy.SIGNIFICANCE, 3) * scale:
+        if second - best < special.chdtri(3, policy.SIGNIFICANCE) * scale:
             return ()
         removed, chi_squared = (*removed, k), best
     return removed

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtri, ndtri
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.groups import CONTROL, GroupTest
@@ -234,7 +234,7 @@ def swapped_axes(estimates: tuple[Estimate, ...]) -> Finding | None:
     value = np.array([estimate.value for estimate in estimates])
     given = value - np.array([estimate.correction for estimate in estimates])
     sigma = np.array([estimate.sigma for estimate in estimates])
-    limit = float(stats.chi2.ppf(policy.CONFIDENCE, len(value)))
+    limit = float(chdtri(len(value), 1.0 - policy.CONFIDENCE))
     best: tuple[int, float, tuple[str, ...]] | None = None
     for order in permutations(range(3)):
         for sign in product((1.0, -1.0), repeat=3):
@@ -296,7 +296,7 @@ def _strip(found: SystematicErrors, error: SystematicError) -> Finding:
 
 def _mistyped(error: SystematicError, cause: Cause, slips: Slips, rivals: tuple[str, ...]) -> list[Finding]:
     """Name each control point that contradicts the others: with w, and what would have been detected."""
-    away = stats.norm.isf(policy.SIGNIFICANCE / 2) + stats.norm.isf(1.0 - policy.POWER)
+    away = ndtri(policy.POWER) - ndtri(policy.SIGNIFICANCE / 2)
     listed = []
     for k, point in enumerate(cause.subject.split(" ")):
         own = error.hypothesis.estimates[3 * k : 3 * k + 3]

@@ -373,7 +373,9 @@ def _confirmed(
         if key in rest:
             plane = plane + rest[key] * field.displacement
     try:
-        with because(f"with {' and '.join(cause.fault.code for cause in accepted) or 'what is left of it'}"):
+        with because(
+            f"with {' and '.join(cause.fault.code for cause in accepted) or 'the remaining residuals'}"
+        ):
             return fit(with_measurements(network, plane), given.state), amounts
     except (IllPosedError, NotConvergedError):
         return None

@@ -20,7 +20,7 @@ class MeasureOptions(Options):
         tuple[Path, ...],
         Option("Marks for a project: of Pix4D (.csv, .txt), Metashape (.xml, .csv), OpenSfM, gcp_list.txt."),
     ] = ()
-    height: Annotated[str, Option("What the control points' heights are: ellipsoidal or orthometric.")] = ""
+    height: Annotated[str, Option("Height kind of the control points: ellipsoidal or orthometric.")] = ""
     crs: Annotated[str, Option("System of the control points where their file does not say it right.")] = ""
     gcp_sigma: Annotated[
         str, Option("Sigma of control points, horizontal,vertical, m, where their file has none.")
@@ -39,9 +39,9 @@ class MeasureOptions(Options):
         Path | None, Option("Tape distances in a field: CSV from, to, value, sigma (m) between corners 17.1.")
     ] = None
     run: Annotated[Path | None, Option("With --field: adjust the block, too, into this folder.")] = None
-    c_px: Annotated[float, Option("Principal distance, px, in place of what the pictures state.")] = 0.0
-    focal_mm: Annotated[float, Option("Focal length, mm, in place of what the pictures state.")] = 0.0
-    workers: Annotated[int, Option("Processes; 0 for one on each core.")] = 0
+    c_px: Annotated[float, Option("Principal distance, px; overrides the value in the pictures.")] = 0.0
+    focal_mm: Annotated[float, Option("Focal length, mm; overrides the value in the pictures.")] = 0.0
+    workers: Annotated[int, Option("Number of processes; 0: one for each core.")] = 0
     cluster: Annotated[
         str, Option("Dask scheduler whose workers share images and cache, such as tls://HOST:8786.")
     ] = ""

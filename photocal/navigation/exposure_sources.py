@@ -75,7 +75,7 @@ def placed_by(
         return listed.placed, ELLIPSOIDAL
     if vehicle is None or len(vehicle.path) < 2:
         raise ConfigurationError(
-            "nothing tells positions: neither raw frames of a rover and a base nor an autopilot's positions",
+            "there are no positions: neither raw frames of a rover and a base nor an autopilot's positions",
             "give RINEX files, or a log with GLOBAL_POSITION_INT",
         )
     return plainly(vehicle.path, events.time), SEA_LEVEL

@@ -72,7 +72,9 @@ class ExposureOptions(Options):
     mrk: Annotated[Path | None, Option("The vehicle's own event list (Timestamp.MRK).")] = None
     edge: Annotated[str, Option("Edge of the time marks: rising or falling.")] = "rising"
     delay: Annotated[float, Option("From the event to the exposure, seconds.")] = 0.0
-    delay_sigma: Annotated[float, Option("Its standard deviation from exposure to exposure, seconds.")] = 0.0
+    delay_sigma: Annotated[
+        float, Option("Standard deviation of the delay from exposure to exposure, seconds.")
+    ] = 0.0
     camera_to_antenna: Annotated[
         str | None,
         Option(
@@ -80,12 +82,14 @@ class ExposureOptions(Options):
             "right, down (above is negative)."
         ),
     ] = None
-    camera_to_antenna_sigma: Annotated[str, Option("Its standard deviations, metres.")] = "0.01,0.01,0.01"
+    camera_to_antenna_sigma: Annotated[str, Option("Standard deviations of the lever arm, metres.")] = (
+        "0.01,0.01,0.01"
+    )
     attitude_sigma: Annotated[str | None, Option("Standard deviations of roll, pitch, yaw, degrees.")] = None
     boresight: Annotated[
-        str, Option("Turn from nominal to true camera axes, about camera x, y, z, degrees.")
+        str, Option("Rotation from nominal to true camera axes, about camera x, y, z, degrees.")
     ] = "0,0,0"
-    boresight_sigma: Annotated[str, Option("Its standard deviations, degrees.")] = "0,0,0"
+    boresight_sigma: Annotated[str, Option("Standard deviations of the boresight, degrees.")] = "0,0,0"
     camera_axes: Annotated[
         str, Option("Body directions of camera x (right), y (up in the image), z (backwards).")
     ] = "right,forward,up"

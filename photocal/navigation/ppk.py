@@ -164,7 +164,7 @@ def with_antennas(
             continue
         if not (given or observed.antenna):
             raise ConfigurationError(
-                f"nothing tells the antenna of the {side}",
+                f"the antenna of the {side} is not stated",
                 'name its type and radome as the ANTEX file does, or "none" for one without a model',
                 where=observed.path,
             )

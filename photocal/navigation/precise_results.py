@@ -143,17 +143,22 @@ class PreciseResult:
         return f" ({self.frame or 'frame not told'}{epoch})"
 
 
-def read_precise_result(path: Path, site: str = "") -> PreciseResult:
+def read_precise_result(path: Path, site: str = "", name: str = "") -> PreciseResult:
     """Read the result of a service: the summary (.sum) of CSRS-PPP, or SINEX.
 
-    site: code of the site in a SINEX file of several, such as the weekly solution of a network.
+    site: code of the site in SINEX, such as the weekly solution of a network.
+    name: its code where none is given and the file has several sites.
+
+    raises ConfigurationError: when the file has no such site, or several and none is named.
     """
     lines = _lines(path)
     try:
         if any(line.startswith("POS CRD") for line in lines):
+            if site:
+                raise ConfigurationError("has no sites: it is a summary", "leave site out", where=path)
             return _of_csrs(lines)
         if lines and lines[0].startswith("%=SNX"):
-            return _of_sinex(lines, path, site)
+            return _of_sinex(lines, path, site, name)
     except (ValueError, IndexError, KeyError) as refusal:
         raise InputMalformedError("is damaged", "fetch it again", where=path) from refusal
     raise InputMalformedError(
@@ -182,7 +187,7 @@ def _of_csrs(lines: list[str]) -> PreciseResult:
     return PreciseResult(position, covariance, rows["X"][2], _year(rows["X"][3]))
 
 
-def _of_sinex(lines: list[str], path: Path, site: str) -> PreciseResult:
+def _of_sinex(lines: list[str], path: Path, site: str, name: str) -> PreciseResult:
     first, last = (lines.index(f"{sign}SOLUTION/ESTIMATE") for sign in "+-")
     sites: dict[str, dict[str, list[str]]] = {}
     for line in lines[first + 1 : last]:
@@ -190,19 +195,17 @@ def _of_sinex(lines: list[str], path: Path, site: str) -> PreciseResult:
         if len(cells) > 9 and cells[1] in ("STAX", "STAY", "STAZ"):
             # Of a site with several solutions the last one counts.
             sites.setdefault(cells[2], {})[cells[1]] = cells
-    wanted = [name for name in sites if not site or name.upper() == site.upper()]
+    code = site or (name if len(sites) > 1 else "")
+    wanted = [one for one in sites if not code or one.upper() == code.upper()]
     if len(wanted) != 1:
-        near = difflib.get_close_matches(site.upper(), list(sites), 8, 0.0)
         # Sites that a message names.
         most_listed = 12
-        listed = ", ".join(sorted(sites)) if len(sites) <= most_listed else ", ".join(near) + ", ..."
+        near = difflib.get_close_matches(code.upper(), sites, most_listed, 0.0) if code else list(sites)
+        listed = ", ".join(sorted(near[:most_listed])) or "none"
+        more = "" if len(sites) <= most_listed else ", ..."
         raise ConfigurationError(
-            f"has no site {site}, but {listed or 'none'}"
-            if site
-            else f"has {len(sites)} sites ({listed or 'none'})",
-            "name one of its sites"
-            if site
-            else "name the site, give a file of a single one, or its LAT,LON,H",
+            f"has no site {code}" if code else f"has {len(sites)} sites ({listed}{more})",
+            f"name one of {listed}{more}" if code else "name the site, give a file of one, or its LAT,LON,H",
             where=path,
         )
     rows = sites[wanted[0]]

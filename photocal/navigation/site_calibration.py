@@ -206,9 +206,9 @@ def whose_metre(made: SiteCalibration) -> str:
 _METRES = {
     "ground": "the local system counts metres on the ground",
     "map": "the local system counts metres of the map",
-    "either": "these points do not tell metres on the ground from metres of the map",
-    "neither": "the local system counts metres neither of the ground nor of the map: look at its scale",
-    "held": "the scale was held, or nothing tells how sure it is",
+    "either": "these points cannot distinguish metres on the ground from metres of the map",
+    "neither": "the local system counts metres neither of the ground nor of the map: check its scale",
+    "held": "the scale was held, or its uncertainty is unknown",
 }
 
 
@@ -230,7 +230,7 @@ def sections(made: SiteCalibration) -> list[Section]:
         ("metre", _METRES[whose_metre(made)]),
     )
     pieces: list[Piece] = [KeyValues(rows), _point_table(made), Paragraph(_quality(fit))]
-    return [Section("", tuple(pieces)), Section("To be looked at", (Remarks(tuple(_remarks(made))),))]
+    return [Section("", tuple(pieces)), Section("To be checked", (Remarks(tuple(_remarks(made))),))]
 
 
 def _sure(sigma: Floats, unit: str, decimals: int = 4) -> str:

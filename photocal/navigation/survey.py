@@ -10,7 +10,7 @@ import numpy as np
 from photocal.base.arrays import Floats, picked
 from photocal.base.errors import ConfigurationError, IllPosedError, InputNotFoundError
 from photocal.base.geodesy import enu_axes, geocentric, geodetic
-from photocal.geometry.realizations import Realization, realization
+from photocal.geometry.realizations import Realization
 from photocal.geometry.systems import degrees_outside
 from photocal.navigation.baseline_network import Baseline, GroundMark, NetworkSolution, adjust_baselines
 from photocal.navigation.engine import ProcessingOptions, Rtklib
@@ -65,7 +65,7 @@ def run_survey(survey: Survey) -> tuple[NetworkSolution, list[dict[str, Any]], l
     """
     sessions: list[dict[str, Any]] = []
     crs = survey.setup.crs
-    published = [_published(mark, survey.folder) for mark in survey.setup.station]
+    published = [_published(mark, survey) for mark in survey.setup.station]
     held = [(_mark(mark), frame_told(mark.name, mark.frame)) for mark in survey.setup.known] + published
     require_inside(survey.setup, [mark for mark, _ in held])
     started = [in_system(mark, frame, crs) for mark, frame in held]
@@ -118,13 +118,15 @@ def _mark(mark: KnownMark) -> GroundMark:
     return GroundMark(mark.name, xyz, axes.T @ np.diag(np.square(mark.sigma_m)) @ axes)
 
 
-def _published(mark: PublishedMark, folder: Path) -> tuple[GroundMark, Realization | None]:
+def _published(mark: PublishedMark, survey: Survey) -> tuple[GroundMark, Realization | None]:
     """Return a mark from the file that has its position, and the frame and epoch of that."""
-    several = mark.file.suffix.lower() in (".snx", ".sinex")
-    result = read_precise_result(folder / mark.file, (mark.site or mark.name) if several else "")
-    told = realization(mark.frame) if mark.frame else result.realization
-    if told is not None and np.isnan(told.epoch) and not np.isnan(result.epoch):
-        told = replace(told, epoch=result.epoch)
+    result = read_precise_result(survey.folder / mark.file, mark.site, mark.name)
+    told = frame_told(mark.name, mark.frame, result.epoch) if mark.frame else result.realization
+    if told is None and survey.setup.crs is not None:
+        raise ConfigurationError(
+            f"station {mark.name}: {mark.file} does not say in which frame its coordinates are",
+            'add frame = "IGS20", or that of its service, to the station',
+        )
     return GroundMark(mark.name, result.position_m, result.covariance_m2), told
 
 
@@ -186,7 +188,8 @@ def _options(rover: ObservationFile, base: ObservationFile, setup: SurveySetup) 
     if not systems:
         raise ConfigurationError(
             f'systems = "{setup.systems}", and the receivers share {"+".join(options.systems)}',
-            f"add one of them, as in {rover.path.name}",
+            "name one that they share",
+            where=rover.path.name,
         )
     return replace(
         options, systems=systems, two_frequencies=options.two_frequencies and setup.two_frequencies
@@ -210,8 +213,12 @@ def _precise(point: PrecisePoint, survey: Survey) -> tuple[GroundMark, GpsTime, 
     folder = _own_folder(survey, f"ppp-{point.name}")
     observed, recorded = _observations(point.rover, point.rover_link, "rover", survey, folder / "rover")
     named = [*_navigation(point, survey, folder), *(survey.folder / p for p in point.products)]
+    # The ionosphere goes by two frequencies, whatever baselines use.
     options = replace(
-        _options(observed, observed, survey.setup), rover_antenna_m=point.rover_antenna_m, precise=True
+        _options(observed, observed, survey.setup),
+        two_frequencies=True,
+        rover_antenna_m=point.rover_antenna_m,
+        precise=True,
     )
     options = with_antennas(options, survey.antex, (observed, point.rover_antenna), None)
     result = _precise_point(observed, [*recorded, *named], options, survey.engine, folder)

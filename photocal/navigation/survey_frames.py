@@ -1,5 +1,6 @@
 """Marks of a survey in the frame and epoch of its system."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,12 +31,16 @@ class MovedMark:
         return {"mark": self.mark, **(plain if self.moved is None else self.moved.as_json())}
 
 
-def frame_told(mark: str, text: str) -> Realization | None:
+def frame_told(mark: str, text: str, epoch: float = math.nan) -> Realization | None:
     """Frame of a known mark as a person tells it; None for none.
+
+    epoch: of its coordinates where the text has none, years.
 
     raises ConfigurationError: for one that is not known; InputMalformedError: for one whose epoch is missing.
     """
     told = realization(text) if text else None
+    if told is not None and told.moves and np.isnan(told.epoch):
+        told = known_realization(told.frame, epoch) or told
     if told is not None and told.moves and np.isnan(told.epoch):
         raise InputMalformedError(
             f"mark {mark}: the ground moves in {told.frame}, so that coordinates in it need an epoch",

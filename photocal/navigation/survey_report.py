@@ -160,8 +160,8 @@ def _missing(session: dict[str, Any]) -> str:
 def _frame_text(frame: dict[str, Any]) -> str:
     if "shift_enu_m" not in frame:
         return (
-            f"WARNING {frame['mark']} counts in {frame['from']}, the survey in {frame['to']}: nothing known "
-            "leads from one to the other, it was not moved"
+            f"WARNING {frame['mark']} refers to {frame['from']}, the survey to {frame['to']}: no "
+            "transformation between them is known, it was not moved"
         )
     east, north, up = frame["shift_enu_m"]
     return (

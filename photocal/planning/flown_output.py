@@ -46,7 +46,9 @@ def flown_text(figures: Mapping[str, Any]) -> str:
     lines = []
     if bare and some:
         named = ", ".join(f"{row['strip']} ({row['images']} images)" for row in bare)
-        lines.append(f"strips without control: {named}; they hang on their neighbours, survey control there")
+        lines.append(
+            f"strips without control: {named}; they depend on their neighbours: survey control there"
+        )
     positions = figures.get("positions")
     if positions is not None:
         axes = ", ".join(

@@ -36,7 +36,7 @@ class FlightOptions(Options):
     speed: Annotated[
         float, Option("Speed over ground, m/s; of a fixed wing in a given wind, through the air.")
     ] = 10.0
-    border: Annotated[float, Option("Cover so much about the area as well, m.")] = 0.0
+    border: Annotated[float, Option("Buffer around the area, m.")] = 0.0
 
     def request(self) -> "FlightRequest":
         """Give what is asked of the flight in metres and radians.
@@ -84,13 +84,13 @@ class LimitOptions(Options):
 
     wind: Annotated[
         str | None,
-        Option("SPEED,FROM: m/s, and the direction it comes from, degrees: what the strips become."),
+        Option("SPEED,FROM: m/s, and the direction it comes from, degrees: the strips are planned for it."),
     ] = None
     radio_range: Annotated[float | None, Option("Range of the radio link, m, to check from --home.")] = None
     scale: Annotated[str | None, Option("Map scale of the product, such as 1:1000.")] = None
-    map_class: Annotated[str, Option("Class that the product shall reach.", ("--class",))] = "A"
+    map_class: Annotated[str, Option("Accuracy class that the product must reach.", ("--class",))] = "A"
     standard: Annotated[str, Option("Standard of that class.")] = "pec-pcd"
-    exposure_ms: Annotated[float | None, Option("Exposure time, ms, to check the smear.")] = None
+    exposure_ms: Annotated[float | None, Option("Exposure time, ms, to check the motion blur.")] = None
     shortest_interval: Annotated[
         float | None, Option("Shortest time between two photos of the camera, s.")
     ] = None
@@ -121,7 +121,9 @@ class PrecisionOptions(Options):
 
     control: Annotated[int, Option("Number of control points to suggest.")] = 8
     check: Annotated[int, Option("Number of check points to suggest.")] = 30
-    simulation: Annotated[bool, Option("Adjust the planned flight to expect its precision.")] = True
+    simulation: Annotated[
+        bool, Option("Simulate and adjust the planned flight to predict its precision.")
+    ] = True
     image_sigma_px: Annotated[float, Option("Expected precision in the image, px.")] = 0.5
     control_sigma_m: Annotated[str, Option("Expected precision of control in plane and height, m.")] = (
         "0.02,0.03"

@@ -95,8 +95,8 @@ def planned_network(flight: PlannedFlight, layout: Layout, survey: PlannedSurvey
     height = survey.relief_m * np.sin(2 * np.pi * plane[:, 0] / length)
     height = height * np.cos(2 * np.pi * plane[:, 1] / length)
     xyz = np.column_stack([plane, height])
-    interior = _camera(frame, calibrated=not survey.self_calibration)
-    image, point, seen = _rays(poses, xyz, frame)
+    interior = planned_camera(frame, SELF_CALIBRATION if survey.self_calibration else ())
+    image, point, seen = visible_rays(poses, xyz, frame)
     keep = np.bincount(point)[point] >= 2
     # Photos at the ends of strips may see no ground of the area; four points orient a photo.
     strong = np.bincount(image[keep], minlength=len(poses)) >= 4
@@ -150,7 +150,8 @@ def _ties(flight: PlannedFlight) -> Floats:
     return grid(exposures.min(axis=0) - reach, exposures.max(axis=0) + reach, step)
 
 
-def _camera(frame: PlanningCamera, *, calibrated: bool) -> Camera:
+def planned_camera(frame: PlanningCamera, estimate: tuple[str, ...]) -> Camera:
+    """Give a camera without distortion; raises ConfigurationError for a name that is no parameter."""
     return camera(
         "planned",
         "brown-ideal",
@@ -158,17 +159,18 @@ def _camera(frame: PlanningCamera, *, calibrated: bool) -> Camera:
         (frame.columns, frame.rows),
         (frame.pixel_m * 1e3, frame.pixel_m * 1e3),
         {"c": frame.focal_m * 1e3},
-        estimate=() if calibrated else SELF_CALIBRATION,
+        estimate=estimate,
     )
 
 
-def _rays(poses: Floats, xyz: Floats, frame: PlanningCamera) -> tuple[Integers, Integers, Floats]:
+def visible_rays(poses: Floats, xyz: Floats, frame: PlanningCamera) -> tuple[Integers, Integers, Floats]:
     """Which photo sees which point, and where in mm from its middle."""
     half = np.array([frame.columns, frame.rows]) / 2.0 * frame.pixel_m * 1e3
     images, points, seen = [], [], []
     for number, pose in enumerate(poses):
         q = (xyz - pose[3:]) @ matrix_from_angles(pose[:3]).T
-        plane = -frame.focal_m * 1e3 * q[:, :2] / q[:, 2:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            plane = -frame.focal_m * 1e3 * q[:, :2] / q[:, 2:]
         visible = np.flatnonzero((np.abs(plane) < half).all(axis=1) & (q[:, 2] < 0))
         images.append(np.full(len(visible), number))
         points.append(visible)

@@ -1,5 +1,6 @@
-"""Options of orthophotos, of products under check, and of volumes."""
+"""Options of orthophotos, of contours, of products under check, and of volumes."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -20,13 +21,17 @@ class ProductOptions(Options):
         ),
     ] = None
     ortho: Annotated[Path | None, Option("Orthomosaic that shows the targets of the check points.")] = None
-    target_diameter: Annotated[float | None, Option("Of those round targets, metres.")] = None
-    search_radius: Annotated[float, Option("How far from its place a target is looked for, metres.")] = 2.0
+    target_diameter: Annotated[float | None, Option("Diameter of these round targets, metres.")] = None
+    search_radius: Annotated[
+        float, Option("Radius of the search around the expected place of a target, metres.")
+    ] = 2.0
     dtm: Annotated[Path | None, Option("Terrain model that is read at the check points.")] = None
-    height_kind: Annotated[str | None, Option("Of the check points: ellipsoidal, orthometric or local.")] = (
-        None
-    )
-    dtm_height_kind: Annotated[str | None, Option("Of a terrain model that does not say it itself.")] = None
+    height_kind: Annotated[
+        str | None, Option("Height kind of the check points: ellipsoidal, orthometric or local.")
+    ] = None
+    dtm_height_kind: Annotated[
+        str | None, Option("Height kind of a terrain model that does not state it.")
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,19 +44,17 @@ class OrthoOptions(Options):
     bounds: Annotated[str | None, Option("Rectangle: WEST,SOUTH,EAST,NORTH in metres.")] = None
     resampling: Annotated[str, Option("nearest, bilinear or cubic.")] = "bilinear"
     crs: Annotated[str | None, Option("Reference system of block and terrain model.")] = None
-    heights: Annotated[str | None, Option("Kind of heights of a terrain model that does not say it.")] = None
-    dtm_cell: Annotated[
-        float | None, Option("Size of the cells that a CSV of terrain points is put on, m.")
-    ] = None
+    heights: Annotated[str | None, Option("Height kind of a terrain model that does not state it.")] = None
+    dtm_cell: Annotated[float | None, Option("Cell size for gridding a CSV of terrain points, m.")] = None
     dtm_output: Annotated[Path | None, Option("GeoTIFF of the terrain model made from a CSV.")] = None
-    nodata: Annotated[float, Option("Value of cells without image; real grey levels keep clear of it.")] = 0.0
+    nodata: Annotated[float, Option("Value of cells without image; real grey levels avoid it.")] = 0.0
     compare: Annotated[
         Path | None, Option("Another adjustment of the block, with another interior orientation.")
     ] = None
     displacement: Annotated[
-        Path | None, Option("Map (.pdf, .svg, .png) of how far --compare would put things elsewhere.")
+        Path | None, Option("Map (.pdf, .svg, .png) of the displacements that --compare would cause.")
     ] = None
-    workers: Annotated[int, Option("Threads; 0 for all cores.")] = 0
+    workers: Annotated[int, Option("Number of threads; 0: all cores.")] = 0
 
     def __post_init__(self) -> None:
         """Refuse half a comparison."""
@@ -60,18 +63,39 @@ class OrthoOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ContourOptions(Options):
+    """Interval, heights and cells of contours."""
+
+    interval: Annotated[float, Option("Height between contours, m.")]
+    index: Annotated[int, Option("Every so many contours one is an index contour.")] = 5
+    heights: Annotated[str | None, Option("Kind of heights of a terrain model that does not say it.")] = None
+    crs: Annotated[str | None, Option("Reference system of a terrain model that names none.")] = None
+    cell: Annotated[float | None, Option("Size of the cells that a CSV of terrain points is put on, m.")] = (
+        None
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse an interval that gives no contours."""
+        if not (math.isfinite(self.interval) and self.interval > 0 and self.index > 0):
+            raise ConfigurationError(
+                f"contours every {self.interval:g} m, each {self.index}. an index contour, cannot be",
+                "give --interval and --index greater than 0",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class VolumeOptions(Options):
     """Lengths, sigmas and shape of a tank."""
 
     radius: Annotated[float | None, Option("Mean radius, m, in place of sections.")] = None
-    radius_sigma: Annotated[float | None, Option("Its standard deviation, m.")] = None
+    radius_sigma: Annotated[float | None, Option("Standard deviation, m.")] = None
     height: Annotated[
         float | None, Option("Measured height, m; with sections: volume by their mean radius too.")
     ] = None
-    height_sigma: Annotated[float | None, Option("Its standard deviation, m.")] = None
-    sigma: Annotated[float | None, Option("Standard deviation of all coordinates of a table without, m.")] = (
-        None
-    )
+    height_sigma: Annotated[float | None, Option("Standard deviation, m.")] = None
+    sigma: Annotated[
+        float | None, Option("Standard deviation of all coordinates, m, for a table without sigmas.")
+    ] = None
     vertical: Annotated[str, Option("Axis of the table that points up: X, Y or Z.")] = "Z"
     shape: Annotated[
         str,
@@ -81,10 +105,10 @@ class VolumeOptions(Options):
         ),
     ] = "circle"
     wall_thickness: Annotated[
-        float, Option("Taken from the measured radii, m, where the points lie outside.")
+        float, Option("Thickness to subtract from the measured radii, m, if the points lie on the outside.")
     ] = 0.0
     filling: Annotated[
-        float | None, Option("With sections: filling table, a level every so many metres, with sigmas.")
+        float | None, Option("With sections: step of the filling table, metres, with sigmas.")
     ] = None
     plot: Annotated[Path | None, Option("Residual ring plot to write: .pdf, .svg, .png.")] = None
 

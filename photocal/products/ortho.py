@@ -106,7 +106,7 @@ def ortho(
 ) -> Orthophoto:
     """Make an orthophoto: every cell takes its grey value from the image that sees it best from above.
 
-    The terrain hides nothing from the images here: houses that are not in the model lean.
+    Occlusions are not modelled: houses that are missing from the terrain model lean.
 
     Parameters
     ----------

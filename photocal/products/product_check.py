@@ -82,7 +82,7 @@ def check_products(points: GroundPoints, options: ProductOptions) -> ProductChec
     if ortho is not None:
         if not (diameter and diameter > 0 and search > 0):
             raise ConfigurationError(
-                "targets are sought without their size", "give target diameter and search distance, m"
+                "the size of the targets is not given", "give target diameter and search distance, m"
             )
         raster = describe(ortho)
         _require_square(raster, diameter)

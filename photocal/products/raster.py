@@ -1,4 +1,4 @@
-"""Rasters in files: terrain in pieces, images whole, GeoTIFF out. The only module that calls GDAL."""
+"""Rasters in files: terrain in pieces, images whole, GeoTIFF out. The only module that calls rasterio."""
 
 import math
 import warnings

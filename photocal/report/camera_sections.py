@@ -1,6 +1,7 @@
 """Sections of a certificate about one camera: its parameters, what it does to the image, residuals."""
 
 import numpy as np
+from scipy import special
 
 from photocal.adjustment.readout import Readout
 from photocal.base import policy
@@ -120,9 +121,7 @@ def _opinions(camera_id: str, run: AnalysedRun) -> dict[str, tuple[float | None,
 
 def critical_t(dof: int) -> float:
     """Two-sided 95 % point of Student's distribution."""
-    from scipy import stats
-
-    return float(stats.t.ppf((1.0 + policy.CONFIDENCE) / 2.0, max(dof, 1)))
+    return float(special.stdtrit(max(dof, 1), (1.0 + policy.CONFIDENCE) / 2.0))
 
 
 def insignificant(camera: Camera, dof: int) -> list[str]:

@@ -74,7 +74,7 @@ def _highlights(run: AnalysedRun, warnings: tuple[Finding, ...], say: Catalogue)
         sigma, whose = run.stated(camera_id)
         c = say.measured(camera.value("c"), sigma)
         remark = say("highlight.sigma", sigma=c.sigma, unit=camera.unit) if c.sigma else say("word.held")
-        if c.sigma and sigma > camera.sigma_of("c"):
+        if c.sigma and (whose == "at_least" or sigma > camera.sigma_of("c")):
             formal = say.significant(camera.sigma_of("c"), 2)
             remark += say(f"highlight.sigma_{whose}", formal=formal, unit=camera.unit)
         shown.append(Highlight(label, f"{c.value} {camera.unit}", remark))

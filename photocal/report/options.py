@@ -13,7 +13,7 @@ from photocal.base.options import Option, Options
 class CertificateOptions(Options):
     """Language, date and particulars of a certificate."""
 
-    language: Annotated[str, Option("Language: en or pt-BR.")] = "en"
+    language: Annotated[str, Option("Language: en or pt-BR.", ("--lang", "--language"))] = "en"
     date: Annotated[str | None, Option("Day of the certificate, YYYY-MM-DD; today if not given.")] = None
     block: Annotated[
         Path | None,
@@ -26,10 +26,10 @@ class CertificateOptions(Options):
         Path | None,
         Option("TOML file: camera, campaign, positioning system, equipment, validity, responsible."),
     ] = None
-    client: Annotated[str, Option("For whom.")] = ""
-    operator: Annotated[str, Option("By whom.")] = ""
+    client: Annotated[str, Option("Client.")] = ""
+    operator: Annotated[str, Option("Operator: who carried out the calibration.")] = ""
     images: Annotated[
-        Path | None, Option("Folder of the pictures: their EXIF tells camera, aperture, focus and firmware.")
+        Path | None, Option("Folder of the pictures: their EXIF gives camera, aperture, focus and firmware.")
     ] = None
 
     def day(self) -> dt.date:

@@ -235,7 +235,7 @@ def _choices(certified: dict[str, Any]) -> list[str]:
     if result.get("variance_components"):
         chosen.append("sigmas estimated: variance components")
     if analysis is None:
-        return [*chosen, "no analysis: nobody has looked for hidden errors"]
+        return [*chosen, "no analysis: hidden errors were not searched for"]
     keys = ("alpha", "correlation_threshold", "bootstrap_draws")
     return [*chosen, *(f"analysis.{key} {_shown(analysis[key])}" for key in keys if analysis.get(key))]
 

@@ -83,7 +83,7 @@ def with_control(given: ForeignProject, path: Path, gcp: Path | None) -> Foreign
     )
     remarks = [
         f"control of {lists[0].name}, in {control.crs}"
-        + ("" if local else ", which does not say what its heights count from")
+        + ("" if local else ", which does not state the reference of its heights")
         + f"; without accuracies: {ASSUMED_M[0]} and {ASSUMED_M[1]} m assumed"
     ]
     checks = [control.points.names[k] for k in np.flatnonzero(control.points.of_role("check"))]

@@ -96,7 +96,9 @@ def _without_gross_control(foreign: ForeignProject, points: Integers, places: Fl
         return foreign
     label = [block.points.names[k] for k in names]
     told = [f"{label[k]} {miss[k]:.3g} m" for k in far]
-    remarks = [f"control that lies far from where its rays meet is taken as check points: {some_of(told)}"]
+    remarks = [
+        f"control points far from the intersection of their rays are used as check points: {some_of(told)}"
+    ]
     remarks += [
         f"coordinates of {label[a]} and {label[b]} are exchanged"
         for a, b in combinations(far, 2)
@@ -164,7 +166,7 @@ def without_what_hangs_loose(foreign: ForeignProject) -> ForeignProject:
     block = replace(block, heads=_still_on_frames(block.heads, gone))
     remarks = [f"{lost} points have one ray only: left out"] if lost else []
     if blind:
-        remarks.append(f"{blind} rays have no direction by the distortion of their cameras: left out")
+        remarks.append(f"{blind} rays cannot be corrected for the distortion of their cameras: left out")
     if flat:
         remarks.append(f"{flat} points have a parallax below {LEAST_PARALLAX_PX:g} px: left out")
     if names:

@@ -83,9 +83,7 @@ def read_calibrated(paths: Sequence[Path]) -> tuple[Calibrated, ...]:
         taken = sum(flight.name == other.name for other in flights)
         flights.append(replace(flight, name=f"{flight.name} ({path})") if taken else flight)
     if len(flights) < 2:
-        raise InputNotFoundError(
-            "one calibration has nothing to be compared with", "name two or more runs or projects"
-        )
+        raise InputNotFoundError("one calibration cannot be compared", "name two or more runs or projects")
     return tuple(flights)
 
 

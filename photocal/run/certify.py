@@ -13,7 +13,7 @@ from photocal.report.issue import FORMS, issue
 from photocal.report.keys import own_key
 from photocal.report.options import CertificateOptions
 from photocal.results.origin import CARRIED
-from photocal.run.summary import flown_beside, told_beside
+from photocal.run.summary import flown_figures, stage_findings
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def certificate(
             operator=asked.operator,
             key=key.fingerprint if key else "",
             pictures=pictures,
-            flown=flown_beside(run),
+            flown=flown_figures(run),
         )
         document = issue(
             run,
@@ -98,7 +98,7 @@ def certificate(
             given,
             language=asked.language,
             block=asked.block,
-            warnings=told_beside(run),
+            warnings=stage_findings(run),
             done=lambda: step(1),
         )
     written = tuple(output / name for name in (*FORMS, CARRIED) if (output / name).exists())

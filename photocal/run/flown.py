@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +11,13 @@ import numpy as np
 
 from photocal.accuracy.laser import LaserShots, check_laser, laser_finding
 from photocal.accuracy.maps import reference_system
-from photocal.base.arrays import Integers
 from photocal.base.errors import IllPosedError, InputMalformedError
 from photocal.base.geopackage import changed_utc
 from photocal.base.progress import Progress
-from photocal.block.model import Block
-from photocal.block.motion import strips, velocity_of_neighbours
+from photocal.block.motion import lines_of_places, strips, velocity_of_neighbours
 from photocal.block.network import local_positions
 from photocal.findings.texts import as_record
+from photocal.georeferencing.strip_control import control_by_strip
 from photocal.measurement.image_facts import read_facts
 from photocal.measurement.image_file import each_picture, list_images
 from photocal.planning.flown import figures_of, flown_block, ground_through
@@ -81,7 +79,8 @@ def measure_flown(
     velocity = np.where((velocity != 0).any(axis=1)[:, None], velocity, np.nan)[order]
     beside, _ = velocity_of_neighbours(shots.camera, seconds, shots.station)
     way = np.where(np.isfinite(velocity), velocity, beside)
-    strip, _ = strips(seconds, np.nan_to_num(way))
+    moved = timed or bool(np.isfinite(velocity).any())
+    strip = strips(seconds, np.nan_to_num(way))[0] if moved else lines_of_places(shots.station)
     # Neighbours without times tell a direction, no speed.
     moving = np.linalg.norm(way if timed else velocity, axis=1)
     moving = np.where(np.isfinite(moving), moving, speed_m_s)
@@ -127,22 +126,6 @@ def measure_flown(
         if apart is not None:
             write_positions(output, apart, frame.to_given, system, changed)
     return figures
-
-
-def control_by_strip(model: Block, names: Sequence[str], strip: Integers) -> list[dict[str, int]]:
-    """Count the images of each strip, and the control points that they show.
-
-    A strip without control hangs on its neighbours alone (the outer strips that one study left out).
-    """
-    own = {name: int(number) for name, number in zip(names, strip.tolist(), strict=True)}
-    of_image = np.array([own[name] for name in model.images.names])
-    control = model.points.of_role("control")[model.observations.point]
-    rows = []
-    for number in dict.fromkeys(strip.tolist()):
-        seen = control & (of_image[model.observations.image] == number)
-        points = len(np.unique(model.observations.point[seen]))
-        rows.append({"strip": int(number), "images": int(np.sum(strip == number)), "control_points": points})
-    return rows
 
 
 def _share_of_c(run: Path | None) -> float:

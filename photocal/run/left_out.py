@@ -119,7 +119,9 @@ def take_back(path: Path, entry: LeaveOutKeys) -> None:
     """
     document = _parsed(path)
     if not _take_back(document, entry):
-        raise ConfigurationError("is not left out by hand", "look at [[leave_out]]", where=path)
+        raise ConfigurationError(
+            "is not in the list of data left out by hand", "check [[leave_out]]", where=path
+        )
     _write(path, document)
 
 

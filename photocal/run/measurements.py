@@ -31,7 +31,7 @@ def given_block(project: Project, images: Images, without_exposure: Collection[s
     if unknown:
         raise InputMalformedError(
             f"image {unknown[0]} has no exposure" + (f", as {len(unknown) - 1} more" if unknown[1:] else ""),
-            "take its observations out, or complete the exposures",
+            "remove its observations, or complete the exposures",
             where=path,
         )
     points = control.with_ties(ties, np.full((len(ties), 3), np.nan))

@@ -170,33 +170,32 @@ def _frame(made: NewControl, choice: FrameChoice, *, useful: bool) -> MarkFrame:
     own, best = choice.fit_of(AS_STORED), choice.fits[0]
     if choice.sure and choice.chosen == AS_STORED:
         return AS_STORED
-    as_stored = f"{own.outside} marks fall outside of their pictures" if own.outside else "they fit nowhere"
+    as_stored = (
+        f"{own.outside} marks fall outside their pictures" if own.outside else "no size or rotation fits"
+    )
     if not np.isnan(own.miss):
-        as_stored += (
-            f", and {choice.pairs} pairs of marks miss each other by {100 * own.miss:.1f} % of the picture"
-        )
+        as_stored += f", and {choice.pairs} pairs of marks differ by {100 * own.miss:.1f} % of the picture"
     if choice.sure:
         fits = "all fall inside"
         if choice.pairs:
-            fits = f"{choice.pairs} pairs of marks meet to {100 * best.miss:.1f} % of the picture"
+            fits = f"{choice.pairs} pairs of marks agree to {100 * best.miss:.1f} % of the picture"
         made.known.append(
-            f"marks: made in pictures {choice.chosen.said()}, and taken so: {fits} "
-            f"(as they stand {as_stored})"
+            f"marks: made in pictures {choice.chosen.said()}, and converted: {fits} (as listed {as_stored})"
         )
         return choice.chosen
     if own.outside and not useful:
-        made.doubtful.append(f"marks: {as_stored}; nothing depends on it, for no point has a second mark")
+        made.doubtful.append(f"marks: {as_stored}; it has no effect, since no point has a second mark")
     elif own.outside:
         offers = ", ".join(
             f'"{fit.frame}"' for fit in choice.fits if fit.frame != AS_STORED and not fit.outside
         )
         made.asked.append(
-            f"marks: {as_stored}; made in pictures of another size or turned? photocal new FOLDER --again "
+            f"marks: {as_stored}; made in pictures of another size or rotated? photocal new FOLDER --again "
             f"--marks SIZE says so ({offers or 'such as 1/2, 1/4, exif, 90'}; 1: as they are stored)"
         )
     elif not np.isnan(own.miss):
         made.doubtful.append(
-            f"marks: {as_stored}, and no other size or turn explains it: are the names of the pictures right?"
+            f"marks: {as_stored}, and no other size or rotation explains it: check the names of the pictures"
         )
     return AS_STORED
 
@@ -224,7 +223,7 @@ def _with_system(made: NewControl, written: str, placed: Sequence[ImageFacts], *
     else:
         made.crs = "local"
         made.missing.append(
-            "nobody says the system of the control points: none is needed, for they place nothing"
+            "the system of the control points is not stated: none is needed, they do not place the block"
         )
 
 
@@ -263,7 +262,7 @@ def _resolved(made: NewControl, text: str, placed: Sequence[ImageFacts], *, plac
         offers = tuple(system for system in offers if system in near) or near
     if not placeable:
         made.missing.append(
-            f"system {text!r} is not known{_offered(offers)}: none is needed, for control places nothing"
+            f"system {text!r} is not known{_offered(offers)}: none is needed, control places nothing"
         )
         return "local"
     made.asked.append(f'crs: what is {text!r}?{_offered(offers, " write EPSG:n")}, or "local"')
@@ -291,7 +290,7 @@ def _with_heights(made: NewControl, placed: Sequence[ImageFacts], *, matters: bo
         made.height = "orthometric"
         if not matters and (lacks := missing_grids(made.crs, None)):
             made.known.append(
-                f"grid {', '.join(lacks)} of {made.crs} is not here, and nothing needs it: no position is "
+                f"grid {', '.join(lacks)} of {made.crs} is missing and not needed: no position is "
                 f"held against the control points' heights ({own})"
             )
             made.crs = _level(made.crs)

@@ -109,8 +109,8 @@ def new_project(
     if again and NAME in there:
         files, changes = renewed(folder, files)
     elif there:
-        remedy = f"photocal new {folder} --again keeps what you have written and adds what was found since"
-        raise OutputError("is there already", remedy, where=folder / there[0])
+        remedy = f"photocal new {folder} --again keeps your entries and adds new findings"
+        raise OutputError("exists already", remedy, where=folder / there[0])
     for name, content in files.items():
         with output_file(folder / name) as aside:
             aside.write_text(content, encoding="utf-8", newline="\n")
@@ -131,7 +131,7 @@ def new_project(
 def _found(control: ControlFile) -> str:
     points = 0 if control.points is None else len(control.points.names)
     pictures = len({mark.image for mark in control.marks})
-    return f"{control.file.name} has {points} points and marks in {pictures} pictures: put these beside it"
+    return f"{control.file.name} has {points} points and marks in {pictures} pictures: put them beside it"
 
 
 def _paths(seen: FolderContents, pictures: Path | None) -> list[Path]:
@@ -218,19 +218,19 @@ class _Text:
 
     def _height_comment(self) -> str:
         if self.control.height_is_assumed:
-            return "  # assumed: nobody says it, and no position is held against them"
+            return "  # assumed: not stated, and no position is compared with them"
         if self.crs == "local" or self.control_points.names:
             return ""
         kinds = {image.height_kind for image in self.placed}
         if kinds == {"ellipsoidal"}:
-            return "  # the pictures say so"
-        text = "pictures do not say from where their altitudes count: heights may be off by the geoid"
+            return "  # as the pictures state"
+        text = "pictures do not state the reference of their altitudes: heights may be wrong by the geoid"
         if any(image.altitude_kind == ABOVE_TAKE_OFF for image in self.placed):
-            text = "pictures state their height above the take-off point alone: all heights count from there"
+            text = "pictures state their height above take-off only: all heights refer to that point"
         if "EGM96" in kinds:
-            text = "pictures state heights above the geoid EGM96: they are off by its height"
+            text = "pictures state heights above the geoid EGM96: ellipsoidal heights differ by its height"
         self.missing.append(text)
-        return f"  # taken as such: {text}"
+        return f"  # used as such: {text}"
 
     def _flight(self) -> Iterator[str]:
         seen = self.seen
@@ -286,12 +286,12 @@ class _Text:
         elif self.seen.positions:
             names = ", ".join(map(self._beside, self.seen.positions))
             self.missing.append(f"pictures have positions in {names}: name one as positions in [images]")
-        yield 'lens = "unknown"  # the rays choose: brown-ideal, brown-observed, K4, B1; or "given"'
+        yield 'lens = "unknown"  # chosen by the fit: brown-ideal, brown-observed, K4, B1; or "given"'
         if self.seen.logs or not self.placed or self.crs == "local":
             return
         if stated < len(self.placed):
             sigma = CODE_LEVEL_M if not self.marks else (*CODE_LEVEL_M[:2], OTHER_SURFACE_M)
-            yield f"position_sigma_m = {list(sigma)}  # east, north, up: assumed, the pictures do not say it"
+            yield f"position_sigma_m = {list(sigma)}  # east, north, up: assumed, not stated by the pictures"
 
     def _cameras(self) -> Iterator[str]:
         known = {stated.size_px: stated for stated in (self.given.cameras if self.given is not None else ())}
@@ -320,7 +320,7 @@ class _Text:
             if not stated.camera.rolling:
                 yield 'shutter = "unknown"  # tested, and a readout is estimated when it rolls; or "global"'
             if stated.guessed:
-                self.missing.append(f"nothing tells the c of camera {name}: it is a guess, to be estimated")
+                self.missing.append(f"the c of camera {name} is not stated: it is a guess, to be estimated")
 
     def _computed(self) -> dict[tuple[int, int], tuple[Path, Camera]]:
         """Cameras of .cam files by the size of their pictures, where both leave no doubt."""
@@ -339,7 +339,7 @@ class _Text:
             return True
         self.missing.append(
             f"not used: {self._beside(file)} is of another camera: c is {theirs:.0f} px there, and "
-            f"{ours:.0f} px as the pictures say ({stated.source})"
+            f"{ours:.0f} px as the pictures state ({stated.source})"
         )
         return False
 
@@ -357,7 +357,7 @@ class _Text:
         later_s = 0.02
         for name, readout in zip(self.cameras[1:], readouts[1:], strict=True):
             half = (readout - readouts[0]) / 2
-            yield "\n[[head]]  # turned as the pictures tell; rotation_deg and its sigma where it is known"
+            yield "\n[[head]]  # rotated as the pictures state; rotation_deg and its sigma where it is known"
             yield f"camera = {_quoted(name)}"
             yield f"of = {_quoted(self.cameras[0])}"
             yield f"centre_m = [0.0, 0.0, 0.0]  # x right, y up, z backwards of {self.cameras[0]}: assumed"
@@ -365,7 +365,7 @@ class _Text:
             yield f"time_s = {half:.4g}  # middle of its readout, where those of all begin together: assumed"
             yield f"time_sigma_s = {np.hypot(later_s, half):.3g}"
         self.missing.append(
-            f"nothing tells how far the cameras are apart: {APART_M} m assumed (centre_m in [[head]])"
+            f"the distance between the cameras is not stated: {APART_M} m assumed (centre_m in [[head]])"
         )
 
     def pictures_table(self) -> str:
@@ -381,7 +381,7 @@ class _Text:
         given, points = self.given, self.control_points
         if given is None or not points.names:
             self.missing += [
-                f"not used: {self._beside(table.file)} has marks, and no table has the places of its points"
+                f"not used: {self._beside(table.file)} has marks, but no table has coordinates of its points"
                 for table in self.seen.marks
             ]
             if not self.placed and not self.seen.logs:
@@ -390,7 +390,7 @@ class _Text:
                     "ends of a known distance (points, marks and distances in [control])"
                 )
             elif self.pictures is not None:
-                self.missing.append("no control points: nothing independent checks the result")
+                self.missing.append("no control points: no independent check of the result")
             return
         images = len({mark.image for mark in self.marks})
         comment = f"{len(points.names)} points of {self._beside(given.file)}, "

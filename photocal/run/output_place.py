@@ -37,7 +37,7 @@ def check_output(project: Project) -> str:
         raise wrong(f"{said} and the block folder lie in each other", _REMEDY)
     if foreign := _foreign(output):
         raise wrong(f"{said} holds what no run has written, first {foreign}", _REMEDY)
-    return "" if output.is_relative_to(home) else f"the results go outside of the project, into {output}"
+    return "" if output.is_relative_to(home) else f"the results go outside the project, into {output}"
 
 
 def _home() -> Path | None:

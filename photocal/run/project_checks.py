@@ -174,10 +174,10 @@ def unfit(crs: str) -> str:
     try:
         system = system_of(crs)
     except CRSError:
-        return " is no system that is known"
+        return " is not a known coordinate system"
     level = system.sub_crs_list[0] if system.is_compound else system
     if level.is_geographic or level.is_geocentric:
-        return f" ({level.name}) has no map coordinates: degrees cannot be adjusted"
+        return f" ({level.name}) is not a map system: degrees cannot be adjusted"
     if (unit := level.axis_info[0].unit_name) != "metre":
         return f" ({level.name}) is in {unit}, not in metres"
     return ""
@@ -199,7 +199,7 @@ def _check_heights(project: Project, control: ObjectPoints) -> None:
         return
     raise ConfigurationError(
         f"the heights of all {len(heights)} control points are {heights[0]:g}, which no survey gives",
-        "give their heights, or leave sZ empty: then they count in plane only",
+        "give their heights, or leave sZ empty: then they serve horizontally only",
         where=project.control.points,
     )
 
@@ -289,8 +289,8 @@ def check_near(project: Project, control: ObjectPoints, places: Floats) -> None:
     gap = np.linalg.norm(points[:, None, :2] - places[None, :, :2], axis=2).min(axis=1)
     if gap.min() > reach:
         raise ConfigurationError(
-            f"the control points lie beside the pictures: the nearest is {gap.min():.0f} m from the nearest "
-            f"position, {height:.0f} m below it",
+            f"the control points lie away from the pictures: the nearest is {gap.min():.0f} m from the "
+            f"nearest position, {height:.0f} m below it",
             "are they of this flight, and in the datum of crs?",
             where=project.control.points,
         )
@@ -340,7 +340,7 @@ def check_rays(block: Block, control_file: Path | None, *, alike: bool = False) 
             "check base_position, the datum of control and crs, and the place of the control points",
         )
     raise wrong(
-        f"the control points lie {miss:.0f} m from where the rays of the exposures meet them",
+        f"the control points lie {miss:.0f} m from where the rays of the exposures intersect",
         f"check crs, datum and names, first of {block.points.names[roles[0]]}",
     )
 

@@ -76,7 +76,7 @@ def repeated_findings(
             amiss[examined and not (unchecked and finding.stage == "georeferencing")].append(text)
     for finding in told:
         if finding.stage in found and not any(same_matter(finding, other) for other in again):
-            amiss[True].append(f"{finding.code} {finding.subject}".strip() + " is told and was not found")
+            amiss[True].append(f"{finding.code} {finding.subject}".strip() + " is stated and was not found")
     known = tuple(derived_figures(run, camera, particulars) for camera in run.result.cameras)
     return RepeatedFindings(
         overall(run, known, again),
@@ -114,11 +114,11 @@ def _amiss(finding: Finding, told: tuple[Finding, ...]) -> str:
     name = f"{finding.code} {finding.subject}".strip()
     other = next((other for other in told if same_matter(finding, other)), None)
     if other is None:
-        return f"not told: {name}: {finding_text(finding, catalogue('en'), plain)}"
+        return f"not stated: {name}: {finding_text(finding, catalogue('en'), plain)}"
     if other.severity != finding.severity:
-        return f"{name} is told as {other.severity} and is {finding.severity}"
+        return f"{name} is stated as {other.severity} and is {finding.severity}"
     places = [key for key in (*finding.figures, *other.figures) if not _alike(finding, other, key)]
-    return f"{name} is told with another {places[0]}" if places else ""
+    return f"{name} is stated with another {places[0]}" if places else ""
 
 
 def _alike(finding: Finding, other: Finding, key: str) -> bool:
@@ -144,9 +144,9 @@ def _same_digits(a: str, b: str) -> bool:
 
 
 def _taken(others: list[Finding], refusal: str | None) -> tuple[str, ...]:
-    """Name the findings that nobody can repeat from the inputs; none told is said, too."""
+    """Name the findings that nobody can repeat from the inputs; none stated is said, too."""
     stages: dict[str, list[str]] = {stage: [] for stage in ("ppk", "exposures", "measurements")}
     for finding in others:
         stages.setdefault(finding.stage or "without a stage", []).append(finding.code)
-    told = (f"findings of {stage}: {', '.join(codes) or 'none told'}" for stage, codes in stages.items())
+    told = (f"findings of {stage}: {', '.join(codes) or 'none stated'}" for stage, codes in stages.items())
     return (*told, *(() if refusal is None else (f"no check could be repeated: {refusal}",)))

@@ -13,8 +13,8 @@ from photocal.block.model import InputFile
 from photocal.findings.digits import with_sigma
 from photocal.findings.finding import Finding, of_global_test
 from photocal.findings.listed import Findings
-from photocal.findings.texts import catalogue, finding_json
-from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json
+from photocal.findings.texts import Catalogue, catalogue, finding_json, finding_text, findings_of, plain
+from photocal.findings.verdict import Known, Verdict, judge, read_verdict, verdict_json, verdict_text
 from photocal.geometry.camera import PARAMETERS
 from photocal.hypotheses.table import FAULTS, Fault, fault, searched
 from photocal.measurement.maker_tag import tag_finding
@@ -76,7 +76,7 @@ def same_matter(finding: Finding, other: Finding) -> bool:
     return (finding.code, finding.subject, finding.cause) == (other.code, other.subject, other.cause)
 
 
-def told_beside(run: Path) -> tuple[Finding, ...]:
+def stage_findings(run: Path) -> tuple[Finding, ...]:
     """Give what the whole processing found to a certificate that is made of one of its stages."""
     work = run.resolve().parent
     if not is_stage(run):
@@ -84,7 +84,7 @@ def told_beside(run: Path) -> tuple[Finding, ...]:
     return gather(work) if (work / "georeferencing").is_dir() else (*gather(work), _NOT_CHECKED)
 
 
-def flown_beside(run: Path) -> dict[str, Any] | None:
+def flown_figures(run: Path) -> dict[str, Any] | None:
     """Give what stage `flown` measured to a certificate that is made of another stage of that run."""
     return read_json(run.resolve().parent / "flown" / "flown.json") if is_stage(run) else None
 
@@ -347,11 +347,13 @@ def _predicted(points: list[dict[str, Any]]) -> dict[str, float | None]:
     }
 
 
-def summary_text(figures: dict[str, Any], *, details: bool = False) -> str:
+def summary_text(figures: dict[str, Any], say: Catalogue | None = None, *, details: bool = False) -> str:
     """Write a summary for people.
 
+    say: language of findings and verdict, English when none is given.
     details: all warnings and notes in full, beside the verdict.
     """
+    say = say or catalogue("en")
     kept = sum(stage["kept"] for stage in figures["stages"])
     seconds = sum(stage["seconds"] for stage in figures["stages"] if not stage["kept"])
     made = len(figures["stages"]) - kept
@@ -382,22 +384,24 @@ def summary_text(figures: dict[str, Any], *, details: bool = False) -> str:
         ]
     # Before the block is adjusted there is no verdict, and whatever was found stands for itself.
     if details or figures["verdict"] is None:
-        lines += _warning_lines(figures["warnings"], figures["verdict"])
+        lines += _warning_lines(figures["warnings"], figures["verdict"], say)
     if figures["certificate"] is not None:
         lines.append(_line("certificate", figures["certificate"]))
     # Whoever reads one paragraph reads the last.
     if figures["verdict"] is not None:
-        lines += _verdict_lines(figures["verdict"], sum(w["kind"] == "note" for w in figures["warnings"]))
+        notes = sum(warning["kind"] == "note" for warning in figures["warnings"])
+        lines += _verdict_lines(read_verdict(figures["verdict"], figures["work"]), notes, say)
     return "\n".join(lines)
 
 
-def _verdict_lines(final: dict[str, Any], notes: int) -> Iterator[str]:
-    """The verdict as it stands everywhere, and how many notes there are beside it."""
-    says = [final["paragraph"], *(f"* {line}" for line in final["said"])]
+def _verdict_lines(final: Verdict, notes: int, say: Catalogue) -> Iterator[str]:
+    """The one verdict, and the number of notes."""
+    paragraph, *said = verdict_text(final, say)
+    says = [paragraph, *(f"* {line}" for line in said)]
     if notes:
-        says.append(catalogue("en")("judgement.notes", n=notes))
+        says.append(say("judgement.notes", n=notes))
     for k, text in enumerate(says):
-        yield _line("verdict" if k == 0 else "", text)
+        yield _line(say("judgement.section").lower() if k == 0 else "", text)
 
 
 def _line(word: str, text: str) -> str:
@@ -461,9 +465,12 @@ def _class_texts(standards: list[dict[str, Any]]) -> Iterator[str]:
             )
 
 
-def _warning_lines(warnings: list[dict[str, str]], final: dict[str, Any] | None) -> Iterator[str]:
+def _warning_lines(
+    warnings: list[dict[str, Any]], final: dict[str, Any] | None, say: Catalogue
+) -> Iterator[str]:
     for group in ("warning", "consequence", "note"):
-        texts = [f"{warning['code']}: {warning['text']}" for warning in warnings if warning["kind"] == group]
+        of_group = [warning for warning in warnings if warning["kind"] == group]
+        texts = [f"{one.code}: {finding_text(one, say, plain)}" for one in findings_of(of_group, SCHEMA)]
         if not texts and group == "warning":
             # Nothing is called clean while the verdict is not.
             texts = ["none"] if final is None or final["severity"] == "passed" else ["see the verdict"]

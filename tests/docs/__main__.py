@@ -7,7 +7,9 @@ from tests.docs import (
     architecture_figure,
     command_pages,
     desk_pictures,
+    evidence_page,
     fault_page,
+    gallery_page,
     picture_page,
     study_pages,
 )
@@ -18,4 +20,6 @@ fault_page.main()
 desk_pictures.main()
 picture_page.main()
 api_page.main()
+gallery_page.main()
+evidence_page.main()
 study_pages.main()

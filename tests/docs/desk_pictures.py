@@ -74,7 +74,7 @@ def main() -> None:
             page.goto(f"{url}#/{step}")
             page.wait_for_selector("main h1, main canvas")
             if step == "folder":
-                page.get_by_role("button", name="Look again").click()
+                page.get_by_role("button", name="Inspect again").click()
                 page.wait_for_selector(".findings li")
             if step == "check":
                 page.get_by_role("button", name="Check now").click()

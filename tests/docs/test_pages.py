@@ -15,7 +15,7 @@ from photocal.base import errors
 from photocal.base.checked_toml import Table
 from photocal.block import camera_setup, setup
 from photocal.geometry.camera import PARAMETERS
-from tests.docs import fault_page, picture_page
+from tests.docs import evidence_page, fault_page, gallery_page, picture_page
 from tests.docs.command_pages import FOLDER, MORE, commands, pages
 
 ROOT = Path(__file__).parents[2]
@@ -35,6 +35,12 @@ def test_command_page_says_what_the_program_says(name: str) -> None:
 def test_page_of_faults_is_that_of_the_table() -> None:
     assert picture_page.PAGE.read_text(encoding="utf-8") == picture_page.page(), "run `make manual`"
     assert fault_page.PAGE.read_text(encoding="utf-8") == fault_page.page(), "run `make manual`"
+
+
+def test_lists_of_evidence_and_examples_are_those_of_the_folders() -> None:
+    assert evidence_page.PAGE.read_text(encoding="utf-8") == evidence_page.page(), "run `make manual`"
+    shown = gallery_page.without_output(gallery_page.PAGE.read_text(encoding="utf-8"))
+    assert shown == gallery_page.page(), "run `make manual`"
 
 
 def test_every_command_says_what_it_does_and_shows_an_example() -> None:
@@ -87,6 +93,15 @@ def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) < 150
 
 
+def test_figures_of_the_readme_stand_on_the_pages_behind_them() -> None:
+    """A figure in bold is followed by the page that it was taken from."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    cited = re.findall(r"\*\*(\S*\d[^*]*)\*\*[^\n]*?\]\((docs/evidence/[^)#]+)\)", text)
+    assert len(cited) > 10
+    for figure, page in cited:
+        assert figure in (ROOT / page).read_text(encoding="utf-8"), f"{figure} is not in {page}"
+
+
 def _links(page: Path) -> list[str]:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     found = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r'(?:src|href)="([^"]+)"', text)
@@ -108,7 +123,8 @@ def _places(page: Path) -> set[str]:
 
 
 def test_exit_codes_are_those_of_the_errors() -> None:
-    told = set(re.findall(r"^\| (\d+) \|", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE))
+    page = (ROOT / "docs" / "exit-codes.md").read_text(encoding="utf-8")
+    told = set(re.findall(r"^\| (\d+) \|", page, re.MULTILINE))
     classes = [one for one in vars(errors).values() if isinstance(one, type)]
     ours = {one.exit_code for one in classes if issubclass(one, errors.PhotocalError)}
     # 0 and 2 are those of every command line.

@@ -226,7 +226,7 @@ def main(pictures: int, folder: Path) -> None:
         f"Made by `python -m tests.evidence.debrief {pictures}`: {count} pictures of 5472 x 3648 px,",
         "simulated with their logs, as they are and with one fault at a time. Named: by a finding of it.",
         "Beside: other findings that are no notes. Seconds: what pictures that stayed the same gave is kept,",
-        "but for the first flight. Another flight is told as the reason why exposures are unknown.",
+        "but for the first flight. Another flight is reported as the reason why exposures are unknown.",
         "",
         "| fault | named | verdict | beside | s |",
         "|---|---|---|---|---|",

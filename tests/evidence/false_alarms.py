@@ -2,9 +2,9 @@
 
 Writes `docs/evidence/false_alarms.md`. Everything that is observed has the error that is stated for it, and
 the camera model is the true one: whatever cause is found is invented. Each family of tests has a level of
-0.5 %, shared by all of its tests (Bonferroni): ten families make at most 5 %. What hangs on the datum of the
-positions is no error but a property of the block: what is said of c is compared with an adjustment in which
-all positions are 1 cm lower.
+0.5 %, shared by all of its tests (Bonferroni): ten families make at most 5 %. What depends on the datum of
+the positions is no error but a property of the block: what is said of c is compared with an
+adjustment in which all positions are 1 cm lower.
 
 Run: `make evidence`, or `python -m tests.evidence.false_alarms`, in portions as
 `tests.evidence.portions` says: the number of a case is the seed of its flight.
@@ -119,8 +119,8 @@ def main() -> None:
         "Found: " + (", ".join(f"{code} {times}" for code, times in codes.most_common()) or "nothing") + ".",
         f"Largest effect on c that a finding claims: {worst:.2f} standard deviations (asked: 1.5).",
         "",
-        "No cause, and not counted above: notes on what hangs on the datum of the positions, which is so in",
-        f"a clean block, too. In {len(of_c)} of these flights c was said to move with a common error of",
+        "No cause, and not counted above: notes on what depends on the datum of the positions, which is so",
+        f"in a clean block, too. In {len(of_c)} of these flights c was said to move with a common error of",
         f"their heights. Adjusted anew with all positions {100 * LOWER_M:.0f} cm lower it moved by",
         f"{of_c[:, 1].min():.2f} to {of_c[:, 1].max():.2f} of its standard deviations; what was said differs",
         f"from that by at most {np.abs(of_c[:, 0] / of_c[:, 1] - 1.0).max():.2%}.",

@@ -210,7 +210,7 @@ def page(rows: list[str], sized: list[str]) -> list[str]:
         "",
         f"The same faults, larger and smaller, seed {SIZE_SEED}. Control points have sigmas of 8 mm in",
         "plane and 12 mm in height, the lever arm 10 mm, the time offset 5 ms. As a rival: the flight cannot",
-        "tell it from the cause that is told, and that is said with it.",
+        "tell it from the cause that is reported, and the text says so.",
         "",
         "| fault | size | name | named | other causes | consequences |",
         "|---|---|---|---|---|---|",

@@ -73,10 +73,10 @@ def main(hundred: int = 20, large: int = 2) -> None:
         "",
         "Flights with positions stated 2, 2 and 5 cm (scatter 2, 2 and 4 cm) and 11 control points of 1 cm.",
         "Error of c: root mean square in its own standard deviations, as adjusted and once what was found is",
-        "free. Said: the shift is named; or c is said to hang on the height datum of the positions, with its",
-        "change by centimetre; or, without control, that all heights do.",
+        "free. Said: the shift is named; or c is reported to depend on the height datum of the positions,",
+        "with its change by centimetre; or, without control, that all heights do.",
         "",
-        "| images | case | flights | c off | corrected | shift named | c hangs on it | heights do |",
+        "| images | case | flights | c off | corrected | shift named | c depends on it | heights do |",
         "|---|---|---|---|---|---|---|---|",
         *rows,
     ]

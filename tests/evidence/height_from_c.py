@@ -65,7 +65,7 @@ def network(design: Design, *, free: bool) -> tuple[Network, Floats]:
     places = np.arange(-SIDE / 2, SIDE / 2 + 1, 20.0)
     plane = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
     xyz = np.column_stack([plane, 1.0 * np.sin(plane[:, 0] / 30.0)])
-    image, point, seen = planned._rays(design.poses, xyz, CAMERA)
+    image, point, seen = planned.visible_rays(design.poses, xyz, CAMERA)
     order = np.argsort(point, kind="stable")
     sigma = np.full(xyz.shape, np.inf)
     if design.control:
@@ -74,7 +74,7 @@ def network(design: Design, *, free: bool) -> tuple[Network, Floats]:
     held, weight = point_weights(sigma)
     pose_sigma = np.full(design.poses.shape, np.inf)
     pose_sigma[:, 3:] = [GNSS_M[0], GNSS_M[0], GNSS_M[1]]
-    lens = planned._camera(CAMERA, calibrated=True)
+    lens = planned.planned_camera(CAMERA, ())
     lens = replace(lens, estimated=among("c")) if free else lens
     precision = np.full((len(order), 2), IMAGE_PX * CAMERA.pixel_m * 1e3)
     made = Network(

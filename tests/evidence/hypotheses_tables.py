@@ -164,12 +164,12 @@ def defects(old: Study, new: Study) -> list[str]:
         line(4, "the same, by `analyse`", lambda s: s.named(held(s), "analyse")),
         line(
             5,
-            "one control point off: a slip of the pen is told",
+            "one control point off: a typing error is reported",
             lambda s: share(is_slip(row) for row in s.of("fault", "one of")),
         ),
         line(
             5,
-            "lever arm 5 cm right: exchanged axes are told",
+            "lever arm 5 cm right: exchanged axes are reported",
             lambda s: share("lever-arm-axes" in row.check for row in s.of("fault", "lever arm 5")),
         ),
         line(
@@ -207,7 +207,7 @@ def held(study: Study) -> list[Row]:
 
 
 def is_slip(row: Row) -> bool:
-    """Whether a slip of the pen is told."""
+    """Whether a typing error is reported."""
     return any(one.cause == "slip" for one in row.told("check"))
 
 

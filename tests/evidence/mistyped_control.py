@@ -1,4 +1,4 @@
-"""Long study: one control point with a slip of the pen, among four and among six: is it found and named?
+"""Long study: one control point with a typing error, among four and among six: is it found and named?
 
 Writes `docs/evidence/mistyped_control.md`. Flights with positions and attitudes, c, K1 and K2 estimated. Of
 the mistyped coordinates one pair of digits is exchanged, one digit is wrong, X and Y are exchanged, a point
@@ -107,8 +107,8 @@ def main(draws: int = DRAWS) -> None:
     lines = [
         "# One mistyped control point",
         "",
-        "Flights with positions and attitudes, c, K1 and K2 estimated; one control point with a slip of the",
-        f"pen: {', '.join(KINDS)}. Named: that point and no other.",
+        "Flights with positions and attitudes, c, K1 and K2 estimated; one control point with a typing",
+        f"error: {', '.join(KINDS)}. Named: that point and no other.",
         "",
         "| control points | draws | point named | asked, of 100 | slip told | missed |",
         "|---|---|---|---|---|---|",

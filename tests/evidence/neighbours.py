@@ -314,7 +314,7 @@ def main() -> None:
         "",
         f"`ulimit -n {DESCRIPTORS}`, {memory}, one core (shared), {SILENT_LINKS} silent",
         f"links and four that speak, two of them with {HEAVY_BYTES_S / 1e3:g} kB/s (20 times a field's) for",
-        f"{LOAD_S:g} s. Asked: what is dropped is told, events of the camera are not dropped.",
+        f"{LOAD_S:g} s. Asked: what is dropped is reported, events of the camera are not dropped.",
         "",
         "| link | frames sent | lost |",
         "|---|---|---|",

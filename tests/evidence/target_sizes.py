@@ -285,7 +285,7 @@ def page(rows: list[Row]) -> str:
         "",
         f"- window: predicted with a standard deviation of {PREDICTED_PX:g} px, as by `photocal measure`;",
         "  smaller than " + ", ".join(f"{kind} {least:g}" for kind, least in SMALLEST_PX.items()) + " px",
-        "  where it is seen shortest it is not sought;",
+        "  where it is seen shortest it is not searched for;",
         f"- click: within {CLICK_PX:g} px (standard deviation), as on the page of `photocal mark`;",
         f"- whole image: codes ({DICTIONARY}) and a ChArUco board, which need no prediction.",
         "",

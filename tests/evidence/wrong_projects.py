@@ -94,7 +94,7 @@ CASES = (
         "degrees cannot be adjusted",
     ),
     Wrong("geocentric system", toml(CRS, 'crs = "EPSG:4978"'), "no map coordinates"),
-    Wrong("unknown system", toml(CRS, 'crs = "EPSG:99999"'), "no system that is known"),
+    Wrong("unknown system", toml(CRS, 'crs = "EPSG:99999"'), "not a known coordinate system"),
     Wrong("system in feet", toml(CRS, 'crs = "EPSG:2225"'), "foot, not in metres"),
     Wrong("next zone", toml(CRS, 'crs = "EPSG:31983"'), "is not the zone .* that is EPSG:31982"),
     Wrong("zone of the north", toml(CRS, 'crs = "EPSG:32622"'), "is not the zone .* that is EPSG:32722"),

@@ -15,6 +15,7 @@ NO_CAUSES = (
     *("check-outside-prediction", "control-outside-prediction", "prediction-too-good", "check-mean"),
     "global-test",
     *("global-factor", "method-refused", "not-separated", "not-determined", "no-check-points", "no-control"),
+    "strips-without-control",
     *("coarse-positions", "c-on-positions", "heights-on-positions", "small-sample", "single-check-point"),
     *("bias", "outliers", "not-normal", "c-bias", "significance", "jackknife", "not-explained"),
 )

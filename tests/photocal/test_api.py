@@ -103,6 +103,22 @@ def test_check_points_tell_the_models_apart(tmp_path: Path) -> None:
     assert "v'Pv / r" in run_example("compare_camera_models.py", tmp_path)
 
 
+def test_a_refocused_camera_is_told_from_one_that_stayed_the_same(tmp_path: Path) -> None:
+    told = run_example("compare_calibrations.py", tmp_path).splitlines()
+    assert [line.partition(";")[0] for line in told[3:]] == [
+        "March and April: the same",
+        "March and May: another camera",
+        "April and May: another camera",
+    ]
+
+
+def test_convergence_and_depth_determine_the_principal_distance(tmp_path: Path) -> None:
+    """Steeper rays against a flat field tell c: Luhmann, Close-range photogrammetry, on test fields."""
+    told = run_example("design_a_network.py", tmp_path).splitlines()
+    flat, rolled, steep, deep = (numbers(line)[-1] for line in told)
+    assert max(steep, deep) < 0.5 * min(flat, rolled)
+
+
 def test_flights_scatter_as_the_plan_promises(tmp_path: Path) -> None:
     promised, found = (
         np.array(numbers(line.partition("mm:" if "mm:" in line else "flights:")[2]))

@@ -109,7 +109,7 @@ def test_the_rig_is_the_mounting_of_a_block(tmp_path: Path) -> None:
         ("[judgement]", "[judgment]", "unknown key judgment"),
         ("c = 1000.0", "f = 1000.0", "names f, which is no camera parameter"),
         (CAMERA, CAMERA + CAMERA, "two cameras have the same id"),
-        (CAMERA, CAMERA + '[measurements]\nblock = "b"\n', "[flight] stands beside a ready block"),
+        (CAMERA, CAMERA + '[measurements]\nblock = "b"\n', "[flight] is given with a ready block"),
         ('name = "field 3"', 'nom = "x"', "unknown key project.nom"),
         ("[project]", "[project", "is not valid TOML"),
     ],
@@ -132,7 +132,7 @@ def test_a_missing_section_is_named_when_it_is_needed(tmp_path: Path) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputNotFoundError, match="does not exist"):
         read_project(tmp_path / "nowhere.toml")
-    with pytest.raises(InputNotFoundError, match=r"holds no project\.toml"):
+    with pytest.raises(InputNotFoundError, match=r"has no project\.toml"):
         read_project(tmp_path)
 
 

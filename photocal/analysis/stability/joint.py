@@ -48,14 +48,26 @@ class EqualityTest:
 
 
 @dataclass(frozen=True)
-class JointComparison:
-    """Tests of every pair, and of all calibrations together.
+class Together:
+    """Whether all calibrations are equal.
 
-    together: of the deviations from the mean vector, sum of (x - mean)' S^-1 (x - mean); None for two.
+    parameters: estimated in all of them.
+    vector: of the deviations from the mean vector, sum of (x - mean)' S^-1 (x - mean).
+    image, rms_px: as of a pair, about the mean camera.
     """
 
+    parameters: tuple[str, ...]
+    vector: ChiSquared
+    image: ChiSquared | None
+    rms_px: float | None
+
+
+@dataclass(frozen=True)
+class JointComparison:
+    """Tests of every pair, and of all calibrations together; None for two."""
+
     pairs: tuple[EqualityTest, ...]
-    together: ChiSquared | None
+    together: Together | None
 
 
 def joint_comparison(calibrations: Sequence[Camera], pixels: Floats) -> JointComparison:
@@ -66,7 +78,7 @@ def joint_comparison(calibrations: Sequence[Camera], pixels: Floats) -> JointCom
     """
     known = [camera for camera in calibrations if estimates_of(camera) is not None]
     pairs = tuple(_joint(a, b, pixels) for a, b in combinations(known, 2))
-    return JointComparison(pairs, _together(known) if len(known) > 2 else None)
+    return JointComparison(pairs, _together(known, pixels) if len(known) > 2 else None)
 
 
 def _names(cameras: Sequence[Camera]) -> tuple[str, ...]:
@@ -99,14 +111,30 @@ def _in_image(
 ) -> tuple[ChiSquared | None, float | None]:
     """Test what independent unit differences z do in the image beyond a rotation of the bundle."""
     values = dict(zip(PARAMETERS, (first.values + second.values) / 2.0, strict=True))
-    middle = first.changed(**values)
+    seen = _visible(first.changed(**values), names, factor, pixels)
+    if seen is None:
+        return None, None
+    directions, left = seen
+    rms_px = float(np.linalg.norm(z @ left) / np.sqrt(len(pixels)))
+    return _against(float(np.sum((directions.T @ z) ** 2)), directions.shape[1]), rms_px
+
+
+def _visible(
+    middle: Camera, names: Sequence[str], factor: Floats, pixels: Floats
+) -> tuple[Floats, Floats] | None:
+    """Tell which combinations of unit differences move the image when the bundle may turn back.
+
+    factor (u, u): from unit differences to the parameters.
+    returns directions (u, r), left (u, 2 n): what moves it, and by how much each unit moves it, px; None
+        where the bundles cannot be compared.
+    """
     rotation = Method("ROT", "two principal distances", "equations", 3, False, (methods.rotation_misfit,))
     try:
         here = methods.view(middle, pixels)
         _, design = methods.fitted_pose(rotation, methods.rotation_misfit, here, here)
         moved = np.array([_moved(middle, here, names, step, pixels) for step in factor.T])
     except (IllPosedError, NotConvergedError):
-        return None, None
+        return None
     basis, _ = np.linalg.qr(design)
     left = moved - (moved @ basis) @ basis.T
     directions, strength, _ = np.linalg.svd(left, full_matrices=False)
@@ -114,8 +142,7 @@ def _in_image(
     # image.
     nothing_px = 0.02
     rank = int(np.sum(strength / np.sqrt(len(pixels)) > nothing_px))
-    rms_px = float(np.linalg.norm(z @ left) / np.sqrt(len(pixels)))
-    return _against(float(np.sum((directions[:, :rank].T @ z) ** 2)), rank), rms_px
+    return np.asarray(directions[:, :rank]), np.asarray(left)
 
 
 def _moved(camera: Camera, here: IdealImage, names: Sequence[str], step: Floats, pixels: Floats) -> Floats:
@@ -129,18 +156,41 @@ def _moved(camera: Camera, here: IdealImage, names: Sequence[str], step: Floats,
     return np.asarray((sides[0] - sides[1]).ravel() / 2.0)
 
 
-def _together(cameras: Sequence[Camera]) -> ChiSquared | None:
-    """Test the deviations of all calibrations from their mean vector."""
+def _together(cameras: Sequence[Camera], pixels: Floats) -> Together | None:
+    """Test the deviations of all calibrations from their mean, as vectors and in the image."""
     names = tuple(n for n in PARAMETERS if all(camera.sigma_of(n) > 0.0 for camera in cameras))
     if not names:
         return None
-    scale = np.array([cameras[0].sigma_of(name) for name in names])
-    vectors = [np.array([camera.value(name) for name in names]) / scale for camera in cameras]
-    weights = [np.linalg.inv(_covariance(camera, names) / np.outer(scale, scale)) for camera in cameras]
-    right = sum((w @ x for w, x in zip(weights, vectors, strict=True)), np.zeros(len(names)))
-    mean = np.linalg.solve(sum(weights, np.zeros_like(weights[0])), right)
+    # In units of a difference of two of them; those units are independent of each other.
+    covariances = [_covariance(camera, names) for camera in cameras]
+    twice = 2.0 * np.mean(covariances, axis=0)
+    scale = np.sqrt(np.diag(twice))
+    factor = scale[:, None] * np.linalg.cholesky(twice / np.outer(scale, scale))
+    inverse = np.linalg.inv(factor)
+    units = [inverse @ np.array([camera.value(name) for name in names]) for camera in cameras]
+    spreads = [inverse @ one @ inverse.T for one in covariances]
+    whole, mean = _homogeneous(units, spreads)
+    middle = cameras[0].changed(**dict(zip(names, (factor @ mean).tolist(), strict=True)))
+    seen = _visible(middle, names, factor, pixels)
+    if seen is None:
+        return Together(names, whole, None, None)
+    directions, left = seen
+    moves = [float(np.sum(((unit - mean) @ left) ** 2)) for unit in units]
+    rms_px = float(np.sqrt(np.mean(moves) / len(pixels)))
+    if not directions.shape[1]:
+        return Together(names, whole, _against(0.0, 0), rms_px)
+    along = [directions.T @ unit for unit in units]
+    image, _ = _homogeneous(along, [directions.T @ one @ directions for one in spreads])
+    return Together(names, whole, image, rms_px)
+
+
+def _homogeneous(vectors: Sequence[Floats], covariances: Sequence[Floats]) -> tuple[ChiSquared, Floats]:
+    """Test vectors for one common mean, which is given, too."""
+    weights = [np.linalg.inv(one) for one in covariances]
+    right = np.sum([w @ x for w, x in zip(weights, vectors, strict=True)], axis=0)
+    mean = np.linalg.solve(np.sum(weights, axis=0), right)
     total = sum(float((x - mean) @ w @ (x - mean)) for w, x in zip(weights, vectors, strict=True))
-    return _against(total, (len(cameras) - 1) * len(names))
+    return _against(total, (len(vectors) - 1) * len(mean)), mean
 
 
 def _against(statistic: float, freedom: int) -> ChiSquared:
@@ -161,8 +211,13 @@ def joint_text(joint: JointComparison, level: float) -> str:
     note += "and its root mean square; * not the same camera"
     made = [text([Section("", (table("equal as parameter vectors", heads, rows, note),))])] if rows else []
     if joint.together is not None:
-        chi, of, p = _cells(joint.together, level)
-        made.append(f"all calibrations as one: chi2 {chi} of {of}, p {p}")
+        chi, of, p = _cells(joint.together.vector, level)
+        told = f"all calibrations as one: chi2 {chi} of {of}, p {p.strip()}"
+        if joint.together.image is not None:
+            chi, of, p = _cells(joint.together.image, level)
+            told += f"; in the image chi2 {chi} of {of}, p {p.strip()}"
+            told += f", {joint.together.rms_px:.2f} px about their mean"
+        made.append(told)
     return "\n".join(made)
 
 

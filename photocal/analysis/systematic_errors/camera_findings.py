@@ -4,6 +4,7 @@ import numpy as np
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.factored import covariance_column
+from photocal.adjustment.removed import FEWEST
 from photocal.analysis.estimates import Estimates, f_test, scaled
 from photocal.analysis.systematic_errors.search import Search, camera_estimates
 from photocal.base import policy
@@ -150,9 +151,10 @@ def of_significance(search: Search) -> list[Finding]:
 
 
 def of_jackknife(search: Search) -> list[Finding]:
-    """Describe parameters that hang on single images."""
+    """Describe parameters that depend on single images, and images without which nothing is determined."""
     listed = []
     for k, camera in enumerate(search.first.network.cameras):
+        listed += _indispensable(search, k)
         formal = np.sqrt(np.diag(search.first.solution.camera_covariance[k])) * np.sqrt(_factor(search.first))
         before = search.jackknife_first.standard_error[k]
         ratio = np.divide(before, formal, out=np.zeros_like(before), where=formal > 0.0)
@@ -182,6 +184,19 @@ def of_jackknife(search: Search) -> list[Finding]:
         size = Size(float(before[worst]), camera.unit, None, effect, ground)
         listed.append(Finding("jackknife", severity, camera.id, figures, tuple(clauses), size))
     return listed
+
+
+def _indispensable(search: Search, k: int) -> list[Finding]:
+    """Name images of a camera that no other image checks, where too few for the sandwich are left."""
+    network, camera = search.first.network, search.first.network.cameras[k]
+    own = [name for name, at in zip(network.image_names, network.exposures.camera, strict=True) if at == k]
+    needed = [name for name in own if name in search.jackknife_first.not_possible]
+    if not needed or len(own) - len(camera.free) >= FEWEST or not camera.free:
+        return []
+    # Where the others can be left out, what that does to c is told by itself.
+    unknown = bool(np.isnan(search.jackknife_first.standard_error[k, 0]))
+    figures: dict[str, Figure] = {"camera": camera.id, "names": tuple(needed)}
+    return [Finding("image-needed", "doubtful" if unknown else "note", camera.id, figures)]
 
 
 def _factor(fitted: AdjustedNetwork) -> float:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
@@ -44,8 +45,6 @@ def variance_components(
 
     tails: excess kurtosis of the residuals, see `kurtosis`.
     """
-    from scipy import stats
-
     m = len(names)
     total = np.bincount(group, squares, m)
     checked = np.bincount(group, redundancy, m)
@@ -55,7 +54,7 @@ def variance_components(
     with np.errstate(invalid="ignore", divide="ignore"):
         statistic = (total / checked) / ((whole - total) / others)
         fewer = 1.0 + tails / 2.0
-        upper = stats.f.sf(statistic, checked / fewer, others / fewer)
+        upper = special.fdtrc(checked / fewer, others / fewer, statistic)
     p_value = np.minimum(1.0, 2.0 * m * np.minimum(upper, 1.0 - upper))
     p_value[(others < 2.0) | (total <= 0.0) | (total >= whole)] = 1.0
     return tuple(
@@ -88,18 +87,16 @@ def assumed_sigma(
     sigma: Floats, residual: Floats, redundancy: Floats, probability: float = 0.95
 ) -> AssumedSigma:
     """Compare the assumed standard deviation of image coordinates with that of the residuals."""
-    from scipy import stats
-
     squares, r = float(np.sum((residual / sigma) ** 2)), float(redundancy.sum())
     tail = (1.0 - probability) / 2.0
     assumed = float(np.median(sigma))
-    above = float(stats.chi2.sf(squares, r))
+    above = float(special.chdtrc(r, squares))
     return AssumedSigma(
         assumed,
         assumed * float(np.sqrt(squares / r)),
         float(np.sqrt(np.mean(residual**2))),
-        assumed * float(np.sqrt(squares / stats.chi2.ppf(1.0 - tail, r))),
-        assumed * float(np.sqrt(squares / stats.chi2.ppf(tail, r))),
+        assumed * float(np.sqrt(squares / special.chdtri(r, tail))),
+        assumed * float(np.sqrt(squares / special.chdtri(r, 1.0 - tail))),
         r,
         2.0 * min(above, 1.0 - above),
     )
@@ -147,8 +144,6 @@ def residual_map(
     standardised (n, 2): standardised residuals in the same axes; NaN where nothing checks a ray.
     variance_factor: variance of unit weight that the standardised residuals are judged by.
     """
-    from scipy import stats
-
     columns, rows = grid_shape(size_px, len(pixel))
     column_edges = np.linspace(-0.5, size_px[0] - 0.5, columns + 1)
     row_edges = np.linspace(-0.5, size_px[1] - 0.5, rows + 1)
@@ -163,7 +158,7 @@ def residual_map(
     filled = np.maximum(count, 1)
     statistic = np.sum(totals**2, axis=1) / filled
     tested = count > 0
-    p_value = np.where(tested, stats.chi2.sf(statistic, 2), 1.0)
+    p_value = np.where(tested, special.chdtrc(2, statistic), 1.0)
     cells = int(tested.sum())
     mean = np.where(tested[:, None], sums / filled[:, None], np.nan)
     whole = float(statistic[tested].sum())
@@ -175,7 +170,7 @@ def residual_map(
         p_value.reshape(rows, columns),
         (p_value < 1.0 - (1.0 - level) ** (1.0 / max(cells, 1))).reshape(rows, columns),
         whole,
-        float(stats.chi2.sf(whole, 2 * cells)) if cells else 1.0,
+        float(special.chdtrc(2 * cells, whole)) if cells else 1.0,
         cells,
     )
 

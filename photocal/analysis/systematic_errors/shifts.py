@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from photocal.adjustment.adjusted import AdjustedNetwork
 from photocal.adjustment.envelope import solve
@@ -106,10 +107,10 @@ def _further(fit: AdjustedNetwork, fields: Floats) -> tuple[Floats, Floats, Floa
 
 def _smaller_p(shift: Floats, covariance: Floats, freedom: float) -> float:
     """The smaller probability of height and plane, for both having been looked at."""
-    from scipy import stats
-
     of_part = [
-        float(stats.f.sf(shift[part] @ np.linalg.solve(covariance[part, part], shift[part]) / n, n, freedom))
+        float(
+            special.fdtrc(n, freedom, shift[part] @ np.linalg.solve(covariance[part, part], shift[part]) / n)
+        )
         for part, n in ((slice(2, 3), 1), (slice(0, 2), 2))
     ]
     return min(1.0, 2.0 * min(of_part))
@@ -158,8 +159,6 @@ def image_shifts(
 
 def joint_shift(fit: AdjustedNetwork, image: str) -> ImageShift | None:
     """Estimate scale and principal point of one image as further unknowns, to first order."""
-    from scipy import stats
-
     network = fit.network
     i = network.image_names.index(image)
     in_image = network.rays.image == i
@@ -191,7 +190,7 @@ def joint_shift(fit: AdjustedNetwork, image: str) -> ImageShift | None:
         float(amount[0] * unit[0]),
         amount[1:] * unit[1:],
         float(np.linalg.norm(moved, axis=1).max()),
-        min(1.0, len(network.image_names) * float(stats.f.sf(statistic, k, freedom))),
+        min(1.0, len(network.image_names) * float(special.fdtrc(k, freedom, statistic))),
         spread,
     )
 
@@ -205,8 +204,6 @@ def _own_geometry(plane: Floats) -> Floats:
 
 def screened_shifts(fit: AdjustedNetwork, variance_factor: float) -> tuple[ImageShift, ...]:
     """Test the residuals of each image for a scale and a principal point of its own."""
-    from scipy import stats
-
     network, state = fit.network, fit.state
     rays = network.rays
     images, shown = len(network.image_names), np.bincount(rays.image, minlength=len(network.image_names))
@@ -236,7 +233,7 @@ def screened_shifts(fit: AdjustedNetwork, variance_factor: float) -> tuple[Image
     statistic = np.sum(along**2 / values, axis=1) / np.maximum(number, 1) / variance_factor
     amount = np.einsum("iab,ib->ia", vectors, along / values)
     change = np.hstack([-np.einsum("iab,ib->ia", follows, amount), amount]) / size
-    p_value = np.minimum(1.0, images * stats.f.sf(statistic, number, fit.solution.degrees_of_freedom))
+    p_value = np.minimum(1.0, images * special.fdtrc(number, fit.solution.degrees_of_freedom, statistic))
     shifts = []
     for k in np.flatnonzero(number).tolist():
         i = int(tested[k])

@@ -23,7 +23,7 @@ def picture(shown: Shown, name: str) -> dict[str, Any]:
     """
     k = shown.image_rows.get(name)
     if k is None:
-        raise InputNotFoundError("takes no part in the adjustment", "choose another", where=name)
+        raise InputNotFoundError("is not used in the adjustment", "choose another", where=name)
     order, first = shown.of_image
     rows = order[first[k] : first[k + 1]]
     images = shown.result.images
@@ -48,7 +48,7 @@ def point(shown: Shown, name: str) -> dict[str, Any]:
     residuals = shown.result.residuals
     known = {each: k for k, each in enumerate(residuals.point_names)}
     if name not in known:
-        raise InputNotFoundError("takes no part in the adjustment", "choose another", where=name)
+        raise InputNotFoundError("is not used in the adjustment", "choose another", where=name)
     order, first = shown.of_point
     rows = order[first[known[name]] : first[known[name] + 1]]
     worst = np.nan_to_num(np.abs(residuals.standardised[rows]).max(axis=1), nan=-1.0)

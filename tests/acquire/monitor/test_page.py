@@ -93,7 +93,7 @@ def fix_of(name: str) -> str:
 def test_the_state_of_all_links_is_there(page: Page, field: Field) -> None:
     for name in ("vehicle", "rover", "base"):
         row = page.locator(f".link[data-link={name}]")
-        expect(row.locator(".word")).to_have_text("heard")
+        expect(row.locator(".word")).to_have_text("receiving")
         expect(row.locator(".rate").first).not_to_have_text("0.0 /s")
     expect(page.locator(fix_of("rover"))).to_have_text("RTK fixed")
     expect(page.locator("#receivers")).to_contain_text(re.compile(r"17 satellites.*1\.4 cm accuracy"))

@@ -135,7 +135,7 @@ def test_rates_are_those_of_the_last_seconds_and_fall_to_nothing() -> None:
         state = looked(state, replace(look, time_ns=START + second * SECOND))
     row = view_of(state).links[1]
     assert row.frames_per_s == 0
-    assert row.state.text == "silent for 8 s"
+    assert row.state.text == "no data for 8 s"
 
 
 def test_pauses_of_a_link_are_counted_across_chunks() -> None:
@@ -179,7 +179,7 @@ def test_a_loss_of_fix_is_told_once(fixes: list[str], alarms: list[tuple[str, st
 def test_a_receiver_that_says_nothing_has_no_fix() -> None:
     parts = [rows("/gnss/rover/status", GNSS_STATUS, status("rtk_fixed")), raw("base", [0, 6.5])]
     row = view_of(state_after(RecordingState(), parts)).receivers[0]
-    assert (row.fix.text, row.fix.level) == ("not told for 6 s", "bad")
+    assert (row.fix.text, row.fix.level) == ("last heard 6 s ago", "bad")
 
 
 def test_the_age_of_corrections_is_what_the_receiver_says_else_since_they_were_sent() -> None:
@@ -248,7 +248,7 @@ def test_a_time_mark_that_the_receiver_skipped_is_named() -> None:
     state = state_after(RecordingState(), [rows("/camera/exposure", EXPOSURE, *edges)])
     row = view_of(state).cameras[0]
     assert (row.time_marks, row.time_marks_missed) == (8, 3)
-    assert (row.state.text, row.state.level) == ("3 time marks not told: 2, 5-6", "bad")
+    assert (row.state.text, row.state.level) == ("3 time marks missing: 2, 5-6", "bad")
     assert told(state, "bad") == ["did not tell time mark 2", "did not tell time marks 5-6"]
 
 
@@ -389,7 +389,7 @@ def test_a_battery_that_is_not_told_any_more_is_not_good() -> None:
     ]
     assert [row.state for row in said] == [
         Word("15.8 V, 81 %", "good"),
-        Word("15.8 V, 81 %, told 12 s ago", "bad"),
+        Word("15.8 V, 81 %, last heard 12 s ago", "bad"),
     ]
 
 
@@ -443,7 +443,7 @@ def test_an_alarm_of_a_fix_is_cured_by_that_fix_and_not_by_a_lesser_one() -> Non
 
 
 def test_after_landing_links_that_are_switched_off_are_no_alarm() -> None:
-    lost = {"kind": "silent", "link": "rover", "text": "is silent for more than 10 s"}
+    lost = {"kind": "silent", "link": "rover", "text": "no data for more than 10 s"}
     before = state_after(RecordingState(), [heartbeats(False, True), rows("/alarm", ALARM, lost)])
     look = ComputerState(START + 2 * SECOND, "f.mcap", 10, ended=False, free_bytes=10**11)
     before = looked(before, look)

@@ -108,6 +108,28 @@ def test_files_of_one_recording_are_one_flight_whatever_their_names(tmp_path: Pa
     assert late.flight == names[0]
 
 
+def test_a_file_deleted_while_it_is_read_is_followed_by_the_next(tmp_path: Path) -> None:
+    """The third file of a recording goes on where the second was deleted: its name alone would not tell."""
+    seconds = iter(range(1_800_000_000, 1_800_009_000, 90))
+    recorder = Recorder(tmp_path, size=600, clock_ns=lambda: next(seconds) * SECOND)
+    tail = Tail([tmp_path])
+    while len(recorder.files.paths) < 3:
+        recorder.write()
+    deleted = recorder.files.paths[-1]
+    # It counts as soon as something stands in it.
+    until(lambda: read(tail) is not None and tail.path == deleted, "the third file")
+    deleted.unlink()
+    # The recorder notices with what it writes now, and copies the file back: it is deleted once more.
+    recorder.write()
+    until(deleted.exists, "the copy")
+    deleted.unlink()
+    recorder.write()
+    last = recorder.written - 1
+    until(lambda: last in read(tail), "what was written after that")
+    recorder.files.close()
+    assert tail.flight == recorder.files.paths[0].name
+
+
 def test_a_recorder_that_died_is_followed_by_the_next(tmp_path: Path) -> None:
     first = Recorder(tmp_path)
     first.write()

@@ -50,7 +50,7 @@ def state() -> RecordingState:
         look=ComputerState(NOW, "flight-20260501T090000Z.mcap", 10**6, ended=False, free_bytes=10**8),
         grown_ns=NOW,
     )
-    return raised(made, "bad", "base", "is silent for more than 3 s", NOW)
+    return raised(made, "bad", "base", "no data for more than 3 s", NOW)
 
 
 def text_of(state: RecordingState, width: int, height: int) -> list[str]:
@@ -60,12 +60,12 @@ def text_of(state: RecordingState, width: int, height: int) -> list[str]:
 
 
 WORDS = [
-    "✕ base: silent",
+    "✕ base: no data",
     "1:02:05",
     "RTK fixed",
     "no fix",
     "1 missed: 7",
-    "silent for 9 s",
+    "no data for 9 s",
     "20.0/s",
     "0.1 GB free",
 ]
@@ -77,7 +77,7 @@ def test_what_matters_is_there_in_every_window(state: RecordingState, width: int
     shown = "\n".join(lines)
     for word in WORDS:
         assert word in shown
-    assert "is silent for more than 3 s" in shown
+    assert "no data for more than 3 s" in shown
     assert len(lines) <= height
     assert max(map(len, lines)) <= width
 

@@ -40,7 +40,7 @@ def test_a_silent_base_a_low_disk_and_a_clock_jump_raise_alarms(tmp_path: Path) 
     frame = rtcm3.encode(b"\x3e\xd0")
 
     def reached(told: list[str]) -> bool:
-        if said("is silent")(told):
+        if said("no data for")(told):
             jump["ns"] = -3_600_000_000_000
         elif frame in frames_in(tmp_path / "logs", "base"):
             steady["s"] += 2e5

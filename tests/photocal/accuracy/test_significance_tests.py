@@ -17,6 +17,7 @@ from photocal.accuracy.statistics import (
     rmse_after_trend_removal,
     std_interval_factors,
 )
+from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, IllPosedError
 
 Published = Callable[[str], list[dict[str, str]]]
@@ -150,6 +151,21 @@ def test_false_alarms_come_at_the_level_of_the_test() -> None:
     # Binomial with 2000 trials and 0.1: three standard deviations are 40.
     assert abs(biased - 200) < 41
     assert abs(imprecise - 200) < 41
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 11, 12, 30, 400, 5000])
+def test_normality_is_that_of_scipy(n: int) -> None:
+    rng = np.random.default_rng(n)
+    samples: tuple[Floats, ...] = (
+        rng.normal(2.0, 0.03, n),
+        rng.exponential(0.1, n),
+        0.01 * (np.arange(n, dtype=np.float64) % 3),
+    )
+    for values in samples:
+        result, expected = normality_test(values, 0.95), stats.shapiro(values)
+        assert result is not None
+        assert result.w == pytest.approx(expected.statistic, abs=1e-8)
+        assert result.p_value == pytest.approx(expected.pvalue, abs=1e-5)
 
 
 def test_normality_decides_as_scipy_and_says_nothing_without_spread() -> None:

@@ -62,7 +62,7 @@ def test_words(made: Path) -> None:
     assert done.stdout.startswith("Verdict\n")
     _, hidden = done.stdout.split("\nHidden systematic errors\n")
     assert re.search(r"^large +Camera dcs460: y scale factor 0\.9980", hidden, re.MULTILINE)
-    for words in ("K1 K2 K3", "Adjusted anew without", "convergent cameras: satisfied"):
+    for words in ("K1 K2 K3", "Adjusted again without", "convergent cameras: satisfied"):
         assert words in done.stdout
     assert re.search(r"^x0–P1 +0\.87", done.stdout, re.MULTILINE)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from photocal.analysis.stability.camera_file import read_camera_file
-from photocal.analysis.stability.joint import joint_comparison, joint_text
+from photocal.analysis.stability.joint import _together, joint_comparison, joint_text
 from photocal.analysis.stability.methods import sensor_grid
 from photocal.geometry.camera import PARAMETERS, Camera
 
@@ -52,9 +52,41 @@ def test_sets_of_the_study_are_not_one_camera_but_for_the_first_two() -> None:
     equal = {(pair.first, pair.second) for pair in joint.pairs if pair.vector.p_value > 0.05}
     assert equal == {("1", "2")}
     assert joint.together is not None
-    assert joint.together.degrees_of_freedom == 60
-    assert joint.together.p_value < 1e-6
+    assert joint.together.vector.degrees_of_freedom == 60
+    assert joint.together.vector.p_value < 1e-6
+    assert joint.together.image is not None
+    assert joint.together.image.p_value < 1e-6
     assert "all calibrations as one: chi2" in joint_text(joint, 0.05)
+
+
+def test_many_flights_of_one_camera_are_refused_as_often_as_the_level_says() -> None:
+    random, coarse = np.random.default_rng(12), GRID[::12]
+    refused = {"vector": 0, "image": 0}
+    for _ in range(50):
+        together = joint_comparison([drawn(random, name) for name in "abcde"], coarse).together
+        assert together is not None
+        for kind in refused:
+            refused[kind] += getattr(together, kind).p_value < 0.05
+    # Of 50 binomial cases with 5 %, 99.95 % are no more than these.
+    assert max(refused.values()) <= 9, refused
+    # One whose c is 8 standard deviations off among five is found both ways.
+    odd = SETS[1].changed(c=SETS[1].value("c") + 8.0 * SETS[1].sigma_of("c"))
+    together = joint_comparison(
+        [*(drawn(random, name) for name in "abcd"), replace(odd, id="e")], coarse
+    ).together
+    assert together is not None
+    assert together.image is not None
+    assert max(together.vector.p_value, together.image.p_value) < 1e-3
+
+
+def test_of_two_it_is_the_test_of_the_pair() -> None:
+    (pair,), both = joint_comparison(SETS[1:3], GRID).pairs, _together(SETS[1:3], GRID)
+    assert both is not None
+    assert both.vector.chi_squared == pytest.approx(pair.vector.chi_squared, rel=1e-6)
+    assert pair.image is not None
+    assert both.image is not None
+    assert both.image.degrees_of_freedom == pair.image.degrees_of_freedom
+    assert both.image.chi_squared == pytest.approx(pair.image.chi_squared, rel=0.01)
 
 
 def test_what_no_picture_shows_counts_as_vector_only() -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from photocal.adjustment.adjusted import AdjustedNetwork, fit
-from photocal.analysis.robust import apart, bootstrap, sandwich
+from photocal.analysis.left_out import Checks
+from photocal.analysis.outcome import analyse_network
+from photocal.analysis.robust import apart, bootstrap, jackknife, sandwich
 from tests.photocal.analysis.aerial import Flight, correlated, fly
 
 FLIGHT = Flight(24, 1500, sigma_px=0.5)
@@ -47,3 +51,33 @@ def test_apart_from_a_third_on() -> None:
     assert not apart(0.0, 1.0)
     assert not apart(1.0, None)
     assert not apart(1.0, float("nan"))
+
+
+def test_of_images_that_cannot_be_left_out_the_others_tell_a_lower_bound() -> None:
+    """Image 7 shares points with image 6 only: without that one nothing says how it was turned."""
+    network = fly(Flight(8, 900, control=False, estimate=("c", "K1")), 4).network
+    in_last = np.isin(network.rays.point, network.rays.point[network.rays.image == 7])
+    kept = ~in_last | (network.rays.image >= 6)
+    seen = np.bincount(network.rays.point[kept], minlength=len(network.points.values)) >= 2
+    rays = replace(network.rays, point=(np.cumsum(seen) - 1)[network.rays.point])
+    chain = replace(
+        network,
+        points=network.points.rows(seen),
+        rays=rays.rows(kept & seen[network.rays.point]),
+        point_names=tuple(np.array(network.point_names)[seen].tolist()),
+    )
+    found = fit(chain)
+    left = jackknife(found)
+    assert left.not_possible == ("i6",)
+    # Written out: of three terms that would be squared and added, two are known.
+    known = np.array([values - found.state.cameras for values in left.cameras])
+    assert left.standard_error == pytest.approx(np.sqrt(7.0 / 8.0 * (known**2).sum(axis=0)))
+    checks = Checks(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    outcome = analyse_network(found.network, checks, 0.1, 0.8, start=found.state)
+    (needed,) = [one for one in outcome.findings if one.code == "image-needed"]
+    assert needed.severity == "note"
+    assert needed.figures["names"] == ("i6",)
+    formal = float(np.sqrt(found.solution.camera_covariance[0][0, 0]))
+    sigma, whose = outcome.jackknife["sim"].largest("c", formal)
+    assert whose == "at_least"
+    assert sigma >= formal

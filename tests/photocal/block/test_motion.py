@@ -14,7 +14,7 @@ from photocal.adjustment.mounting import NADIR, NO_POSITIONS, Attitudes, Mountin
 from photocal.base.errors import ConfigurationError
 from photocal.block.camera_setup import CameraKeys, make_camera
 from photocal.block.folder import read_block
-from photocal.block.motion import expected_rates, motion_of, velocity_of_neighbours
+from photocal.block.motion import expected_rates, lines_of_places, motion_of, velocity_of_neighbours
 from photocal.block.network import assemble
 from photocal.geometry.rotation import object_to_body
 from photocal.georeferencing.methods import with_shutters
@@ -161,3 +161,17 @@ def test_rates_and_gusts_are_the_same_in_georeferencing(tmp_path: Path, observed
     assert kept.motion_sigma is not None
     assert np.allclose(kept.motion, given.motion)
     assert np.allclose(kept.motion_sigma, given.motion_sigma)
+
+
+def test_strips_are_told_by_their_places() -> None:
+    """To and fro with a step across, two photos longer each time, then a corner without a step across."""
+    random, places, truth = np.random.default_rng(1), [], []
+    for k, count in enumerate((5, 7, 9)):
+        x = np.arange(count) * 20.0
+        places += [(v, 60.0 * k, 100.0) for v in (x if k % 2 == 0 else x[::-1])]
+        truth += [k] * count
+    places += [(places[-1][0], 120.0 + 20.0 * n, 100.0) for n in range(1, 5)]
+    truth += [3] * 4
+    noisy = np.array(places) + random.normal(0.0, 1.5, (len(places), 3))
+    assert lines_of_places(noisy).tolist() == truth
+    assert [lines_of_places(noisy[:n]).tolist() for n in (0, 1, 2)] == [[], [0], [0, 0]]

@@ -51,7 +51,7 @@ def test_a_real_flight_is_certified_without_a_terminal(
     page.on("pageerror", lambda error: problems.append(str(error)))
     with opened(flight, tmp_path / "cache") as window:
         page.goto(f"{window.url}/")
-        page.get_by_role("button", name="Look at this folder").click()
+        page.get_by_role("button", name="Inspect this folder").click()
         expect(page.locator(".findings")).to_contain_text("7 pictures", timeout=_PATIENCE_MS)
         # Central Texas: the zone is told by the pictures.
         expect(page.get_by_label("Coordinate system")).to_have_value("EPSG:32614")

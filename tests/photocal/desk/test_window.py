@@ -110,7 +110,7 @@ def test_from_the_folder_to_the_signed_certificate(
 
     page.get_by_role("button", name=HOSTILE).click()
     expect(page.locator("#rail .title span")).to_have_text(HOSTILE)
-    page.get_by_role("button", name="Look at this folder").click()
+    page.get_by_role("button", name="Inspect this folder").click()
     expect(page.locator(".findings li").first).to_be_visible()
     expect(page.get_by_label("Coordinate system")).to_have_value(re.compile("EPSG:"))
     page.get_by_text("orthometric", exact=True).click()
@@ -135,7 +135,7 @@ def test_from_the_folder_to_the_signed_certificate(
     expect(page.locator("#command code")).to_contain_text("photocal run")
     page.get_by_role("button", name="Stop").click()
     expect(page.locator("main")).to_contain_text("What was finished is kept")
-    page.get_by_role("button", name="Go on").click()
+    page.get_by_role("button", name="Continue").click()
     expect(page.locator("ol.stages li[aria-current]")).to_be_visible()
 
     # The run is a process of its own: the window that is opened again finds it.

@@ -87,7 +87,7 @@ def test_another_package_adds_a_format(tmp_path: Path, given: Reconstruction) ->
     # Without the package nothing takes the file.
     alone = photocal(tmp_path / "none", "adjust", tmp_path / "field.toy", "-o", tmp_path / "run")
     assert alone.returncode != 0
-    assert "holds no block that is known" in alone.stderr
+    assert "has no block in a known format" in alone.stderr
     installed = package(tmp_path / "installed")
     made = photocal(installed, "adjust", tmp_path / "field.toy", "-o", tmp_path / "run", "--json")
     assert made.returncode == 0, made.stderr
@@ -119,7 +119,7 @@ def test_its_folder_is_a_project_to_adopt(
 ) -> None:
     (tmp_path / "project" / "deep").mkdir(parents=True)
     toy_format.write(tmp_path / "project" / "deep" / "field.toy", given, Choices())
-    with pytest.raises(InputNotFoundError, match="holds no project that is known"):
+    with pytest.raises(InputNotFoundError, match="has no project in a known format"):
         read_foreign_project(tmp_path / "project")
     monkeypatch.syspath_prepend(package(tmp_path / "installed"))
     formats.added.cache_clear()

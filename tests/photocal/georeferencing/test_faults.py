@@ -57,7 +57,7 @@ def findings(block: Block) -> dict[str, str]:
 def test_an_antenna_height_is_named(flown: Flown) -> None:
     said = findings(flown(Errors(datum_m=(0.0, 0.0, 1.8)), PLAN))
     assert re.search(r"1\.(79|80|81)", said["antenna-height"])
-    assert "above what the control says" in said["antenna-height"]
+    assert "above the control" in said["antenna-height"]
     assert {"base-position", "datum-shift", "lever-arm", "control-mistyped"}.isdisjoint(said)
 
 
@@ -70,7 +70,7 @@ def test_a_wrong_base_is_named(flown: Flown) -> None:
 def test_swapped_axes_of_the_lever_arm_are_named(flown: Flown) -> None:
     mounting = "lever_arm_m = [0.35, 0.10, -0.20]\nlever_arm_sigma_m = 0.01"
     said = findings(flown(Errors(lever_arm_m=(0.10, 0.35, -0.20)), replace(PLAN, mounting=mounting)))
-    assert "forward and right have changed places" in said["lever-arm-axes"]
+    assert "forward and right are interchanged" in said["lever-arm-axes"]
 
 
 def test_a_camera_that_changed_is_named_with_its_image(flown: Flown) -> None:

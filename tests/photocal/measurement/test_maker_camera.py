@@ -119,7 +119,7 @@ def test_new_asks_nothing_that_the_pictures_say(shared: Path, tmp_path: Path) ->
         c, sigma = stated.camera.value("c"), stated.prior_sigma()["c"]
         assert least - sigma <= c <= most + sigma
         text = made.path.read_text(encoding="utf-8")
-        assert 'height = "ellipsoidal"  # the pictures say so' in text
+        assert 'height = "ellipsoidal"  # as the pictures state' in text
         assert ('"B1"' in text) == (name == "p4m")
         assert any(line.startswith("laser distances") for line in made.known) == (name == "h20t")
 

@@ -117,7 +117,7 @@ def test_a_project_becomes_a_block(
             "code": "other-size",
         }
     ]
-    assert "other.png: they have another size" in next(
+    assert "other.png: their size differs from" in next(
         finding["text"] for finding in record["findings"] if finding["code"] == "image-left-out"
     )
     assert record["unknown_marks"] == ["P1 in none.png"]

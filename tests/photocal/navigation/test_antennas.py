@@ -80,7 +80,7 @@ def test_the_engine_gets_models_and_the_heights_of_the_headers(tmp_path: Path) -
     assert settings["ant2-antdelu"] == "1.2340"
     assert settings["pos1-posopt2"] == "on"
     assert "file-satantfile" not in settings
-    with pytest.raises(ConfigurationError, match="nothing tells the antenna of the rover"):
+    with pytest.raises(ConfigurationError, match="the antenna of the rover is not stated"):
         with_antennas(ProcessingOptions("G", True), path, (silent, ""), (told, ""))  # type: ignore[arg-type]
     with pytest.raises(ConfigurationError, match="needs a file"):
         with_antennas(ProcessingOptions("G", True), None, (silent, "X"), (told, ""))  # type: ignore[arg-type]

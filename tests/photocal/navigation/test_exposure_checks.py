@@ -244,4 +244,4 @@ def test_what_cannot_be_seen_is_said() -> None:
     assert said["antenna-height"].severity == "untested"
     assert "control points" in english(said["antenna-height"])
     assert said["boresight"].severity == "untested"
-    assert english(said["height-kind"]) == "No trajectory of PPK."
+    assert english(said["height-kind"]) == "No PPK trajectory."

@@ -96,7 +96,7 @@ def test_a_fault_is_named_by_its_line(tmp_path: Path, name: str) -> None:
 
 
 def test_a_list_of_zeros_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputMalformedError, match=r"12 of 12 positions .* cannot be meant") as refusal:
+    with pytest.raises(InputMalformedError, match=r"12 of 12 positions .* are impossible") as refusal:
         listed(tmp_path, [cells(row, **NOWHERE) for row in lines()])
     assert "flight_Timestamp.MRK" in str(refusal.value)
 
@@ -211,7 +211,7 @@ def test_fewer_pictures_than_events_are_aligned(photocal: Photocal, tmp_path: Pa
 def test_tables_of_positions_are_judged_too(tmp_path: Path) -> None:
     path = tmp_path / "positions.csv"
     for row, wrong in (
-        ("b.jpg,0,0,0,0.02,0.02,0.03", "cannot be meant"),
+        ("b.jpg,0,0,0,0.02,0.02,0.03", "are impossible"),
         ("b.jpg,47.6,16.4,500,0,0,0", "sigma"),
     ):
         path.write_text(

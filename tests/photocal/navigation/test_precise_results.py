@@ -79,13 +79,20 @@ def test_a_site_is_taken_from_a_file_of_several(tmp_path: Path) -> None:
     rows = SINEX.splitlines(keepends=True)
     other = [row.replace("MTRK", "UFPR").replace("-2.6748", " 3.7630") for row in rows[3:6]]
     path = written(tmp_path, "network.snx", "".join([*rows[:6], *other, *rows[6:]]))
-    alone = read_precise_result(written(tmp_path, "one.snx", SINEX))
-    assert read_precise_result(path, "mtrk").position_m == pytest.approx(alone.position_m)
-    assert read_precise_result(path, "UFPR").position_m[0] != alone.position_m[0]
-    with pytest.raises(ConfigurationError, match="has no site BRAZ, but MTRK, UFPR"):
-        read_precise_result(path, "BRAZ")
+    alone = written(tmp_path, "one.snx", SINEX)
+    assert read_precise_result(path, "mtrk").position_m[0] == pytest.approx(-26748.1720)
+    assert read_precise_result(path, "UFPR").position_m[0] == pytest.approx(37630.1720)
+    assert read_precise_result(path, name="UFPR").position_m[0] == pytest.approx(37630.1720)
+    # A file of a single site need not know how the mark is called; a site that is named must be there.
+    assert read_precise_result(alone, name="BASE").position_m[0] == pytest.approx(-26748.1720)
+    for wrong in (path, alone):
+        with pytest.raises(ConfigurationError, match="has no site BRAZ") as refusal:
+            read_precise_result(wrong, "BRAZ")
+        assert "MTRK" in refusal.value.remedy
     with pytest.raises(ConfigurationError, match="has 2 sites"):
         read_precise_result(path)
+    with pytest.raises(ConfigurationError, match="has no sites"):
+        read_precise_result(written(tmp_path, "base.sum", PROPAGATED), "MTRK")
 
 
 @pytest.mark.parametrize("text", ["hello\n", PROPAGATED.replace("-4012678.8820", "x"), "%=SNX 2.02\n"])

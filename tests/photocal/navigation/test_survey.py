@@ -99,7 +99,12 @@ def test_a_station_from_a_file_and_times_by_length(photocal: Photocal, shared: P
     expected = enu_offsets(np.array([lat]), np.array([lon]), np.array([height]), np.array(origin))[0]
     apart = [float(point[axis]) - float(base[axis]) for axis in "XYZ"]
     assert np.linalg.norm(apart - expected) < 0.005
-    path.write_text(path.read_text().replace("km = 1000", "km = 0.0001").replace("km = 2000", "km = 0.0002"))
+    unframed = path.read_text()
+    path.write_text('crs = "EPSG:6677"\n' + unframed)
+    refused = photocal("survey", path, "-o", tmp_path / "unframed")
+    assert refused.code == 5
+    assert "does not say in which frame" in refused.err
+    path.write_text(unframed.replace("km = 1000", "km = 0.0001").replace("km = 2000", "km = 0.0002"))
     beyond = photocal("survey", path, "-o", tmp_path / "again")
     assert beyond.code == 0, beyond.err
     assert "longer than the lengths in [[required]]" in beyond.out

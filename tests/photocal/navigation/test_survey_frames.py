@@ -35,6 +35,13 @@ def test_a_frame_in_which_the_ground_moves_needs_an_epoch() -> None:
         frame_told("M1", "IGS20")
 
 
+def test_the_epoch_of_a_file_stands_in_for_one_that_is_not_told() -> None:
+    assert frame_told("M1", "IGS20", 2026.9) == realization("IGS20@2026.9")
+    assert frame_told("M1", "IGS20@2025.0", 2026.9) == realization("IGS20@2025.0")
+    # In a system of one plate the ground stays where it is.
+    assert frame_told("M1", "SIRGAS2000", 2026.9) == frame_told("M1", "SIRGAS2000")
+
+
 def test_orbits_tell_their_frame(tmp_path: Path) -> None:
     path = tmp_path / "orbits.sp3"
     path.write_text(SP3)

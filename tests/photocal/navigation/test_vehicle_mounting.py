@@ -28,7 +28,7 @@ def rig(*lever: float, axes: tuple[str, ...] = ("right", "forward", "up")) -> Ca
 def test_a_camera_near_the_origin_agrees() -> None:
     (check,) = check_mounting(rig(0.06, -0.05, -0.42), AutopilotMounting((), ANTENNA))
     assert check.severity == "passed"
-    assert "the camera sits at (+0.040, +0.000, +0.120) m" in english(check)
+    assert "the camera is at (+0.040, +0.000, +0.120) m" in english(check)
 
 
 @pytest.mark.parametrize("lever", [(0.10, -0.05, 0.70), (0.60, -0.05, -0.30), (-0.30, -0.05, -1.30)])

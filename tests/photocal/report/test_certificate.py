@@ -197,7 +197,7 @@ def test_table_rows_against_the_study(published_run: AnalysedRun) -> None:
 def test_a_parameter_that_is_noise_is_called_so(invented_run: AnalysedRun) -> None:
     """K2 of the invented run is half of its standard deviation."""
     text = html(certificate(invented_run, Metadata(date=DAY), catalogue("en")))
-    assert "Not told from zero at the 95 % level: K₂." in text
+    assert "Not significant at the 95 % level: K₂." in text
 
 
 def test_factor_is_given_and_not_applied(invented_run: AnalysedRun) -> None:

@@ -74,7 +74,7 @@ def test_the_expanded_uncertainty_covers_what_no_residual_tells(tmp_path: Path) 
     assert error > 1.96 * sigma
     assert error < 1.96 * np.hypot(sigma, LOWER_M * by_height)
     page = _certified(run, f"[uncertainty]\ncommon_height_m = {LOWER_M}\n")
-    assert "of an error of 5 cm that all heights share" in page
+    assert "of a height error of 5 cm common to all positions" in page
     assert "95 %" in page
     assert "of an error of 2 cm that all heights share" in _certified(run)
     assert "that all heights share" not in _certified(run, "[uncertainty]\nof_c = { datum = 1.5 }\n")

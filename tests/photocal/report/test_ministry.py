@@ -143,7 +143,7 @@ def test_pixel_from_rounded_frame_sizes_is_doubted(published_run: AnalysedRun) -
 
 def test_contradicting_particulars_stop_the_certificate(invented_run: AnalysedRun) -> None:
     """The example's sensor is not that of the invented camera: nothing is printed."""
-    with pytest.raises(InputMalformedError, match=r"9\.640 × 7\.230 mm; the sensor has 13\.20 mm"):
+    with pytest.raises(InputMalformedError, match=r"9\.640 × 7\.230 mm; the sensor measures 13\.20 mm"):
         certificate(invented_run, read_particulars(EXAMPLE, DAY), catalogue("en"))
 
 

@@ -158,7 +158,7 @@ def test_our_own_figures_come_back(
     assert "check points by field 3_report.html" in " ".join(figures["remarks"])
     block = read_foreign_project(params).block
     assert (block.frame, block.height) == (SYSTEM, "unstated")
-    assert any("do not say what their heights count from" in line for line in figures["remarks"])
+    assert any("do not state the reference of their heights" in line for line in figures["remarks"])
     text = adoption_text(figures)
     assert "beside ours" in text
     assert not re.search(r"\de-\d\d\s+\+-\s+\d+e-2\d", text)

@@ -51,7 +51,7 @@ def test_every_mark_is_used_or_named(pictures: Path, tmp_path: Path, photocal: P
     assert counted["not_used"] == [
         "Mark of Q9 (p1.jpg) is not used: no control point has this name.",
         "Mark of G1 (gone.jpg) is not used: this picture is not in the folder, or cannot be used.",
-        "Mark of G6 in p2.jpg is not used: it lies outside of the picture (\N{MINUS SIGN}40, 10).",
+        "Mark of G6 in p2.jpg is not used: it lies outside the picture (\N{MINUS SIGN}40, 10).",
     ]
     assert any("G3 lies 100 km from the others" in one["text"] for one in told["warnings"])
     # People read the same on one screen.

@@ -54,7 +54,7 @@ def test_pictures_alone(folder: Path) -> None:
     assert project.images.position_sigma_m == (1.5, 1.5, 3.0)
     assert project.cameras[0].guessed
     assert [one.name for one in stages(project, dt.date(2026, 1, 1))][:2] == ["measurements", "block"]
-    with pytest.raises(OutputError, match="is there already"):
+    with pytest.raises(OutputError, match="exists already"):
         new_project(folder)
 
 
@@ -252,6 +252,6 @@ def test_the_readout_that_a_maker_states(tmp_path: Path) -> None:
 
 
 def test_a_folder_stands_for_the_project_file_in_it(folder: Path) -> None:
-    with pytest.raises(InputNotFoundError, match=r"holds no project.toml; photocal new .* writes one"):
+    with pytest.raises(InputNotFoundError, match=r"has no project.toml; photocal new .* writes one"):
         read_project(folder)
     assert read_project(new_project(folder).path.parent).path == folder / "project.toml"

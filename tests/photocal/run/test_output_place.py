@@ -85,4 +85,4 @@ def test_what_an_older_run_has_published_is_its_own(tmp_path: Path) -> None:
 
 def test_a_folder_outside_is_told_of(tmp_path: Path) -> None:
     where = told(tmp_path / "field", "../elsewhere")
-    assert where == f"the results go outside of the project, into {tmp_path / 'elsewhere'}"
+    assert where == f"the results go outside the project, into {tmp_path / 'elsewhere'}"

@@ -116,9 +116,11 @@ def test_emptied_warnings_do_not_make_a_clean_verdict(
     code, answer = said(photocal, folder)
     assert code == 11
     assert answer["verdict"]["code"] == "usable-with-reservations"
-    assert any(line.startswith("not told: check-outside-prediction indirect") for line in answer["not_told"])
+    assert any(
+        line.startswith("not stated: check-outside-prediction indirect") for line in answer["not_told"]
+    )
     taken = {"date 2031-01-01", "document.client Another client", "camera.serial SN-FORGED"}
-    taken |= {f"findings of {stage}: none told" for stage in ("ppk", "exposures", "measurements")}
+    taken |= {f"findings of {stage}: none stated" for stage in ("ppk", "exposures", "measurements")}
     assert {*taken, "laboratory.traceability national standard"} <= set(answer["not_repeated"])
     shown = photocal("verify", folder).out
     assert "nothing was found" not in shown
@@ -150,13 +152,13 @@ def elsewhere(finding: Finding) -> Finding:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (told_otherwise(fewer), "not told: check-outside-prediction indirect"),
-        (told_otherwise(softer), "is told as note and is doubtful"),
-        (told_otherwise(smaller), "is told with another ratio"),
-        (told_otherwise(elsewhere), "is told with another points"),
+        (told_otherwise(fewer), "not stated: check-outside-prediction indirect"),
+        (told_otherwise(softer), "is stated as note and is doubtful"),
+        (told_otherwise(smaller), "is stated with another ratio"),
+        (told_otherwise(elsewhere), "is stated with another points"),
         (
             lambda work: (*gather(work), Finding("no-control", "note", stage="georeferencing")),
-            "no-control is told and was not found",
+            "no-control is stated and was not found",
         ),
     ],
 )
@@ -177,7 +179,7 @@ def test_an_analysis_that_was_taken_out_is_named(
     issued: Callable[..., Path], work: Path, photocal: Callable[..., Answer]
 ) -> None:
     _, answer = said(photocal, issued(gather(work), run="calibration"))
-    assert "no analysis: nobody has looked for hidden errors" in answer["not_repeated"]
+    assert "no analysis: hidden errors were not searched for" in answer["not_repeated"]
     _, answer = said(photocal, issued(gather(work)))
     assert not any(line.startswith("no analysis") for line in answer["not_repeated"])
 

@@ -36,7 +36,7 @@ scale = "1:1000"
 standards = ["pec-pcd"]
 """
 BASE = "The coordinates of the base station, or its datum or epoch, are wrong"
-NOT_CHECKED = "nobody has looked for faults of positions, mounting and control"
+NOT_CHECKED = "positions, mounting and control were not tested for faults"
 
 
 def project(folder: Path, errors: Errors, seed: int = 4) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import signal
@@ -18,7 +19,16 @@ import pytest
 
 from photocal.base.errors import InputNotFoundError, OutputError
 from photocal.base.progress import Progress
-from photocal.run.stage import Digests, Stage, alone, made_in, needed_modules, update_stage
+from photocal.run.stage import (
+    Digests,
+    Stage,
+    _modules,
+    alone,
+    made_in,
+    names_in,
+    needed_modules,
+    update_stage,
+)
 from tests.photocal.run.toy_stages import sequence
 
 
@@ -87,7 +97,7 @@ def test_what_others_put_there_stays_and_is_named(shouting: Shouting) -> None:
     shouting.source.write_text("two", encoding="utf-8")
     result = update_stage(shouting.stage, shouting.work, Digests(shouting.work / "digests.json"), quiet)
     assert signed.read_text(encoding="utf-8") == "signed"
-    assert result.foreign == ("loud-signed.txt is not of this run and stays",)
+    assert result.foreign == ("loud-signed.txt does not belong to this run and stays",)
 
 
 def test_random_edits_end_as_a_run_from_nothing(tmp_path: Path) -> None:
@@ -111,8 +121,43 @@ def test_only_imported_code_counts(tmp_path: Path) -> None:
     assert needed_modules("p.a", known) == {"p", "p.a", "p.b", "p.c", "p.e"}
 
 
+def test_the_text_of_a_module_tells_what_a_parser_finds() -> None:
+    known = _modules()
+    for module, path in known.items():
+        source = path.read_text(encoding="utf-8")
+        parsed: set[str] = set()
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import):
+                parsed |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module is not None:
+                parsed |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                name, colon, _ = node.value.partition(":")
+                parsed |= {name, f"{module.rpartition('.')[0]}.{name}"} if colon else {name}
+        # A text in a comment may name some more; all modules would be no answer.
+        told = known.keys() & names_in(module, source)
+        assert known.keys() & parsed <= told, module
+        assert len(told) <= len(known.keys() & parsed) + 3, module
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import q, p.b",
+        "import p.b as b",
+        "if x: import p.b",
+        "from p import (\n    a,  # (not all)\n    b,\n)",
+        "from p import \\\n    b",
+        "from p import a, b; a()",
+        "TABLE = {'b': 'p.b'}",
+        'TABLE = {"b": "b:Thing"}',
+    ],
+)
+def test_an_import_counts_however_it_is_written(source: str) -> None:
+    assert "p.b" in set(names_in("p.a", source))
+
+
 def test_a_stage_does_not_depend_on_rooms_that_it_does_not_use() -> None:
-    from photocal.run.stage import _modules
 
     ppk = needed_modules("photocal.run.ppk", _modules())
     assert "photocal.navigation.engine" in ppk

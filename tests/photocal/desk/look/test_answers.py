@@ -97,7 +97,7 @@ def test_what_takes_no_part_is_refused_in_words(client: Client, name: str) -> No
         answer = client.get(f"/api/look/{kind}?name={quote(name)}")
         assert answer.status == 404
         assert answer.headers["content-type"].startswith("application/json")
-        assert "takes no part" in answer.json["error"]
+        assert "is not used" in answer.json["error"]
 
 
 MARKING = """

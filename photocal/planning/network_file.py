@@ -1,0 +1,273 @@
+"""A planned network of close-range photos, written down by a person: object, stations, camera, datum."""
+
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, Self
+
+import numpy as np
+from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+
+from photocal.adjustment.network import RELATIONS, Relations
+from photocal.base.arrays import Floats, Integers
+from photocal.base.checked_toml import Table, read_toml
+from photocal.base.errors import ConfigurationError
+from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
+from photocal.block.table import read_table
+from photocal.geometry.rotation import angles_from_matrix
+from photocal.planning.frame import PlanningCamera
+from photocal.planning.simulated_adjustment import SELF_CALIBRATION, planned_camera, visible_rays
+
+# A photo is oriented by so many points.
+_LEAST_POINTS = 4
+Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class CameraKeys(Table):
+    """The camera, what is estimated of it, and how well its images are measured."""
+
+    focal_mm: PositiveFloat
+    pixel_um: PositiveFloat
+    image_px: tuple[PositiveInt, PositiveInt]
+    image_sigma_px: PositiveFloat
+    estimate: tuple[str, ...] = SELF_CALIBRATION
+
+    @property
+    def frame(self) -> PlanningCamera:
+        """The frame that its images cover."""
+        return PlanningCamera(self.focal_mm * 1e-3, self.pixel_um * 1e-6, *self.image_px)
+
+
+class FieldKeys(Table):
+    """Targets on a plane field about the origin, facing up; every second one stands `relief_m` above it."""
+
+    width_m: PositiveFloat
+    height_m: PositiveFloat
+    columns: Annotated[int, Field(ge=2)]
+    rows: Annotated[int, Field(ge=2)]
+    relief_m: NonNegativeFloat = 0.0
+
+
+class CylinderKeys(Table):
+    """Targets outside on an upright cylinder that stands on the origin, in rings from foot to top."""
+
+    radius_m: PositiveFloat
+    height_m: PositiveFloat
+    around: Annotated[int, Field(ge=3)]
+    rings: Annotated[int, Field(ge=2)]
+
+
+class ObjectKeys(Table):
+    """The targets; those that a ray meets more slantingly than `steepest_deg` are not measured."""
+
+    field: FieldKeys | None = None
+    cylinder: CylinderKeys | None = None
+    points: str = ""
+    steepest_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 65.0
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if sum(map(bool, (self.field, self.cylinder, self.points))) != 1:
+            raise ValueError("give one of field, cylinder and points")
+        return self
+
+
+class RingKeys(Table):
+    """Stations on a circle around the target that they look at."""
+
+    radius_m: PositiveFloat
+    height_m: FiniteFloat
+    count: PositiveInt
+    first_deg: FiniteFloat = 0.0
+    arc_deg: Annotated[float, Field(gt=0.0, le=360.0)] = 360.0
+
+
+class StationsKeys(Table):
+    """Stations that look at one target; each takes a photo for every roll about its axis."""
+
+    target: Place = (0.0, 0.0, 0.0)
+    ring: RingKeys | None = None
+    at: tuple[Place, ...] = ()
+    rolls_deg: tuple[FiniteFloat, ...] = (0.0,)
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.ring is None) == (not self.at) or not self.rolls_deg:
+            raise ValueError("give either ring or at, and one roll at least")
+        return self
+
+
+class DatumKeys(Table):
+    """What places the network; nothing: inner constraints over all points."""
+
+    control: tuple[str, ...] = ()
+    control_sigma_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.001, 0.001, 0.001)
+    held: str = ""
+
+
+class DistanceKeys(Table):
+    """A measured distance between two targets."""
+
+    between: tuple[str, str]
+    sigma_m: PositiveFloat
+
+
+class NetworkKeys(Table):
+    """The file."""
+
+    camera: CameraKeys
+    object: ObjectKeys
+    stations: Annotated[tuple[StationsKeys, ...], Field(min_length=1)]
+    datum: DatumKeys = DatumKeys()
+    distance: tuple[DistanceKeys, ...] = ()
+
+
+class Targets(NamedTuple):
+    """Targets and where they face: xyz, normal (n, 3); a normal of NaN is seen from everywhere."""
+
+    names: tuple[str, ...]
+    xyz: Floats
+    normal: Floats
+
+
+def read_network(path: Path) -> Block:
+    """Read a planned network as a block whose observations have no errors.
+
+    raises InputNotFoundError, InputMalformedError, ConfigurationError: for a file that cannot be one, and for
+        photos that see too few targets.
+    """
+    keys = read_toml(path, NetworkKeys)
+    targets = _targets(keys.object, path)
+    names, poses = _photos(keys.stations)
+    frame = keys.camera.frame
+    image, point, seen = visible_rays(poses, targets.xyz, frame)
+    toward = poses[image, 3:] - targets.xyz[point]
+    slope = np.einsum("na,na->n", toward, targets.normal[point]) / np.linalg.norm(toward, axis=1)
+    keep = ~(slope < np.cos(np.radians(keys.object.steepest_deg)))
+    keep &= np.bincount(point[keep], minlength=len(targets.names))[point] >= 2
+    image, point, seen = image[keep], point[keep], seen[keep]
+    count = np.bincount(image, minlength=len(names))
+    if (count < _LEAST_POINTS).any():
+        worst = int(np.argmin(count))
+        raise ConfigurationError(
+            f"photo {names[worst]} sees {count[worst]} targets that another photo sees, too",
+            "bring it nearer to the others, farther from the object, or turn it",
+            where=path,
+        )
+    return Block(
+        path.stem,
+        "local",
+        "",
+        "control" if keys.datum.control or keys.datum.held else "free",
+        (planned_camera(frame, keys.camera.estimate),),
+        Images(names, np.zeros(len(names), dtype=np.int64), poses, _held(keys.datum.held, names, path)),
+        *_observed(keys, targets, (image, point, seen), path),
+    )
+
+
+def _observed(
+    keys: NetworkKeys, targets: Targets, rays: tuple[Integers, Integers, Floats], path: Path
+) -> tuple[Any, ...]:
+    """Points, observations and what follows them in a block."""
+    image, point, seen = rays
+    used, place = np.unique(point, return_inverse=True)
+    number = {targets.names[k]: n for n, k in enumerate(used.tolist())}
+    ends = [name for one in keys.distance for name in one.between]
+    for name in (*keys.datum.control, *ends):
+        if name not in number:
+            what = "is seen by less than two photos" if name in targets.names else "is not on the object"
+            raise ConfigurationError(f"target {name} {what}", "name another one", where=path)
+    control = np.array([number[name] for name in keys.datum.control], dtype=np.int64)
+    sigma = np.full((len(used), 3), np.inf)
+    sigma[control] = keys.datum.control_sigma_m
+    role = np.full(len(used), ROLES.index("tie"))
+    role[control] = ROLES.index("control")
+    precision = keys.camera.image_sigma_px * keys.camera.pixel_um * 1e-3
+    first, second = np.array([number[name] for name in ends], dtype=np.int64).reshape(-1, 2).T
+    xyz = targets.xyz[used]
+    tapes = Relations(
+        np.full(len(first), list(RELATIONS).index("distance")),
+        first,
+        second,
+        np.linalg.norm(xyz[second] - xyz[first], axis=1),
+        np.array([one.sigma_m for one in keys.distance]),
+    )
+    return (
+        ObjectPoints(tuple(number), xyz, sigma, role),
+        Observations("mm", "photo", image, place, seen, np.full(seen.shape, precision)),
+        (),
+        (),
+        tapes,
+    )
+
+
+def _targets(keys: ObjectKeys, path: Path) -> Targets:
+    """Targets of the object, named row by row or ring by ring."""
+    if keys.field is not None:
+        field = keys.field
+        j, i = (axis.ravel() for axis in np.meshgrid(np.arange(field.columns), np.arange(field.rows)))
+        x = (j / (field.columns - 1) - 0.5) * field.width_m
+        y = (i / (field.rows - 1) - 0.5) * field.height_m
+        xyz = np.column_stack([x, y, field.relief_m * ((i + j) % 2)])
+        names = tuple(f"{b + 1}.{a + 1}" for a, b in zip(j.tolist(), i.tolist(), strict=True))
+        return Targets(names, xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1)))
+    if keys.cylinder is not None:
+        body = keys.cylinder
+        j, i = (axis.ravel() for axis in np.meshgrid(np.arange(body.around), np.arange(body.rings)))
+        angle = 2 * np.pi * j / body.around
+        normal = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+        xyz = body.radius_m * normal
+        xyz[:, 2] = body.height_m * i / (body.rings - 1)
+        names = tuple(f"{b + 1}.{a + 1}" for a, b in zip(j.tolist(), i.tolist(), strict=True))
+        return Targets(names, xyz, normal)
+    table = read_table(path.parent / keys.points, ("point", "X", "Y", "Z"), ("nX", "nY", "nZ"))
+    names = table.unique_names("point")
+    normal = np.full((len(names), 3), np.nan)
+    if table.has("nX"):
+        normal = table.matrix(("nX", "nY", "nZ"))
+        normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return Targets(names, table.matrix("XYZ"), normal)
+
+
+def _photos(groups: tuple[StationsKeys, ...]) -> tuple[tuple[str, ...], Floats]:
+    """Names and orientations of all photos, shape (n, 6): station 3 has photos 3.1, 3.2 where it rolls."""
+    names, poses, number = [], [], 0
+    for group in groups:
+        target = np.array(group.target)
+        places = np.array(group.at, dtype=np.float64).reshape(-1, 3)
+        if group.ring is not None:
+            ring = group.ring
+            # A whole circle does not come back to its first station.
+            steps = ring.count if ring.arc_deg == 360.0 else max(ring.count - 1, 1)
+            angle = np.radians(ring.first_deg + ring.arc_deg * np.arange(ring.count) / steps)
+            around = np.column_stack([np.cos(angle), np.sin(angle)]) * ring.radius_m
+            places = target + np.column_stack([around, np.full(ring.count, ring.height_m)])
+        for place in places:
+            number += 1
+            for k, roll in enumerate(group.rolls_deg):
+                names.append(f"{number}.{k + 1}" if len(group.rolls_deg) > 1 else f"{number}")
+                poses.append([*angles_from_matrix(_looking(place, target, np.radians(roll))), *place])
+    return tuple(names), np.array(poses)
+
+
+def _looking(place: Floats, target: Floats, roll: float) -> Floats:
+    """Turn from object to camera axes of a photo that looks at a target, its x axis level without roll."""
+    back = place - target
+    if not back.any():
+        raise ConfigurationError(f"the station {place.tolist()} looks at itself", "move station or target")
+    back = back / np.linalg.norm(back)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    # Straight down the top of the photo is north.
+    right = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
+    upright = np.stack([right, np.cross(back, right), back])
+    c, s = np.cos(roll), np.sin(roll)
+    return np.asarray(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ upright)
+
+
+def _held(held: str, names: tuple[str, ...], path: Path) -> Floats:
+    sigma = np.full((len(names), 6), np.inf)
+    if held:
+        if held not in names:
+            raise ConfigurationError(
+                f"no photo {held} is planned", f"they are {', '.join(names)}", where=path
+            )
+        sigma[names.index(held)] = 0.0
+    return sigma

@@ -1,0 +1,77 @@
+"""The docs as a site: stages the pages in `build` for MkDocs; `make docs` then writes `build/site`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+BUILD = ROOT / "build"
+_REFERENCE = (
+    "project-file", "block-folder", "recording", "monitor", "exposures", "pictures", "marking",
+    "georeferencing-check", "faults", "exchange", "exit-codes", "nomenclature",
+)  # fmt: skip
+# Nothing is fetched by a reader, neither letters nor scripts, and a link that leads nowhere is an error.
+_SITE: dict[str, Any] = {
+    "site_name": "photocal",
+    "docs_dir": "pages",
+    "site_dir": "site",
+    "use_directory_urls": False,
+    "strict": True,
+    "theme": {
+        "name": "material",
+        "font": False,
+        "features": ["navigation.tabs", "navigation.indexes", "navigation.top", "content.code.copy"],
+    },
+    "plugins": ["search", "offline"],
+    "markdown_extensions": ["tables", {"toc": {"permalink": True}}, "pymdownx.superfences"],
+    "validation": {"links": {"not_found": "warn", "anchors": "warn", "unrecognized_links": "warn"}},
+}
+
+
+def navigation() -> list[Any]:
+    """Give the pages in the order of the site."""
+    return [
+        {"Home": "README.md"},
+        {"Install": "docs/install.md"},
+        {"Guide": _pages("guide")},
+        {"Commands": _pages("commands")},
+        {"Reference": [f"docs/{name}.md" for name in _REFERENCE]},
+        {"Python": ["docs/api.md", "docs/examples/README.md"]},
+        {"Studies": _pages("studies")},
+        {"Evidence": _pages("evidence")},
+        {
+            "Project": [
+                *("docs/architecture.md", "CONTRIBUTING.md", "ROADMAP.md", "CHANGELOG.md"),
+                *("CODE_OF_CONDUCT.md", "SECURITY.md"),
+                *_pages("decisions"),
+            ]
+        },
+    ]
+
+
+def _pages(folder: str) -> list[str]:
+    """Pages of a folder, its list first."""
+    paths = sorted((ROOT / "docs" / folder).glob("*.md"), key=lambda path: (path.name != "README.md", path))
+    return [path.relative_to(ROOT).as_posix() for path in paths]
+
+
+def stage() -> Path:
+    """Copy the pages with what they link, and write the configuration of the site beside them."""
+    pages = BUILD / "pages"
+    shutil.rmtree(pages, ignore_errors=True)
+    pages.mkdir(parents=True)
+    for folder in ("docs", "configs"):
+        shutil.copytree(ROOT / folder, pages / folder)
+    for path in (*ROOT.glob("*.md"), ROOT / "LICENSE", ROOT / "CITATION.cff", ROOT / "Containerfile"):
+        shutil.copy(path, pages)
+    configuration = BUILD / "mkdocs.yml"
+    # JSON is YAML.
+    configuration.write_text(json.dumps({**_SITE, "nav": navigation()}, indent=1), encoding="utf-8")
+    return configuration
+
+
+if __name__ == "__main__":
+    print(stage())
