@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 
 # Longest vector as a share of the width of the map, and of the extent of the points.
 _LONGEST = 0.12
+# Names of more points than this would hide the vectors.
+_NAMED = 60
 _INK = "#1f4e9c"
-# Axes are placed by hand: to have their places searched draws each figure three times.
+# Axes are placed by hand: to have their places searched takes as long as to draw them.
 _MAP_INCHES = (7.0, 6.0)
 _HISTOGRAM_INCHES = (7.0, 2.6)
 
@@ -76,9 +78,7 @@ def draw_vectors(
         width=0.003,
     )
     axes.plot(table[:, 0], table[:, 1], ".", color=colour, markersize=3)
-    # Names of more points than this would hide the vectors.
-    named = 60
-    if len(names) <= named:
+    if len(names) <= _NAMED:
         for name, row in zip(names, table.tolist(), strict=True):
             text = name if math.isnan(row[4]) else f"{name}\n{height_text(row[4])}"
             axes.annotate(
@@ -155,6 +155,29 @@ def histograms(discrepancies: Discrepancies) -> Figure:
     return figure
 
 
+def heights_by_point(discrepancies: Discrepancies) -> Figure | None:
+    """Draw the discrepancies in height by point, with their mean, as figure 6 of Alves Junior et al. 2015.
+
+    None without heights, and for more points than can be named.
+    """
+    from matplotlib.figure import Figure
+
+    names, values = discrepancies.component("h")
+    if not 0 < len(values) <= _NAMED:
+        return None
+    figure = Figure(figsize=(max(4.0, 0.22 * len(values) + 1.2), 3.0))
+    axes = figure.add_axes((0.13, 0.2, 0.85, 0.69))
+    axes.bar(np.arange(len(values)), values, color="#9db8d9", edgecolor=_INK, linewidth=0.5)
+    axes.axhline(0.0, color=_INK, linewidth=0.6)
+    axes.axhline(float(values.mean()), color=_INK, linewidth=1.0, linestyle=(0, (4, 3)))
+    axes.set_xticks(np.arange(len(values)), names, rotation=90, fontsize=6)
+    axes.set_ylabel("dh (m)")
+    higher = f"{int(np.sum(values > 0.0))} of {len(values)} higher, mean {values.mean():+.3f} m"
+    axes.set_title(f"Heights, {SIGN}: {higher}", fontsize=8, loc="left")
+    axes.tick_params(axis="y", labelsize=7)
+    return figure
+
+
 def gsd_circles(discrepancies: Discrepancies, gsd_m: float | None) -> Figure | None:
     """Draw planimetric discrepancies about one origin, in circles of one and two ground sampling distances.
 
@@ -201,6 +224,7 @@ def check_figures(
     return {
         f"{prefix}residual_map.pdf": residual_map(discrepancies),
         f"{prefix}histograms.pdf": histograms(discrepancies),
+        f"{prefix}heights_by_point.pdf": heights_by_point(discrepancies),
         f"{prefix}gsd_circles.pdf": gsd_circles(discrepancies, gsd_m),
     }
 

@@ -29,6 +29,7 @@ _CAUSES: tuple[tuple[frozenset[str], frozenset[str], str], ...] = (
     (frozenset({"x0"}), frozenset({"y0"}), "one-side"),
     (frozenset({"c"}), frozenset({"x0", "y0"}) | _DECENTRING, "one-side"),
     (_DECENTRING, _DECENTRING, "all-around"),
+    (frozenset({"omega"}), frozenset({"kappa"}), "one-angle"),
 )
 UNKNOWN = "unknown"
 ELEMENTS = ("omega", "phi", "kappa", "X0", "Y0", "Z0")

@@ -23,9 +23,10 @@ MOTION_COLUMNS = (
     "temperature_c",
     *SHAKE,
 )
-# A strip ends with a turn of the track, or a pause.
+
+
+# A strip ends with a turn of the track.
 _TURN_DEG = 30.0
-_PAUSE = 4.0
 
 
 def read_motion(table: TextTable) -> tuple[Floats, Floats, Floats, Floats]:
@@ -160,9 +161,11 @@ def strips(seconds: Floats, velocity: Floats) -> tuple[Integers, Floats]:
     returns elapsed (n,): seconds since the middle of the strip.
     """
     heading = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
+    # And with a pause, in intervals.
+    pause = 4.0
     turned = np.abs((np.diff(heading) + 180.0) % 360.0 - 180.0) > _TURN_DEG
     wait = np.diff(seconds)
-    paused = wait > _PAUSE * np.median(wait) if len(wait) else turned
+    paused = wait > pause * np.median(wait) if len(wait) else turned
     strip = np.concatenate([[0], np.cumsum(turned | paused)]).astype(np.int64)
     first = np.full(strip[-1] + 1, np.inf)
     last = np.full(strip[-1] + 1, -np.inf)

@@ -264,8 +264,8 @@ def contradicting(d: Floats, covariance: Floats, common: Floats) -> tuple[tuple[
                 continue
             agreed = least
             # Of points that disagree nobody knows which one is wrong.
-            apart = special.chdtri(len(axes), policy.SIGNIFICANCE)
-            clear = len(tried) == 1 or bool(tried[1][0] - least >= apart)
+            apart = float(special.chdtri(len(axes), policy.SIGNIFICANCE))
+            clear = len(tried) == 1 or tried[1][0] - least >= apart
             chosen = (_cost(d, covariance, common, best, axes), best, axes, clear)
             options = [one for one in options if one[2] != axes] + [chosen]
     if not options:

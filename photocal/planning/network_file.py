@@ -9,15 +9,16 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, Positi
 from photocal.adjustment.network import RELATIONS, Relations
 from photocal.base.arrays import Floats, Integers
 from photocal.base.checked_toml import Table, read_toml
-from photocal.base.errors import ConfigurationError
+from photocal.base.errors import ConfigurationError, InputMalformedError
 from photocal.block.model import ROLES, Block, Images, ObjectPoints, Observations
-from photocal.block.table import read_table
+from photocal.block.table import read_table, refuse
 from photocal.geometry.rotation import angles_from_matrix
 from photocal.planning.frame import PlanningCamera
 from photocal.planning.simulated_adjustment import SELF_CALIBRATION, planned_camera, visible_rays
 
 # A photo is oriented by so many points.
 _LEAST_POINTS = 4
+_NORMAL = ("nX", "nY", "nZ")
 Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
@@ -218,12 +219,18 @@ def _targets(keys: ObjectKeys, path: Path) -> Targets:
         xyz[:, 2] = body.height_m * i / (body.rings - 1)
         names = tuple(f"{b + 1}.{a + 1}" for a, b in zip(j.tolist(), i.tolist(), strict=True))
         return Targets(names, xyz, normal)
-    table = read_table(path.parent / keys.points, ("point", "X", "Y", "Z"), ("nX", "nY", "nZ"))
+    table = read_table(path.parent / keys.points, ("point", "X", "Y", "Z"), _NORMAL)
     names = table.unique_names("point")
     normal = np.full((len(names), 3), np.nan)
-    if table.has("nX"):
-        normal = table.matrix(("nX", "nY", "nZ"))
-        normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    if any(map(table.has, _NORMAL)):
+        if not all(map(table.has, _NORMAL)):
+            raise InputMalformedError(
+                "has half a normal", "give nX, nY and nZ", where=path.parent / keys.points
+            )
+        normal = table.matrix(_NORMAL)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        refuse(table, length[:, 0] == 0.0, "the normal has no length", "it points away from the surface")
+        normal = normal / length
     return Targets(names, table.matrix("XYZ"), normal)
 
 

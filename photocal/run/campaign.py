@@ -18,7 +18,7 @@ from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.control import control_stage
-from photocal.run.course import Course, expected, followed, into
+from photocal.run.course import RAYS_OF_A_PICTURE, Course, Size, about_rays, expected, followed, into
 from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
 from photocal.run.georeferencing import georeferencing_stage
@@ -33,6 +33,7 @@ from photocal.run.stage import (
     Stage,
     StageResult,
     alone,
+    foreseen,
     last_seconds,
     made_in,
     update_stage,
@@ -115,9 +116,11 @@ def run_project(
     check_project(project)
     wanted = wanted[: None if until is None else names.index(until) + 1]
     last = {stage.name: last_seconds(stage, project.output) for stage in wanted}
-    course = Course(expected(last, tuple(last), _pictures(wanted)), progress)
+    course = Course(expected(last, last, _size(project, wanted)), progress, seen_s=sum(last.values()))
     with alone(project.output), bar() as show, followed(course, into(project.output / PROGRESS), show):
         digests = Digests(project.output / _MEMORY, again=rehash)
+        due = foreseen(wanted, project.output, digests, again)
+        course.revise({name: 0.0 for name in names if name not in due})
         made: list[StageResult] = []
         missing: set[Path] = set()
         failure: PhotocalError | None = None
@@ -134,6 +137,8 @@ def run_project(
                             )
                         course.end(kept=made[-1].kept)
                         report(made[-1])
+                        if stage.name == "block":
+                            course.revise(expected(last, due, _size(project, wanted)))
                         continue
                 except PhotocalError as refusal:
                     failure = failure or refusal
@@ -147,9 +152,16 @@ def run_project(
     return tuple(made)
 
 
-def _pictures(stages: Sequence[Stage]) -> int:
-    """How many pictures are measured."""
-    return max(sum(name.startswith("image ") for name in stage.inputs) for stage in stages)
+def _size(project: Project, stages: Sequence[Stage]) -> Size:
+    """How much work there is: rays as the block has them, or as many as pictures usually have."""
+    pictures = max(sum(name.startswith("image ") for name in stage.inputs) for stage in stages)
+    megapixels = max((camera.size_px[0] * camera.size_px[1] / 1e6 for camera in project.cameras), default=0.0)
+    given = project.contents.measurements
+    ready = [made_in(project.output) / "block"]
+    if given is not None and given.block is not None:
+        ready.append(given.block)
+    rays = next(filter(None, map(about_rays, ready)), RAYS_OF_A_PICTURE * pictures)
+    return Size(pictures, pictures * megapixels, rays)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
 
@@ -11,28 +12,48 @@ from photocal.base.errors import OutputError
 from photocal.base.files import output_file, write_json
 from photocal.base.progress import Progress, Standing
 
-# Seconds that a stage takes at first, and for each picture, on two cores; what it took last time tells more.
+# Seconds that a stage takes at first, for each picture, each megapixel and each thousand rays, on two cores.
 _USUAL = {
-    "ppk": (10.0, 0.0),
-    "exposures": (1.0, 0.01),
-    "measurements": (5.0, 2.0),
-    "block": (0.5, 0.01),
-    "calibration": (2.0, 0.03),
-    "flown": (1.0, 0.01),
-    "georeferencing": (2.0, 0.05),
-    "analysis": (2.0, 0.05),
-    "certificate": (6.0, 0.02),
+    "ppk": (10.0, 0.0, 0.0, 0.0),
+    "exposures": (1.0, 0.01, 0.0, 0.0),
+    "measurements": (5.0, 0.1, 0.13, 0.0),
+    "block": (0.05, 0.01, 0.0, 0.003),
+    "calibration": (0.7, 0.0, 0.0, 0.016),
+    "flown": (0.3, 0.01, 0.0, 0.0),
+    "georeferencing": (2.0, 0.0, 0.0, 0.035),
+    "analysis": (0.3, 0.0, 0.0, 0.022),
+    "certificate": (0.9, 0.0, 0.0, 0.002),
 }
-_OTHER = (5.0, 0.0)
+_OTHER = (5.0, 0.0, 0.0, 0.0)
+# Of a ray in the files of a block.
+_OCTETS = {"observations.csv": 45.0, "observations.parquet": 20.0}
+# Before a block tells.
+RAYS_OF_A_PICTURE = 200.0
+TOLD_EVERY_S = 1.0
 
 
-def expected(last: Mapping[str, float], stages: tuple[str, ...], pictures: int) -> dict[str, float]:
-    """Seconds that each stage will take: as last time, else what is usual for so many pictures."""
+@dataclass(frozen=True)
+class Size:
+    """How much a run has before it: pictures, the megapixels of all of them, rays."""
+
+    pictures: int
+    megapixels: float
+    rays: float
+
+
+def about_rays(block: Path) -> float:
+    """How many rays a block folder has, by the size of its file; 0 without one."""
+    files = ((block / name, octets) for name, octets in _OCTETS.items())
+    return sum(path.stat().st_size / octets for path, octets in files if path.is_file())
+
+
+def expected(last: Mapping[str, float], stages: Iterable[str], size: Size) -> dict[str, float]:
+    """Seconds that each stage will take: as last time, else what is usual for so much work."""
 
     def usual(name: str) -> float:
         """Seconds of a stage that was never made."""
-        first, each = _USUAL.get(name, _OTHER)
-        return first + each * pictures
+        first, picture, megapixel, thousand = _USUAL.get(name, _OTHER)
+        return first + picture * size.pictures + megapixel * size.megapixels + thousand * size.rays / 1000.0
 
     return {name: last.get(name) or usual(name) for name in stages}
 
@@ -45,21 +66,27 @@ class Course:
         expected_s: Mapping[str, float],
         progress: Progress,
         clock: Callable[[], float] = time.monotonic,
+        seen_s: float = 0.0,
     ) -> None:
+        """Begin; `seen_s` of what is expected is what a run before took."""
         self._ahead, self._progress, self._clock = dict(expected_s), progress, clock
         self._began = self._stage_began = self._piece_began = clock()
         self._stage, self._title, self._expected = "", "", 0.0
         self._done, self._total = 0.0, float("nan")
         self._share = 0.0
-        # So many seconds of work as expected are set beside what was seen of this machine's pace.
-        as_expected_s = 5.0
-        self._took = self._meant = as_expected_s
+        # What is seen of the pace is weighed against so many seconds as expected, and what a run before took.
+        as_expected_s = 0.5
+        self._took = self._meant = as_expected_s + seen_s
 
     def begin(self, stage: str) -> None:
         """Begin with a stage."""
         self._stage, self._title, self._stage_began = stage, "", self._clock()
         self._expected = self._ahead.pop(stage, 0.0)
         self._done, self._total, self._piece_began = 0.0, math.nan, self._stage_began
+
+    def revise(self, expected_s: Mapping[str, float]) -> None:
+        """Expect otherwise of what has not begun: the run itself has told how much work there is."""
+        self._ahead |= {name: seconds for name, seconds in expected_s.items() if name in self._ahead}
 
     def end(self, *, kept: bool) -> None:
         """End with a stage; one that was kept tells nothing of the pace."""
@@ -86,11 +113,14 @@ class Course:
     def standing(self) -> Standing:
         """Tell how far it is now."""
         now = self._clock()
-        pace, elapsed, piece_s = self._took / self._meant, now - self._began, now - self._piece_began
+        elapsed, piece_s, stage_s = now - self._began, now - self._piece_began, now - self._stage_began
+        pace = self._took / self._meant
+        if self._expected:
+            # A stage that takes longer than expected tells of the pace before it ends.
+            pace = max(pace, (self._took + stage_s) / (self._meant + self._expected))
         share = min(self._done / self._total, 1.0) if self._done > 0.0 else 0.0
         known = math.isfinite(share) and not math.isnan(self._total)
         piece_left = piece_s * (1.0 / share - 1.0) if known and share > 0.0 else None
-        stage_s = now - self._stage_began
         left = max(pace * self._expected - stage_s, piece_left or 0.0)
         if self._expected:
             # A stage that takes longer than expected has at least this share of what it took before it.

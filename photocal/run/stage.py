@@ -12,7 +12,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
@@ -393,6 +393,20 @@ def last_seconds(stage: Stage, work: Path) -> float:
     return float(_kept(made_in(work) / stage.name / RECORD).get("seconds", 0.0))
 
 
+def foreseen(stages: Iterable[Stage], work: Path, digests: Digests, again: str | None = None) -> set[str]:
+    """Name the stages that will be made: what has changed, and all that reads the results of those."""
+    changed = set[Path]()
+    for stage in stages:
+        folder = made_in(work) / stage.name
+        follows = stage.name == again or not changed.isdisjoint(stage.after)
+        # What is missing now may be made until then, or is refused in its turn.
+        with suppress(InputNotFoundError, OSError):
+            if not follows and _standing(folder, _key(stage, digests), digests) is not None:
+                continue
+        changed.add(folder)
+    return {folder.name for folder in changed}
+
+
 def made_in(work: Path) -> Path:
     """Folder of the stages of a work folder in which nobody else writes."""
     return work / ".stages"
@@ -409,9 +423,8 @@ def _made(
     """Make a stage or keep it: which of both, and its record."""
     sweep(folder)
     key = _key(stage, digests)
-    record = _kept(folder / RECORD)
-    made = not again and record.get("key") == key
-    if made and digests.of_folder(folder, leave_out=RECORD) == record.get("outputs"):
+    record = None if again else _standing(folder, key, digests)
+    if record is not None:
         return True, record
     began = time.monotonic()
     with replaced_folder(folder) as aside, ledger() as adjustments:
@@ -430,6 +443,13 @@ def _made(
         }
         write_json(aside / RECORD, content)
     return False, content
+
+
+def _standing(folder: Path, key: str, digests: Digests) -> dict[str, Any] | None:
+    """Record of a stage that was made from the same, and whose files are as it wrote them."""
+    record = _kept(folder / RECORD)
+    same = record.get("key") == key
+    return record if same and digests.of_folder(folder, leave_out=RECORD) == record.get("outputs") else None
 
 
 def _key(stage: Stage, digests: Digests) -> str:

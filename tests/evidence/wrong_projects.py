@@ -93,7 +93,7 @@ CASES = (
         lambda site: (toml(CRS, 'crs = "EPSG:4326"')(site), control(degrees)(site))[0],
         "degrees cannot be adjusted",
     ),
-    Wrong("geocentric system", toml(CRS, 'crs = "EPSG:4978"'), "no map coordinates"),
+    Wrong("geocentric system", toml(CRS, 'crs = "EPSG:4978"'), "not a map system"),
     Wrong("unknown system", toml(CRS, 'crs = "EPSG:99999"'), "not a known coordinate system"),
     Wrong("system in feet", toml(CRS, 'crs = "EPSG:2225"'), "foot, not in metres"),
     Wrong("next zone", toml(CRS, 'crs = "EPSG:31983"'), "is not the zone .* that is EPSG:31982"),

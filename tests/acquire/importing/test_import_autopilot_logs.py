@@ -157,7 +157,7 @@ def test_camera_messages_become_exposures(tmp_path: Path) -> None:
 def test_a_log_without_utc_is_refused_in_words(tmp_path: Path) -> None:
     source = tmp_path / "indoor.bin"
     source.write_bytes(made_dataflash(fix=1))
-    with pytest.raises(InputMalformedError, match="never told UTC"):
+    with pytest.raises(InputMalformedError, match="never reported UTC"):
         imported(source, tmp_path)
     assert not (tmp_path / "log.mcap").exists()
 

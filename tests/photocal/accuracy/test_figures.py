@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.patches import Rectangle
 from matplotlib.quiver import QuiverKey
 
 from photocal.accuracy.discrepancies import Discrepancies
-from photocal.accuracy.maps import histograms, residual_map, round_down
+from photocal.accuracy.maps import heights_by_point, histograms, residual_map, round_down
 
 D = np.random.default_rng(6).normal(0.0, 0.3, (10, 3))
 POSITIONS = np.random.default_rng(7).uniform(0.0, 900.0, (10, 3)) + 1e5
@@ -50,3 +51,14 @@ def test_histograms_count_every_point() -> None:
 def test_round_numbers_of_the_scale_bar(value: float) -> None:
     found = round_down(value)
     assert 0.39 * value <= found <= value * (1 + 1e-9)
+
+
+def test_heights_point_by_point() -> None:
+    figure = heights_by_point(Discrepancies(NAMES, D))
+    assert figure is not None
+    (axes,) = figure.axes
+    heights = [bar.get_height() for bar in axes.patches if isinstance(bar, Rectangle)]
+    assert heights == pytest.approx(D[:, 2].tolist())
+    assert [label.get_text() for label in axes.get_xticklabels()] == list(NAMES)
+    assert f"{sum(D[:, 2] > 0)} of {len(D)} higher" in axes.get_title(loc="left")
+    assert heights_by_point(Discrepancies(NAMES, D * np.array([1.0, 1.0, np.nan]))) is None

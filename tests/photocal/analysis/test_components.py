@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from photocal.analysis.components import Proposal, principal_components, propose_removal
 from photocal.analysis.correlation import strong_correlations
 from photocal.analysis.estimates import Estimates, from_sigmas, without
 from photocal.base.arrays import Floats
 from photocal.base.errors import IllPosedError
+from photocal.cli import app
 from photocal.findings.texts import catalogue, finding_text, plain
 
 Rows = list[dict[str, str]]
@@ -195,3 +197,18 @@ def test_correlations_with_the_exterior_orientation_are_explained() -> None:
     r[0, 1] = r[1, 0] = 0.99
     (pair,) = strong_correlations(from_sigmas(("c", "Z0"), [1.0, 1.0], [1.0, 1.0], r))
     assert pair.cause == "height"
+
+
+def test_omega_and_kappa_near_the_pole_are_explained() -> None:
+    r = np.array([[1.0, 0.999], [0.999, 1.0]])
+    (pair,) = strong_correlations(from_sigmas(("omega", "kappa"), [0.1, 0.1], [7.2, 7.2], r))
+    assert pair.cause == "one-angle"
+
+
+@pytest.mark.parametrize(("case", "told"), [(1, True), (3, False)])
+def test_the_station_of_the_tank_whose_angles_are_one(case: int, told: bool) -> None:
+    """The study turned its system: phi 89.6 degrees in the first, and a correlation of 0.123 in the third."""
+    table = Path(__file__).parents[3] / f"configs/studies/tank/station9_case{case}.csv"
+    said = CliRunner().invoke(app, ["analyse", str(table)]).output
+    assert ("omega and kappa are one angle here" in said) == told
+    assert ("both turn about one axis" in said) == told

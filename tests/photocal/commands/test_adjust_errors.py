@@ -263,7 +263,7 @@ def test_bad_blocks(what: str, tmp_path: Path, photocal: Callable[..., Any]) -> 
 def test_no_block_folder(tmp_path: Path, photocal: Callable[..., Any]) -> None:
     one_line(photocal("adjust", tmp_path / "nowhere", "-o", tmp_path / "run"), NOT_FOUND, ("does not exist",))
     (tmp_path / "file").write_text("x")
-    one_line(photocal("adjust", tmp_path / "file", "-o", tmp_path / "run"), MALFORMED, ("holds no block",))
+    one_line(photocal("adjust", tmp_path / "file", "-o", tmp_path / "run"), MALFORMED, ("has no block",))
     assert not (tmp_path / "run").exists()
 
 

@@ -134,7 +134,7 @@ def test_from_the_folder_to_the_signed_certificate(
     expect(page.locator("ol.stages li[aria-current]")).to_be_visible()
     expect(page.locator("#command code")).to_contain_text("photocal run")
     page.get_by_role("button", name="Stop").click()
-    expect(page.locator("main")).to_contain_text("What was finished is kept")
+    expect(page.locator("main")).to_contain_text("Finished stages are kept")
     page.get_by_role("button", name="Continue").click()
     expect(page.locator("ol.stages li[aria-current]")).to_be_visible()
 

@@ -221,7 +221,7 @@ def test_tables_of_positions_are_judged_too(tmp_path: Path) -> None:
             read_positions(path, ["a.jpg", "b.jpg"])
     mrk = tmp_path / "x.MRK"
     mrk.write_text("\n".join(FAULTS["5 km within 2 s"][0](lines())))
-    with pytest.raises(InputMalformedError, match=r"80 m/s carry \(event 6\)"):
+    with pytest.raises(InputMalformedError, match=r"80 m/s allow \(event 6\)"):
         read_positions(mrk, [f"DJI_{k:04}.JPG" for k in range(1, 13)])
 
 

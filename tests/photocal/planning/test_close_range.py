@@ -168,6 +168,24 @@ def test_the_tank_as_its_study_found_it() -> None:
 
 
 @pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("point,X,Y,Z,nX\na,0,0,0,1\n", "half a normal"),
+        ("point,X,Y,Z,nX,nY,nZ\na,0,0,0,0,0,1\nb,1,0,0,0,0,0\n", "line 3: the normal has no length"),
+        ("point,X,Y,Z\na,0,0,0\na,1,0,0\n", "twice"),
+    ],
+)
+def test_refused_targets(tmp_path: Path, rows: str, said: str) -> None:
+    (tmp_path / "targets.csv").write_text(rows)
+    path = tmp_path / "own.toml"
+    field = SMALL[SMALL.index("[object.field]") : SMALL.index("[[stations]]")]
+    path.write_text(SMALL.replace(field, '[object]\npoints = "targets.csv"\n'))
+    done = CliRunner().invoke(app, ["plan-network", str(path)])
+    assert isinstance(done.exception, PhotocalError)
+    assert said in str(done.exception)
+
+
+@pytest.mark.parametrize(
     ("change", "said"),
     [
         (("radius_m = 3.0, height_m = 3.5", "radius_m = 30.0, height_m = 1.0"), "sees 0 targets"),

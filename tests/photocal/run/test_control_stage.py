@@ -98,7 +98,7 @@ def test_a_run_takes_them_so_and_no_distance_ends_it(
     assert "made in pictures of another size" in text
     certificate = (folder / "work/certificate/certificate.html").read_text(encoding="utf-8")
     assert re.search("made in pictures of another size", certificate)
-    assert "G6 is no point of the block" in " ".join(re.sub("<[^>]*>", " ", certificate).split())
+    assert "G6 is not a point of the block" in " ".join(re.sub("<[^>]*>", " ", certificate).split())
     block = read_block(folder / "work/block")
     kinds = block.relations.kind.tolist()
     assert kinds.count(list(RELATIONS).index("distance")) == 1

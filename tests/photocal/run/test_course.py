@@ -12,7 +12,7 @@ import pytest
 
 from photocal.base.console import one_bar
 from photocal.base.progress import Standing, quiet
-from photocal.run.course import Course, expected, followed, into
+from photocal.run.course import Course, Size, about_rays, expected, followed, into
 
 
 class Clock:
@@ -24,9 +24,37 @@ class Clock:
 
 
 def test_a_stage_takes_what_it_took_last_time() -> None:
-    assert expected({"block": 3.0, "analysis": 0.0}, ("block", "analysis"), 0)["block"] == 3.0
-    usual = expected({}, ("measurements", "another"), 100)
+    nothing = Size(0, 0.0, 0.0)
+    assert expected({"block": 3.0, "analysis": 0.0}, ("block", "analysis"), nothing)["block"] == 3.0
+    usual = expected({}, ("measurements", "another"), Size(100, 1200.0, 20_000.0))
     assert usual["measurements"] > usual["another"] > 0.0
+    assert expected({}, ("analysis",), Size(0, 0.0, 1e6))["analysis"] > 3.0 * usual["another"]
+
+
+def test_rays_are_told_by_the_size_of_their_file(tmp_path: Path) -> None:
+    assert about_rays(tmp_path) == 0.0
+    rows = [f"IMG_{k % 40:04},ti{k},{k * 0.6180339887 % 4000},{k * 0.3819660113 % 3000}" for k in range(1000)]
+    (tmp_path / "observations.csv").write_text("\n".join(["image,point,x,y", *rows]) + "\n")
+    assert about_rays(tmp_path) == pytest.approx(1000.0, rel=0.2)
+
+
+def test_an_overdue_stage_tells_of_those_after_it() -> None:
+    clock = Clock()
+    course = Course({"calibration": 10.0, "analysis": 50.0}, quiet, clock)
+    course.begin("calibration")
+    clock.now += 20.0
+    # Twice as long already: the analysis will not take 50 s.
+    assert course.standing().left_s == pytest.approx(100.0, rel=0.1)
+
+
+def test_what_has_not_begun_is_expected_otherwise() -> None:
+    clock = Clock()
+    course = Course({"block": 10.0, "analysis": 50.0, "certificate": 5.0}, quiet, clock)
+    course.begin("block")
+    clock.now += 10.0
+    course.end(kept=False)
+    course.revise({"block": 99.0, "analysis": 500.0, "certificate": 0.0})
+    assert course.standing().left_s == pytest.approx(500.0)
 
 
 def test_time_left_is_that_of_all_stages_at_the_pace_of_this_machine() -> None:

@@ -24,6 +24,7 @@ from photocal.run.stage import (
     Stage,
     _modules,
     alone,
+    foreseen,
     made_in,
     names_in,
     needed_modules,
@@ -176,6 +177,23 @@ def test_a_later_stage_follows_the_results_of_the_earlier(shouting: Shouting) ->
     shouting.source.write_text("two", encoding="utf-8")
     shouting.bring()
     assert not shouting.bring(later)
+
+
+def test_what_will_be_made_is_foreseen(shouting: Shouting, tmp_path: Path) -> None:
+    first = shouting.stage
+    later = Stage("later", "", lambda *_: None, after=(made_in(shouting.work) / first.name,))
+    other = Stage("other", "", lambda *_: None, {"input": shouting.source})
+    apart = Stage("apart", "", lambda *_: None)
+    whole = (first, later, other, apart)
+    assert foreseen(whole, shouting.work, Digests(shouting.work / "d")) == {s.name for s in whole}
+    for stage in whole:
+        update_stage(stage, shouting.work, Digests(shouting.work / "d"), quiet)
+    assert foreseen(whole, shouting.work, Digests(shouting.work / "d")) == set()
+    assert foreseen(whole, shouting.work, Digests(shouting.work / "d"), "other") == {"other"}
+    shouting.source.write_text("changed", encoding="utf-8")
+    assert foreseen(whole, shouting.work, Digests(shouting.work / "d")) == {first.name, "later", "other"}
+    shouting.source.unlink()
+    assert foreseen(whole, shouting.work, Digests(shouting.work / "d")) == {first.name, "later", "other"}
 
 
 def test_a_failing_stage_leaves_the_old_result(shouting: Shouting) -> None:

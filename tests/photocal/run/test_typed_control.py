@@ -179,7 +179,9 @@ def test_a_third_of_the_control_may_be_gross(
         assert sum("E and N are exchanged" in line for line in found["doubtful"]) == 2
     said = ran(photocal, tmp_path / "f")
     for name in ("G2", "G4"):
-        assert re.search(rf"Control point {name} (does not lie where its rays meet: by|lies)", said), said
+        assert re.search(rf"Control point {name} (does not lie where its rays intersect: by|lies)", said), (
+            said
+        )
     assert not re.search(r"Control point G[1356]", said)
     work = tmp_path / "f/work"
     points = (work / "calibration/points.csv").read_text().splitlines()
@@ -228,7 +230,7 @@ def test_the_answers_to_a_question_are_taken(pictures: Path, tmp_path: Path, pho
 @pytest.mark.parametrize(
     ("first", "height", "asked"),
     [
-        ("EPSG:4978", "", "crs: 'EPSG:4978' (WGS 84) has no map coordinates"),
+        ("EPSG:4978", "", "crs: 'EPSG:4978' (WGS 84) is not a map system"),
         ("EPSG:2180+5773", "ellipsoidal", "height: EPSG:2180+5773 has heights of its own (EGM96 height)"),
         ("EPSG:2180+5773", "", ""),
         ("EPSG:2180+5773", "orthometric", ""),
