@@ -41,21 +41,6 @@ class Condensed:
     chi_squared: float
     degrees_of_freedom: int
 
-    def with_sigmas(self, cameras: tuple[Camera, ...], mounting: Mounting) -> Shared:
-        """Give the minimum of the network with other given values and standard deviations of these.
-
-        cameras, mounting: as in a network; what is no unknown here stays held.
-        raises IllPosedError: when the equations are singular.
-        """
-        there = observed(self, self.cameras, self.mounting)
-        here = observed(self, cameras, mounting)
-        covariance = self.covariance(cameras, mounting)
-        right = self.right + there.pull - here.pull
-        step = covariance @ right
-        chi_squared = self.chi_squared - there.chi_squared + here.chi_squared - float(right @ step)
-        freedom = self.degrees_of_freedom + here.redundancy - there.redundancy
-        return self.stepped(step, covariance, chi_squared, freedom)
-
     def stepped(self, step: Floats, covariance: Floats, chi_squared: float, freedom: int) -> Shared:
         """Give what images share after a step of it, with the covariance (k, k) of the unknowns."""
         values, spread = self.values.copy(), np.zeros((len(self.values), len(PARAMETERS), len(PARAMETERS)))

@@ -1,6 +1,6 @@
 """The analysis of a network: everything that can be said of a calibration."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -78,11 +78,6 @@ def effects(camera: Camera, estimates: Estimates, reach: float = np.inf) -> tupl
     grid = grid[np.linalg.norm(plane, axis=1) <= reach]
     pixels, full = _seen(camera, grid)
     return tuple(_effect(camera, estimates, group, pixels, full) for group in wanted)
-
-
-def effect(camera: Camera, estimates: Estimates, parameters: Iterable[str], pixels: Floats) -> Effect:
-    """Give the effect of some parameters over a grid of pixels."""
-    return _effect(camera, estimates, tuple(parameters), *_seen(camera, pixels))
 
 
 def _seen(camera: Camera, pixels: Floats) -> tuple[Floats, IdealImage]:

@@ -127,14 +127,6 @@ class Study(Table):
     picture: tuple[DrawnPicture, ...] = ()
     not_repeated: tuple[NotRepeated, ...] = ()
 
-    @property
-    def named_tables(self) -> tuple[str, ...]:
-        """All printed tables that the study speaks of."""
-        named = [name for given in self.input for name in given.tables]
-        named += [name for left in self.not_repeated for name in left.tables]
-        named += [Path(table.printed).name for table in self.table]
-        return tuple(dict.fromkeys(named))
-
 
 def read_study(folder: Path) -> Study:
     """Read the study of a folder; errors as of `read_toml`."""

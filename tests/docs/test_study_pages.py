@@ -36,7 +36,9 @@ def test_every_printed_table_is_named(name: str, shared: Path) -> None:
     """Repeated, read as input, or listed with the reason why it is not."""
     there = {path.name for path in (shared / "reference" / name).glob("*.csv")}
     study = read_study(shipped()[name])
-    assert there - set(study.named_tables) == set()
+    named = {name for given in study.input for name in given.tables}
+    named |= {name for left in study.not_repeated for name in left.tables}
+    assert there - named - {Path(table.printed).name for table in study.table} == set()
     page = (study_pages.FOLDER / f"{name}.md").read_text(encoding="utf-8")
     assert [table for table in there if table not in page] == []
 
