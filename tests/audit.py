@@ -27,7 +27,7 @@ TIMEOUT_S = 600
 # Licences that allow a program under Apache-2.0 to be delivered with the package as it is, by the words of
 # their identifiers and classifiers. LGPL: pymavlink, a library that is imported and may be exchanged.
 FIT = re.compile(
-    r"MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|CC0|MPL|Mozilla|AFL|LLVM|DFSG|LGPL|Lesser"
+    r"MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|CC0|Unlicense|MPL|Mozilla|AFL|LLVM|DFSG|LGPL|Lesser"
     r"|HPND"
 )
 PLATFORMS = {
