@@ -27,8 +27,8 @@ TIMEOUT_S = 600
 # Licences that allow a program under Apache-2.0 to be delivered with the package as it is, by the words of
 # their identifiers and classifiers. LGPL: pymavlink, a library that is imported and may be exchanged.
 FIT = re.compile(
-    r"MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|CC0|Unlicense|MPL|Mozilla|AFL|LLVM|DFSG|LGPL|Lesser"
-    r"|HPND"
+    r"MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|CC0|Unlicense|MPL|Mozilla|AFL|LLVM|DFSG"
+    r"|LGPL|Lesser|HPND"
 )
 PLATFORMS = {
     "Linux x86-64": ("manylinux_2_28_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
