@@ -69,7 +69,7 @@ def test_a_prior_of_the_same_photos_halves_the_variances(block: Path, run: Path,
             'prior_from = "may/result.json"',
             'prior_from = "may/result.json"\nparameters = { c = 20.0 }',
             ConfigurationError,
-            "beside",
+            "both given",
         ),
         (
             'prior_from = "may/result.json"',

@@ -49,7 +49,7 @@ def test_readout_of_a_known_camera() -> None:
     ("keys", "word"),
     [
         ({"readout_from": "hasselblad l1d-20c"}, "this size"),
-        ({"readout_from": "dji fc330", "parameters": {"c": 2300.0, "readout": 0.03}}, "beside"),
+        ({"readout_from": "dji fc330", "parameters": {"c": 2300.0, "readout": 0.03}}, "both given"),
         ({"shutter": "rolling"}, "neither"),
         ({"shutter": "global", "estimate": ("readout",)}, "global"),
         ({"photo_variant": {"readout": 0.01}, "estimate": ("readout",)}, "image to image"),
@@ -111,7 +111,7 @@ def test_readout_without_velocities_is_refused(tmp_path: Path) -> None:
     folder = blocks.dcs460(tmp_path / "block")
     setup = folder / "block.toml"
     setup.write_text(setup.read_text().replace('"P2"]', '"P2", "readout"]'))
-    with pytest.raises(ConfigurationError, match="how fast its images fly"):
+    with pytest.raises(ConfigurationError, match="the speed of its images is unknown"):
         adjust_block(folder, tmp_path / "run")
 
 

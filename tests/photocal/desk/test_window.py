@@ -119,7 +119,7 @@ def test_from_the_folder_to_the_signed_certificate(
 
     page.get_by_role("link", name=re.compile("Check")).click()
     page.get_by_role("button", name="Check now").click()
-    mend = page.get_by_role("link", name=re.compile("Mend it: Coordinate system"))
+    mend = page.get_by_role("link", name=re.compile("Correct it: Coordinate system"))
     expect(mend).to_be_visible()
     accessible(page)
     mend.click()

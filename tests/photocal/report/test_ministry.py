@@ -157,12 +157,12 @@ def test_full_certificate_has_all_sections(invented_run: AnalysedRun) -> None:
         "Signature",
     ):
         assert title in titles
-    assert [one.title for one in document.verdicts].count("Limits of items 2.q and 2.r kept") == 1
+    assert [one.title for one in document.verdicts].count("Limits of items 2.q and 2.r met") == 1
     pieces = [piece for section in document.sections for piece in section.pieces]
     signature = next(piece for piece in pieces if isinstance(piece, Signature))
     assert signature.lines == ("Maria Exemplo", "Engenheira cartógrafa", "CREA 000000")
     form = next(p for p in pieces if isinstance(p, TablePart) and len(p.rows) == 47)
-    assert form.rows[0][2] == "Limits of items 2.q and 2.r kept"
+    assert form.rows[0][2] == "Limits of items 2.q and 2.r met"
 
 
 @pytest.mark.parametrize(
