@@ -210,5 +210,5 @@ def test_the_station_of_the_tank_whose_angles_are_one(case: int, told: bool) -> 
     """The study turned its system: phi 89.6 degrees in the first, and a correlation of 0.123 in the third."""
     table = Path(__file__).parents[3] / f"configs/studies/tank/station9_case{case}.csv"
     said = CliRunner().invoke(app, ["analyse", str(table)]).output
-    assert ("omega and kappa are one angle here" in said) == told
+    assert ("omega and kappa act as one angle here" in said) == told
     assert ("both turn about one axis" in said) == told
