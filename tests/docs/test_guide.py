@@ -170,7 +170,9 @@ def _lines(chapter: str) -> list[str]:
 
 def test_the_flight_is_recorded_whole(recorded: Desk) -> None:
     said = recorded.said["acquire info"]
-    verdict = re.search(r"```text\n(verdict: complete.*?)```", (GUIDE / "field.md").read_text("utf-8"), re.DOTALL)
+    verdict = re.search(
+        r"```text\n(verdict: complete.*?)```", (GUIDE / "field.md").read_text("utf-8"), re.DOTALL
+    )
     assert verdict is not None
     assert said.startswith(verdict[1])
     assert re.findall(r"(\d+) bytes belong to no valid frame", said) == ["0", "0", "0"]
