@@ -110,7 +110,7 @@ def settle(
         if not matters and made.fixing < FEWEST_CONTROL:
             made.missing.append(
                 f"{made.fixing} control points are marked in two pictures and more, {FEWEST_CONTROL} place a "
-                "block: it will be calibrated, not placed"
+                "block: it will be calibrated, not georeferenced"
             )
     made.doubtful += [f"not used: {line}" for line in made.refused]
     return made

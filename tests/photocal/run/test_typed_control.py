@@ -211,7 +211,7 @@ def test_a_free_block_is_certified_as_calibrated_not_placed(
     certificate = tmp_path / "f/work/certificate"
     for name in ("certificate.html", "certificate.json"):
         text = (certificate / name).read_text(encoding="utf-8")
-        assert "not placed" in text
+        assert "not georeferenced" in text
         for word in ("EPSG", "PUWG", "CS92", "orthometric", r"\b63(45|46)\d\d\.\d", r"\b485[23]\d\d\.\d"):
             assert not re.search(word, text), (name, word)
 
