@@ -78,7 +78,7 @@ def test_the_y_scale_agrees_with_a_second_method(published: AdjustedNetwork) -> 
 
 def test_sigma_assumed_and_found(told_nothing: Search) -> None:
     found = of_kind(findings(told_nothing), "observation-sigma")
-    assert "sigma 3 µm was assumed, 1.2 µm was found" in said(found)
+    assert "a sigma of 3 µm was assumed, 1.2 µm was found" in said(found)
     assert sized(found).figure == pytest.approx(1.20, abs=0.005)
 
 
