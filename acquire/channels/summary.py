@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.mounting import mounting_of
-from acquire.channels.verdict import Verdict, verdict_on
+from acquire.channels.verdict import LogVerdict, verdict_on
 from acquire.log.reader import LogReader, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
 from drivers.frames import Batch, Wire
@@ -172,7 +172,7 @@ class LogSummary:
     parameters: dict[str, dict[str, float]] = field(default_factory=dict)
     exposures: Counter[str] = field(default_factory=Counter)
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> LogVerdict:
         """Judge whether the log is complete and can be processed."""
         return verdict_on(self._figures(), self.exposures)
 

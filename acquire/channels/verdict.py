@@ -13,7 +13,7 @@ _GAP_S = 2.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class LogVerdict:
     """Sentences about a log, and what stands in the way of processing it.
 
     exposures: how many pictures were triggered, reported and marked.
@@ -54,7 +54,7 @@ def _answer(lacks: tuple[str, ...]) -> str:
     return "yes" if not lacks else f"no ({', '.join(lacks)})"
 
 
-def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> Verdict:
+def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> LogVerdict:
     """Judge the figures of `LogSummary`.
 
     exposures: edges by kind: trigger, feedback, rising, falling.
@@ -72,7 +72,7 @@ def verdict_on(figures: dict[str, Any], exposures: dict[str, int]) -> Verdict:
     if not figures["complete"]:
         remarks.append("the log ends early: acquire recover saves what is whole")
     orbits = any(kind["type"] in _ORBITS for link in links.values() for kind in link["types"])
-    return Verdict(
+    return LogVerdict(
         faultless and bool(seen),
         seen,
         _lacks_for_ppk(receivers, orbits=orbits),

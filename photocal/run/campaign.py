@@ -18,7 +18,7 @@ from photocal.project import Project, read_project
 from photocal.run.block import block_stage, given_block_stage
 from photocal.run.calibration import analysis_stage, calibration_stage, certificate_stage
 from photocal.run.control import control_stage
-from photocal.run.course import RAYS_OF_A_PICTURE, Course, Size, about_rays, expected, followed, into
+from photocal.run.course import RAYS_OF_A_PICTURE, Course, Workload, about_rays, expected, followed, into
 from photocal.run.exposures import exposures_stage
 from photocal.run.flown import flown_stage
 from photocal.run.georeferencing import georeferencing_stage
@@ -152,7 +152,7 @@ def run_project(
     return tuple(made)
 
 
-def _size(project: Project, stages: Sequence[Stage]) -> Size:
+def _size(project: Project, stages: Sequence[Stage]) -> Workload:
     """How much work there is: rays as the block has them, or as many as pictures usually have."""
     pictures = max(sum(name.startswith("image ") for name in stage.inputs) for stage in stages)
     megapixels = max((camera.size_px[0] * camera.size_px[1] / 1e6 for camera in project.cameras), default=0.0)
@@ -161,7 +161,7 @@ def _size(project: Project, stages: Sequence[Stage]) -> Size:
     if given is not None and given.block is not None:
         ready.append(given.block)
     rays = next(filter(None, map(about_rays, ready)), RAYS_OF_A_PICTURE * pictures)
-    return Size(pictures, pictures * megapixels, rays)
+    return Workload(pictures, pictures * megapixels, rays)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ TOLD_EVERY_S = 1.0
 
 
 @dataclass(frozen=True)
-class Size:
+class Workload:
     """How much a run has before it: pictures, the megapixels of all of them, rays."""
 
     pictures: int
@@ -47,7 +47,7 @@ def about_rays(block: Path) -> float:
     return sum(path.stat().st_size / octets for path, octets in files if path.is_file())
 
 
-def expected(last: Mapping[str, float], stages: Iterable[str], size: Size) -> dict[str, float]:
+def expected(last: Mapping[str, float], stages: Iterable[str], size: Workload) -> dict[str, float]:
     """Seconds that each stage will take: as last time, else what is usual for so much work."""
 
     def usual(name: str) -> float:
