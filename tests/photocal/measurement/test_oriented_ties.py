@@ -119,7 +119,7 @@ def test_positions_tens_of_metres_off_bend_nothing() -> None:
     wrong[2] += [0, 300, 0]
     found = first_orientation(_block(wrong), tracks)
     assert found.adjusted.start.datum == "control"
-    assert any("2.jpg is 300 m off" in english(one) for one in found.findings)
+    assert any("2.jpg is wrong by 300 m" in english(one) for one in found.findings)
     assert np.isinf(found.adjusted.start.images.sigma[2, 3:]).all()
     relative = np.linalg.norm(np.diff(found.adjusted.values[:, 3:], axis=0), axis=1)
     assert relative == pytest.approx(np.linalg.norm(np.diff(places, axis=0), axis=1), rel=0.05)
