@@ -93,7 +93,7 @@ def test_the_project_file_keeps_its_comments(tmp_path: Path) -> None:
     take_back(path, first)
     take_back(path, second)
     assert path.read_text(encoding="utf-8").strip() == PROJECT.strip()
-    with pytest.raises(ConfigurationError, match="not left out"):
+    with pytest.raises(ConfigurationError, match="not in the list of data left out"):
         take_back(path, second)
 
 
