@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.channels.mounting import mounting_of
-from acquire.channels.verdict import LogVerdict, verdict_on
+from acquire.channels.verdict import GAP_S, LogVerdict, verdict_on
 from acquire.log.reader import LogReader, link_of, read_json
 from acquire.log.records import DAMAGE_ENCODING
 from drivers.frames import Batch, Wire
@@ -19,8 +19,6 @@ from drivers.mavlink.dialect import Dialect
 from drivers.protocols import known_wire
 from photocal.base.arrays import Bytes, Floats, Integers
 
-# A pause of a link counts as a gap from here on.
-GAP_S = 2.0
 _LISTED_GAPS = 20
 
 

@@ -4,12 +4,19 @@ from dataclasses import dataclass
 from typing import Any
 
 # Raw observations, and the orbits that a trajectory needs as well, by protocol.
-_OBSERVATIONS = ("RXM-RAWX", "1074", "1077", "1084", "1087", "1094", "1097", "1124", "1127", "1004", "1012")
+# RTCM: 1004, 1012, and MSM 4 to 7 of GPS, GLONASS, Galileo, QZSS and BeiDou.
+_MSM = tuple(str(system + kind) for system in (1070, 1080, 1090, 1110, 1120) for kind in (4, 5, 6, 7))
+_OBSERVATIONS = frozenset(("RXM-RAWX", "1004", "1012", *_MSM))
 _ORBITS = ("RXM-SFRBX", "1019", "1020", "1042", "1045", "1046")
 # How an exposure is seen, in the order in which a person thinks of it.
 _SEEN = {"trigger": "triggered", "feedback": "reported by the autopilot", "mark": "time marks"}
-# A receiver with raw observations at its own rate; a longer pause is a gap.
-_GAP_S = 2.0
+_LACKS = {
+    "trigger": "were triggered",
+    "feedback": "were reported by the autopilot",
+    "mark": "have a time mark",
+}
+# A pause of a link counts as a gap from here on.
+GAP_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -87,16 +94,13 @@ def _raw(link: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _of_exposures(seen: dict[str, int]) -> list[str]:
     most = max(seen.values(), default=0)
-    return [
-        f"{most - count} of {most} pictures are not among the {_SEEN[key]}"
-        for key, count in seen.items()
-        if count < most
-    ]
+    return [f"only {count} of {most} pictures {_LACKS[key]}" for key, count in seen.items() if count < most]
 
 
 def _of_receiver(name: str, kinds: list[dict[str, Any]]) -> list[str]:
-    longest = max(kind["longest_gap_s"] or 0.0 for kind in kinds)
-    return [f"{name}: raw observations with gaps, the longest {longest:.1f} s"] if longest > _GAP_S else []
+    # Of RTCM one system may be out of view: the steadiest of its messages tells.
+    longest = min(kind["longest_gap_s"] or 0.0 for kind in kinds)
+    return [f"{name}: raw observations with gaps, the longest {longest:.1f} s"] if longest > GAP_S else []
 
 
 def _of_damage(links: Any) -> list[str]:

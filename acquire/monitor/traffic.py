@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from acquire.channels.decoded import SECOND_NS
-from acquire.channels.summary import GAP_S
+from acquire.channels.verdict import GAP_S
 from acquire.log.reader import LoggedMessages
 from acquire.log.records import DAMAGE_ENCODING
 from acquire.monitor.state import ComputerState, LinkState, ReceiverState, RecordingState, ended, raised

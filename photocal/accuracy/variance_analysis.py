@@ -48,12 +48,17 @@ def analyse_variance(factors: Mapping[str, Sequence[str]], values: Floats) -> tu
     act together in pairs where enough is left over to judge that; what is left is the residual, the last one.
 
     factors: level of each value by the name of the factor.
-    raises ConfigurationError: where no factor varies, combinations are missing, or nothing is repeated.
+    raises ConfigurationError: where no factor or value varies, values or combinations are missing, or nothing
+        is repeated.
     """
     levels = {name: np.unique(given, return_inverse=True)[1] for name, given in factors.items()}
     levels = {name: level for name, level in levels.items() if level.max(initial=0) > 0}
     if not levels:
         raise ConfigurationError("no factor varies", "give two levels of one at least")
+    if not np.isfinite(values).all():
+        raise ConfigurationError("values are missing", "give a number in each row, or take the row out")
+    if not np.ptp(values):
+        raise ConfigurationError("all values are equal", "there is no variance to be parted")
     count = len(values)
     cells = _joined(list(levels.values()))
     number = np.bincount(cells)

@@ -1,4 +1,4 @@
-"""Strips that show no control point: they hang on their neighbours, as outer strips often do."""
+"""Strips that show no control point: only their neighbours hold them, as often with outer strips."""
 
 from collections.abc import Sequence
 

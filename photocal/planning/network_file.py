@@ -42,8 +42,8 @@ class FieldKeys(Table):
 
     width_m: PositiveFloat
     height_m: PositiveFloat
-    columns: Annotated[int, Field(ge=2)]
-    rows: Annotated[int, Field(ge=2)]
+    columns: Annotated[int, Field(ge=2, le=1000)]
+    rows: Annotated[int, Field(ge=2, le=1000)]
     relief_m: NonNegativeFloat = 0.0
 
 
@@ -52,8 +52,8 @@ class CylinderKeys(Table):
 
     radius_m: PositiveFloat
     height_m: PositiveFloat
-    around: Annotated[int, Field(ge=3)]
-    rings: Annotated[int, Field(ge=2)]
+    around: Annotated[int, Field(ge=3, le=1000)]
+    rings: Annotated[int, Field(ge=2, le=1000)]
 
 
 class ObjectKeys(Table):
@@ -76,7 +76,7 @@ class RingKeys(Table):
 
     radius_m: PositiveFloat
     height_m: FiniteFloat
-    count: PositiveInt
+    count: Annotated[int, Field(ge=1, le=1000)]
     first_deg: FiniteFloat = 0.0
     arc_deg: Annotated[float, Field(gt=0.0, le=360.0)] = 360.0
 

@@ -205,7 +205,15 @@ def calibrated(run: AnalysedRun, say: Catalogue) -> list[Section]:
                 say.measured(camera.value(key), sigma),
                 camera.unit if key in ("c", "x0", "y0") else "",
             )
-            rows.append((symbol(key), value.value, value.sigma, power_of_ten(value.exponent, unit), whose))
+            rows.append(
+                (
+                    symbol(key),
+                    value.value,
+                    value.sigma,
+                    power_of_ten(value.exponent, unit),
+                    say(f"whose.{whose}"),
+                )
+            )
         heads = columns(say, "analysis", "parameter<", "estimate", "formal", "unit<", "of<")
         listed.append(Section(name, (TablePart("", heads, tuple(rows)),) if rows else ()))
     return listed

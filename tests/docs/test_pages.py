@@ -15,7 +15,7 @@ from photocal.base import errors
 from photocal.base.checked_toml import Table
 from photocal.block import camera_setup, setup
 from photocal.geometry.camera import PARAMETERS
-from tests.docs import evidence_page, fault_page, gallery_page, picture_page
+from tests.docs import evidence_page, fault_page, gallery_page, picture_page, site
 from tests.docs.command_pages import FOLDER, MORE, commands, pages
 
 ROOT = Path(__file__).parents[2]
@@ -62,6 +62,11 @@ def test_examples_begin_with_their_command() -> None:
 def test_links_lead_somewhere(page: Path) -> None:
     broken = [link for link in _links(page) if not _leads(page, link)]
     assert broken == []
+
+
+def test_the_site_lists_every_page() -> None:
+    listed = set(re.findall(r"'([^']+\.md)'", str(site.navigation())))
+    assert listed == {path.relative_to(ROOT).as_posix() for path in (*PAGES, *ROOT.glob("*.md"))}
 
 
 def test_a_broken_link_is_seen(tmp_path: Path) -> None:

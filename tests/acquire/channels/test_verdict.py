@@ -42,7 +42,7 @@ def test_a_whole_flight_is_complete() -> None:
         (
             (ROVER, BASE),
             {**SEEN, "feedback": 9},
-            "1 of 10 pictures are not among the reported by the autopilot",
+            "only 9 of 10 pictures were reported by the autopilot",
         ),
         (
             (ROVER, link("base", kind("1077", 7.5))),
@@ -52,6 +52,7 @@ def test_a_whole_flight_is_complete() -> None:
         ((ROVER, link("base", kind("1077"), damage=4_000)), SEEN, "4000 bytes belong to no valid frame"),
         ((ROVER,), SEEN, "PPK no (raw observations of rover only"),
         ((link("rover", kind("RXM-RAWX")), BASE), SEEN, "no satellite orbits"),
+        ((ROVER, link("base", kind("1077", 7.5), kind("1087", 9.0))), SEEN, "longest 7.5 s"),
         ((ROVER, BASE), {}, "exposures no (no time mark and no camera feedback)"),
     ],
 )

@@ -119,3 +119,9 @@ def test_what_cannot_be_analysed(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["check", "--variance", str(table)])
     assert isinstance(done.exception, InputMalformedError)
     assert "rmse_m" in str(done.exception)
+
+
+@pytest.mark.parametrize("values", [[2.0, 2.0, 2.0, 2.0], [1.0, np.nan, 2.0, 3.0]])
+def test_values_without_a_variance_are_refused(values: list[float]) -> None:
+    with pytest.raises(ConfigurationError, match=r"all values are equal|values are missing"):
+        analyse_variance({"set": ["a", "a", "b", "b"]}, np.array(values))

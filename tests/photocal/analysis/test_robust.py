@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from photocal.adjustment.adjusted import AdjustedNetwork, fit
+from photocal.adjustment.removed import least_standard_error
 from photocal.analysis.left_out import Checks
 from photocal.analysis.outcome import analyse_network
 from photocal.analysis.robust import apart, bootstrap, jackknife, sandwich
@@ -81,3 +82,11 @@ def test_of_images_that_cannot_be_left_out_the_others_tell_a_lower_bound() -> No
     sigma, whose = outcome.jackknife["sim"].largest("c", formal)
     assert whose == "at_least"
     assert sigma >= formal
+
+
+def test_without_two_known_removals_there_is_no_standard_error() -> None:
+    whole = np.array([[5.0, 1.0]])
+    assert np.isnan(least_standard_error(np.empty((0, 1, 2)), whole, 3)).all()
+    assert np.isnan(least_standard_error(whole[None], whole, 2)).all()
+    # One of three moves the first parameter by 3: at least sqrt(2 / 3 * 9).
+    assert least_standard_error(whole[None] + [3.0, 0.0], whole, 3)[0] == pytest.approx([6.0**0.5, 0.0])
