@@ -131,6 +131,8 @@ function rail() {
     );
   };
   const rail = document.getElementById("rail");
+  // Who goes by keys stays where they are: the link that had the focus is another one afterwards.
+  const focused = rail.contains(document.activeElement) ? document.activeElement.getAttribute("href") : undefined;
   rail.setAttribute("aria-label", say("desk.steps"));
   fill(
     rail,
@@ -143,6 +145,7 @@ function rail() {
       language === "en" ? "Português" : "English",
     ),
   );
+  if (focused !== undefined) rail.querySelector(focused ? `a[href="${focused}"]` : "button.language").focus();
 }
 
 function otherLanguage() {
