@@ -13,6 +13,8 @@ from photocal.adjustment.near import Removals
 from photocal.adjustment.network import ExteriorOrientations, Network, Points, Rays, Relations, point_weights
 from photocal.adjustment.score import followed_by, score
 from photocal.adjustment.snooping import snoop
+from photocal.base.compiled import AHEAD, FOLDER
+from photocal.base.operating_system import lock
 from photocal.geometry.camera import PARAMETERS, SHAKE_DEGREES, camera
 from photocal.geometry.distortion import distorted, undistorted
 
@@ -60,6 +62,13 @@ def compile_other_lenses() -> None:
     """Compile what lenses that are not Brown's need, and the test of a readout."""
     # Cameras without a rolling shutter share lenses of any model.
     adjust(replace(_network(), cameras=(camera("c", "rational", "mm", (100, 100), (0.1, 0.1), {"c": 20.0}),)))
+
+
+def compile_ahead() -> None:
+    """Do so, unless another process is at it."""
+    with (FOLDER / AHEAD).open("ab+") as taken:
+        if lock(taken):
+            compile_other_lenses()
 
 
 def compile_unusual() -> None:

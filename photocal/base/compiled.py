@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 
 from photocal.base.errors import OutputError, ProgramMissingError
 from photocal.base.extensions import LENSES, sources
-from photocal.base.operating_system import cache_folder, private_folder
+from photocal.base.operating_system import cache_folder, lock, private_folder
 
 PACKAGE = Path(__file__).resolve().parents[1]
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -70,6 +70,8 @@ def _cache_folder() -> Path:
 
 
 FOLDER = _cache_folder()
+# Locked by the process that compiles beside a command.
+AHEAD = "ahead"
 # As many as there are cores, or as the environment says.
 THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 
@@ -89,11 +91,18 @@ def compile_all() -> None:
 
 
 def compile_ahead() -> None:
-    """Where nothing was compiled yet, begin beside this process with what an adjustment needs last."""
-    if not any(FOLDER.rglob("*.nbi")):
-        part = "import photocal.adjustment.compile as part; part.compile_other_lenses()"
-        command, nowhere = [sys.executable, "-c", part], subprocess.DEVNULL
-        Thread(target=partial(subprocess.run, command, stdout=nowhere, stderr=nowhere), daemon=True).start()
+    """Where nothing was compiled yet, begin beside this process with what an adjustment needs last.
+
+    Of many commands that begin at once, one does; what it began goes on when that command ends.
+    """
+    if any(FOLDER.rglob("*.nbi")):
+        return
+    with (FOLDER / AHEAD).open("ab+") as taken:
+        if not lock(taken):
+            return
+    command = [sys.executable, "-c", "import photocal.adjustment.compile as part; part.compile_ahead()"]
+    nowhere = subprocess.DEVNULL
+    Thread(target=partial(subprocess.run, command, stdout=nowhere, stderr=nowhere), daemon=True).start()
 
 
 def compiled(function: Function) -> Function:

@@ -1,5 +1,6 @@
 """`photocal keys`, `sign`, `verify`: who signed a certificate, and whether its figures follow."""
 
+import datetime as dt
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -7,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from photocal.base.console import answer, argument, option, printable, progress
-from photocal.base.errors import InputMalformedError, InputNotFoundError, NotSignedError, UnknownSignerError
+from photocal.base.errors import (
+    ConfigurationError,
+    InputMalformedError,
+    InputNotFoundError,
+    NotSignedError,
+    UnknownSignerError,
+)
 
 if TYPE_CHECKING:
     from photocal.report.signing import Authenticity
@@ -19,6 +26,10 @@ if TYPE_CHECKING:
 def keys(
     new: Annotated[str | None, option("Make the key of this person or office.", metavar="NAME")] = None,
     passphrase: Annotated[str, option("Passphrase for the new key.", envvar="PHOTOCAL_PASSPHRASE")] = "",
+    expires: Annotated[
+        str | None,
+        option("Last day on which the new key signs; without, it does not expire.", metavar="YYYY-MM-DD"),
+    ] = None,
     journal: Annotated[bool, option("Check and list what was signed.", "--journal")] = False,
     file: Annotated[Path | None, option("Another journal.")] = None,
     as_json: Annotated[bool, option("Print as JSON.", "--json")] = False,
@@ -40,19 +51,31 @@ def keys(
         answer(as_json, lambda: entries, lambda: "\n".join(lines))
         return
     if new is not None:
-        new_key(new, passphrase)
+        try:
+            last_day = None if expires is None else dt.date.fromisoformat(expires)
+        except ValueError:
+            raise ConfigurationError(
+                f"{expires!r} is no day", "write YYYY-MM-DD", where="--expires"
+            ) from None
+        new_key(new, passphrase, last_day)
+    elif expires is not None:
+        raise ConfigurationError(
+            "a key ends on the day it was made with", "name a new key by --new", where="--expires"
+        )
     key, known, revoked = own_key(), known_keys(), revoked_keys()
     fingerprint, folder = "" if key is None else key.fingerprint, str(settings_folder())
     known_lines = [
-        f"{digits}  {quoted(name)}{'  (own)' * (digits == fingerprint)}"
+        f"{digits}  {quoted(of.name)}{'  (own)' * (digits == fingerprint)}"
+        + (f"  until {of.last_day}" if of.last_day else "")
         + (f"  {revoked[digits]}" if digits in revoked else "")
-        for digits, name in known.items()
+        for digits, of in known.items()
     ]
     answer(
         as_json,
         lambda: {
             "own": fingerprint or None,
-            "known": known,
+            "known": {digits: of.name for digits, of in known.items()},
+            "last_days": {digits: str(of.last_day) for digits, of in known.items() if of.last_day},
             "revoked": {digits: str(entry.day) for digits, entry in revoked.items()},
             "folder": folder,
         },
@@ -78,8 +101,6 @@ def sign(
 
     Example: `photocal sign certificate`
     """
-    import datetime as dt
-
     from photocal.report.issue import read_record
     from photocal.report.keys import quoted
     from photocal.report.signing import SIGNATURE
@@ -115,7 +136,7 @@ def verify(
         option("Block folder with the inputs; that carried by the certificate, or near it, if not given."),
     ] = None,
     keys: Annotated[
-        Path | None, option("List of keys, `FINGERPRINT NAME` each: one of them must have signed.")
+        Path | None, option("List of keys, `FINGERPRINT [LAST DAY] NAME` each: one of them must have signed.")
     ] = None,
     trust: Annotated[
         bool, option("Trust this key from now on, after you have compared its fingerprint.", "--trust")
@@ -138,7 +159,7 @@ def verify(
     the issuer.
 
     Exit code 0: reproducible, and signed by a known key. 11: reproducible, not signed. 12: reproducible, and
-    signed by a key that is not known here. 4: not as it was issued, or signed by a revoked key.
+    signed by a key that is not known here or has expired. 4: not as it was issued, or the key was revoked.
 
     A calibration that another program printed (a TOML file) has no inputs: it is checked against itself.
 
@@ -168,22 +189,24 @@ def verify(
         files += pages
     responsible = certified["particulars"].get("responsible", {})
     named_key = str(responsible.get("key", "")) if isinstance(responsible, dict) else ""
-    signed = authenticity(folder, named_key, known_keys(keys), revoked_keys(revoked))
+    when, wrong = _stamped(folder, authorities)
+    now = dt.datetime.now(dt.UTC)
+    existed = when.time if when is not None and when.verified else now
+    signed = authenticity(folder, named_key, known_keys(keys), revoked_keys(revoked), existed)
     problems = [*changed, *files, *(f"{d.place} is {d.found}, certified {d.certified}" for d in differences)]
     problems += findings.false if findings is not None else ()
     reproducible = not problems
     if trust and signed.trust == "unknown" and reproducible:
-        remember(signed.name, signed.fingerprint)
+        remember(signed.name, signed.fingerprint, signed.last_day)
         signed = replace(signed, trust="trusted")
     problems += signed.problems
     if signed.trust in ("changed", "revoked"):
         problems.append(f"{SIGNATURE}: {signed}")
-    when, wrong = _stamped(folder, authorities)
     problems += wrong
     if issued is not None:
         number, noted = certified["number"], signed.noted
         problems += against_journal(read_journal(issued), number, digest(folder / NAME), noted)
-    if keys is not None and signed.trust in ("unsigned", "unknown"):
+    if keys is not None and signed.trust in ("unsigned", "unknown", "expired"):
         problems.append(f"not authentic: {signed}")
     authentic = signed.trust == "trusted"
     say = catalogue("en")
@@ -262,6 +285,9 @@ def _refuse_unknown(signed: "Authenticity", certificate: Path) -> None:
         raise UnknownSignerError(
             f"reproducible, but {signed}", "or name a list of keys by --keys", where=certificate
         )
+    if signed.trust == "expired":
+        what, _, remedy = str(signed).partition(": ")
+        raise UnknownSignerError(f"reproducible, but {what}", remedy, where=certificate)
 
 
 def _repeat(

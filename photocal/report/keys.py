@@ -1,4 +1,4 @@
-"""Whose key it is: the own one, those that are known here, and those that were revoked."""
+"""Whose key it is and how long it signs: the own one, those known here, and those that were revoked."""
 
 import base64
 import datetime as dt
@@ -7,10 +7,10 @@ import json
 import os
 import re
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from photocal.base.checked_json import read_checked_json
 from photocal.base.console import printable
@@ -25,22 +25,31 @@ if TYPE_CHECKING:
 _PRIVATE, _OWN, _TRUSTED, _REVOKED = "key.pem", "key.json", "trusted_keys.txt", "revoked_keys.txt"
 _LONGEST = 100
 _FINGERPRINT = re.compile(r"(?:[0-9A-F]{4} ){9}[0-9A-F]{4}")
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
 # Alphabets whose letters look like those of another.
 _ALIKE = {"LATIN", "CYRILLIC", "GREEK", "ARMENIAN", "CHEROKEE", "COPTIC"}
 
 
 @dataclass(frozen=True)
 class Key:
-    """A public key: who uses it, its 32 bytes, and by what people compare it."""
+    """A public key: who uses it, its 32 bytes, the last day of its signatures, and its fingerprint."""
 
     name: str
     public: bytes
+    last_day: dt.date | None = None
 
     @property
     def fingerprint(self) -> str:
         """First 160 bits of its SHA-256, in groups of four digits."""
         digits = hashlib.sha256(self.public).hexdigest()[:40].upper()
         return " ".join(digits[k : k + 4] for k in range(0, 40, 4))
+
+
+class KnownKey(NamedTuple):
+    """What is known of another's key: its user's name, and the last day of its signatures."""
+
+    name: str
+    last_day: dt.date | None = None
 
 
 @dataclass(frozen=True)
@@ -64,6 +73,8 @@ def key_name(name: str) -> str:
     plain = plain_name(name)
     if len(plain) > _LONGEST:
         raise ValueError(f"has {len(plain)} characters, {_LONGEST} are allowed")
+    if _DAY.match(plain):
+        raise ValueError("begins with a day, which lists of keys read as its last one")
     for word in re.split(r"[\W\d_]+", plain):
         alphabets = {unicodedata.name(letter, "").partition(" ")[0] for letter in word} & _ALIKE
         if len(alphabets) > 1:
@@ -76,10 +87,12 @@ def quoted(name: str) -> str:
     return '"' + printable(name[:_LONGEST]).replace('"', "'") + '"'
 
 
-def new_key(name: str, passphrase: str = "") -> Key:
+def new_key(name: str, passphrase: str = "", last_day: dt.date | None = None) -> Key:
     """Make the key of this user; one that exists is never replaced.
 
-    raises ConfigurationError: for a name that is none, see `key_name`.
+    last_day: what it signs later is not believed; None for a key that does not expire.
+
+    raises ConfigurationError: for a name that is none, see `key_name`, or a day that has passed.
     raises OutputError: when there is a key, or it cannot be written.
     """
     from cryptography.hazmat.primitives import serialization
@@ -89,6 +102,8 @@ def new_key(name: str, passphrase: str = "") -> Key:
         name = key_name(name)
     except ValueError as wrong:
         raise ConfigurationError(f"the name {wrong}", "write it as people read it", where="--new") from None
+    if last_day is not None and last_day < dt.datetime.now(dt.UTC).date():
+        raise ConfigurationError(f"{last_day} has passed", "name a later day", where="--expires")
     path = private_folder(settings_folder()) / _PRIVATE
     if path.exists():
         raise OutputError("there is a key already", "keep it, or move it away yourself", where=path)
@@ -102,10 +117,11 @@ def new_key(name: str, passphrase: str = "") -> Key:
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "wb") as stream:
         stream.write(text)
-    key = Key(name, private.public_key().public_bytes_raw())
-    public = base64.b64encode(key.public).decode()
+    key = Key(name, private.public_key().public_bytes_raw(), last_day)
+    content = {"name": name, "public": base64.b64encode(key.public).decode()}
+    expires = {} if last_day is None else {"expires": last_day.isoformat()}
     with output_file(path.with_name(_OWN)) as aside:
-        aside.write_text(json.dumps({"name": name, "public": public}), encoding="utf-8")
+        aside.write_text(json.dumps(content | expires), encoding="utf-8")
     return key
 
 
@@ -116,11 +132,17 @@ def own_key() -> Key | None:
         return None
     content = read_object(path)
     try:
-        return Key(key_name(str(content["name"])), base64.b64decode(str(content["public"]), validate=True))
+        public = base64.b64decode(str(content["public"]), validate=True)
+        return Key(key_name(str(content["name"])), public, stated_last_day(content))
     except (KeyError, ValueError) as wrong:
         raise InputMalformedError(
-            f"is no key: name or key {wrong}", "correct the name, or restore the file", where=path
+            f"is no key: name, key or day {wrong}", "correct the name, or restore the file", where=path
         ) from None
+
+
+def stated_last_day(content: Mapping[str, Any]) -> dt.date | None:
+    """Read the last day of a key from a file of its own or a signature; raises ValueError for no day."""
+    return dt.date.fromisoformat(str(content["expires"])) if "expires" in content else None
 
 
 def private_key(passphrase: str) -> "Ed25519PrivateKey":
@@ -149,19 +171,28 @@ def private_key(passphrase: str) -> "Ed25519PrivateKey":
     return key
 
 
-def known_keys(path: Path | None = None) -> dict[str, str]:
-    """Read names by fingerprint, a line `FINGERPRINT NAME` each; without a file this user's."""
+def known_keys(path: Path | None = None) -> dict[str, KnownKey]:
+    """Read keys by fingerprint, a line `FINGERPRINT [LAST DAY] NAME` each; without a file this user's."""
     source = path or settings_folder() / _TRUSTED
-    own = {key.fingerprint: key.name for key in (own_key(),) if key and path is None}
+    own = {key.fingerprint: KnownKey(key.name, key.last_day) for key in (own_key(),) if key and path is None}
     if path is None and not source.is_file():
         return own
-    listed: dict[str, str] = {}
-    for where, fingerprint, name in _lines(source, "write ten groups of four, and the name"):
+    listed: dict[str, KnownKey] = {}
+    for where, fingerprint, rest in _lines(source, "write ten groups of four, and the name"):
         malformed = InputMalformedError.at(where)
         if fingerprint in listed:
             raise malformed("has a key that stands above already", "remove one of the two lines")
+        day, _, behind = rest.partition(" ")
+        dated = _DAY.fullmatch(day) is not None
+        name = behind.strip() if dated else rest
         try:
-            listed[fingerprint] = key_name(name) if name else ""
+            last_day = dt.date.fromisoformat(day) if dated else None
+        except ValueError:
+            raise malformed(
+                f"{day!r} is no day", "write YYYY-MM-DD behind the key, or the name alone"
+            ) from None
+        try:
+            listed[fingerprint] = KnownKey(key_name(name) if name else "", last_day)
         except ValueError as wrong:
             raise malformed(f"the name {wrong}", "ask the issuer, then remove the line") from None
     return own | listed
@@ -203,10 +234,10 @@ def _lines(source: Path, remedy: str) -> Iterator[tuple[str, str, str]]:
             yield f"{source}, line {number}", fingerprint, rest
 
 
-def trust(name: str, fingerprint: str) -> None:
+def trust(name: str, fingerprint: str, last_day: dt.date | None = None) -> None:
     """Remember a key, by one line more; a name that is known by another one is refused."""
     known, path = known_keys(), settings_folder() / _TRUSTED
-    if any(is_name_of(name, other) for key, other in known.items() if key != fingerprint):
+    if any(is_name_of(name, other.name) for key, other in known.items() if key != fingerprint):
         raise ConfigurationError(
             f"{quoted(name)} is known by another key",
             "ask the issuer, then remove the old line yourself",
@@ -217,7 +248,8 @@ def trust(name: str, fingerprint: str) -> None:
     private_folder(settings_folder())
     before = path.read_text(encoding="utf-8").rstrip("\n") if path.is_file() else ""
     with output_file(path) as aside:
-        lines = [*([before] if before else []), f"{fingerprint} {key_name(name)}"]
+        until = "" if last_day is None else f"{last_day} "
+        lines = [*([before] if before else []), f"{fingerprint} {until}{key_name(name)}"]
         aside.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 

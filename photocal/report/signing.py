@@ -18,6 +18,7 @@ from photocal.base.operating_system import settings_folder
 from photocal.report.journal import note
 from photocal.report.keys import (
     Key,
+    KnownKey,
     Revocation,
     is_name_of,
     key_name,
@@ -26,6 +27,7 @@ from photocal.report.keys import (
     quoted,
     read_object,
     revoked_keys,
+    stated_last_day,
 )
 from photocal.report.timestamp import STAMP
 
@@ -33,7 +35,7 @@ SIGNATURE = "signature.json"
 SCHEMA = "photocal.signature/1"
 _LINK = "a link"
 
-Trust = Literal["unsigned", "forged", "unknown", "changed", "revoked", "trusted"]
+Trust = Literal["unsigned", "forged", "unknown", "changed", "revoked", "expired", "trusted"]
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class Authenticity:
     problems: tuple[str, ...] = ()
     noted: Mapping[str, Any] = field(default_factory=dict)
     revoked: Revocation | None = None
+    last_day: dt.date | None = None
 
     def __str__(self) -> str:
         """Say it in a sentence: the key first, and the name between quotes."""
@@ -56,6 +59,8 @@ class Authenticity:
             "unknown": f"{signed}, not known here: compare the key with the issuer, then add --trust",
             "changed": f"{signed}, but this name is known by another key",
             "revoked": f"{signed}, but the key was {self.revoked}",
+            "expired": f"{signed}, but the key expired on {self.last_day}, and nothing proves that it signed "
+            "before: ask the issuer for a signature with a time stamp, and name its root by --authorities",
             "trusted": f"{signed}, which is known",
         }[self.trust]
 
@@ -71,8 +76,8 @@ class Signed:
 def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> Signed:
     """Sign a certificate's folder as it lies there and note it in the journal.
 
-    raises PhotocalError: without a key, with one that others can read or that was revoked, with a wrong
-        passphrase, when the folder has links, or when the journal is not whole.
+    raises PhotocalError: without a key, with one that others can read, has expired or was revoked, with a
+        wrong passphrase, when the folder has links, or when the journal is not whole.
     """
     key, private = own_key(), private_key(passphrase)
     if key is None or private.public_key().public_bytes_raw() != key.public:
@@ -82,6 +87,12 @@ def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> S
     if revocation := revoked_keys().get(key.fingerprint):
         raise ConfigurationError(
             f"the own key was {revocation}",
+            "move its two files away, then make another",
+            where=key.fingerprint,
+        )
+    if key.last_day is not None and key.last_day < now.astimezone(dt.UTC).date():
+        raise ConfigurationError(
+            f"the own key expired on {key.last_day}",
             "move its two files away, then make another",
             where=key.fingerprint,
         )
@@ -95,6 +106,7 @@ def sign(folder: Path, number: str, now: dt.datetime, passphrase: str = "") -> S
         "name": key.name,
         "public_key": _text(key.public),
         "fingerprint": key.fingerprint,
+        **({} if key.last_day is None else {"expires": key.last_day.isoformat()}),
         "signed": now.isoformat(timespec="seconds"),
         "journal": {"entry": entry["entry"], "previous": entry["previous"]},
         "files": files,
@@ -118,12 +130,17 @@ def manifest(folder: Path) -> dict[str, str]:
 
 
 def authenticity(
-    folder: Path, named: str, known: Mapping[str, str], revoked: Mapping[str, Revocation] | None = None
+    folder: Path,
+    named: str,
+    known: Mapping[str, KnownKey],
+    revoked: Mapping[str, Revocation],
+    existed: dt.datetime,
 ) -> Authenticity:
     """Judge the signature of a certificate.
 
-    known: names by the fingerprints of known keys.
+    known: keys that are known, by fingerprint.
     revoked: by fingerprint; it goes before what is known.
+    existed: when the signature is proved to have existed, by a verified time stamp; without one, now.
     """
     path = folder / SIGNATURE
     if path.is_symlink() or not path.is_file():
@@ -140,11 +157,17 @@ def authenticity(
     said = Authenticity("forged", key.name, key.fingerprint, tuple(problems), noted)
     if problems:
         return said
-    if key.fingerprint in (revoked or {}):
-        return replace(said, trust="revoked", revoked=(revoked or {})[key.fingerprint])
-    if key.fingerprint in known:
-        return replace(said, trust="trusted", name=known[key.fingerprint] or key.name)
-    taken = any(is_name_of(key.name, name) for name in known.values())
+    # What is known here goes before what the signature says of its own key, wherever it ends earlier.
+    here = known.get(key.fingerprint)
+    last_day = min((day for day in (key.last_day, here and here.last_day) if day), default=None)
+    said = replace(said, last_day=last_day)
+    if key.fingerprint in revoked:
+        return replace(said, trust="revoked", revoked=revoked[key.fingerprint])
+    if last_day is not None and last_day < existed.astimezone(dt.UTC).date():
+        return replace(said, trust="expired")
+    if here is not None:
+        return replace(said, trust="trusted", name=here.name or key.name)
+    taken = any(is_name_of(key.name, other.name) for other in known.values())
     return replace(said, trust="changed" if taken else "unknown")
 
 
@@ -153,7 +176,8 @@ def _opened(content: dict[str, Any]) -> tuple[Key, dict[str, Any]]:
     if content.get("schema") != SCHEMA:
         raise ValueError(f"schema is {content.get('schema')!r}")
     base64.b64decode(str(content["signature"]), validate=True)
-    key = Key(str(content["name"]), base64.b64decode(str(content["public_key"]), validate=True))
+    public = base64.b64decode(str(content["public_key"]), validate=True)
+    key = Key(str(content["name"]), public, stated_last_day(content))
     if len(key.public) != 32:
         raise ValueError(f"the key has {len(key.public)} bytes")
     return key, dict(content["files"])

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from photocal.base import compiled
+from photocal.base.operating_system import lock
 
 
 def test_every_room_with_kernels_decides_over_what_is_kept(
@@ -46,6 +47,12 @@ def test_what_comes_last_is_compiled_beside_where_nothing_was_compiled_yet(
     compile(command[2], "part", "exec")
     module, _, function = command[2].partition("; ")[0].split()[1].rpartition(".")
     assert hasattr(__import__(f"{module}.{function}", fromlist=["part"]), command[2].split("part.")[1][:-2])
+    # Commands that begin meanwhile leave it to that process.
+    with (tmp_path / compiled.AHEAD).open("ab+") as taken:
+        assert lock(taken)
+        compiled.compile_ahead()
+        with pytest.raises(Empty):
+            begun.get(timeout=0.2)
     (tmp_path / "kernels").mkdir()
     (tmp_path / "kernels" / "one.nbi").touch()
     compiled.compile_ahead()

@@ -1,15 +1,18 @@
-"""Runs to certify."""
+"""Runs to certify, and a clock."""
 
 from __future__ import annotations
 
 import datetime as dt
 import importlib.util
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
+import photocal.commands.verify
+import photocal.report.keys
 from photocal.findings.document import Document
 from photocal.findings.texts import catalogue
 from photocal.report.certificate import certificate
@@ -71,3 +74,21 @@ def document(request: pytest.FixtureRequest, invented_run: AnalysedRun) -> Docum
     """The certificate of the invented run in each language."""
     particulars = read_particulars(None, DAY, client="Client <b>&</b> Sons", operator="Laboratório")
     return certificate(invented_run, particulars, catalogue(request.param))
+
+
+@pytest.fixture
+def on_day(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Let the program's clock stand at noon of a day."""
+
+    def go(day: str) -> None:
+        noon = dt.datetime.fromisoformat(f"{day}T12:00:00+00:00")
+
+        class Clock(dt.datetime):
+            @classmethod
+            def now(cls, tz: dt.tzinfo | None = None) -> dt.datetime:  # type: ignore[override]
+                return noon.astimezone(tz)
+
+        for module in (photocal.commands.verify, photocal.report.keys):
+            monkeypatch.setattr(module, "dt", SimpleNamespace(**{**vars(dt), "datetime": Clock}))
+
+    return go

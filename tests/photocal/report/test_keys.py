@@ -204,6 +204,47 @@ def test_exit_codes_of_unsigned_unknown_known_and_revoked(
     assert photocal("verify", folder).code == 4  # the certificate names a key and is not signed by it
 
 
+def test_a_key_ends_on_its_last_day(
+    run: Path,
+    tmp_path: Path,
+    as_user: Callable[[str], Path],
+    photocal: Photocal,
+    on_day: Callable[[str], None],
+) -> None:
+    """Its signatures expire with it, also where the thief of a key leaves its day away."""
+    on_day("2026-11-27")
+    office = as_user("office")
+    for wrong in ("2026-11-26", "31.12.2026"):
+        assert photocal("keys", "--new", BIG, "--expires", wrong).code == 5
+    assert photocal("keys", "--expires", "2026-12-31").code == 5
+    assert photocal("keys", "--new", BIG, "--expires", "2026-12-31").code == 0
+    folder = tmp_path / "certified"
+    assert photocal("certificate", run, "-o", folder, "--block", DEMO).code == 0
+    assert photocal("sign", folder).code == 0
+    client = as_user("client")
+    assert photocal("verify", folder, "--trust").code == 0
+    assert " 2026-12-31 " in (client / "trusted_keys.txt").read_text(encoding="utf-8")
+    on_day("2026-12-31")
+    assert photocal("verify", folder).code == 0
+    on_day("2027-01-01")
+    answer = photocal("verify", folder)
+    assert answer.code == 12
+    assert "expired on 2026-12-31" in answer.err
+    # Who still has the key leaves the day away, and signs: the client knows better.
+    content = json.loads((folder / "signature.json").read_text(encoding="utf-8"))
+    del content["expires"]
+    (folder / "signature.json").write_text(json.dumps(content), encoding="utf-8")
+    sign_again(office, folder)
+    assert photocal("verify", folder).code == 12
+    # A stranger who never knew the key does not come to know it so.
+    as_user("stranger")
+    assert photocal("verify", folder, "--trust").code == 0
+    as_user("office")
+    answer = photocal("sign", folder)
+    assert answer.code == 5
+    assert "the own key expired on 2026-12-31" in answer.err
+
+
 def test_an_unsigned_certificate_has_a_code_of_its_own(
     run: Path, tmp_path: Path, as_user: Callable[[str], Path], photocal: Photocal
 ) -> None:

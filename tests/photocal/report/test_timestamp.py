@@ -7,7 +7,7 @@ import json
 import shutil
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -236,3 +236,25 @@ def test_a_certificate_is_signed_stamped_and_verified(
     key.chmod(0o600)
     assert said("sign", folder).code == 0
     assert not (folder / STAMP).exists()
+
+
+def test_a_stamp_keeps_what_a_key_signed_before_it_expired(
+    authority: Authority,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    photocal: Callable[..., Answer],
+    on_day: Callable[[str], None],
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
+    run, folder = tmp_path / "run", tmp_path / "certificate"
+    adjust_block(DEMO, run)
+    tomorrow = dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1)
+    assert photocal("keys", "--new", "Laboratory", "--expires", tomorrow.isoformat()).code == 0
+    assert photocal("certificate", run, "-o", folder, "--block", DEMO, "--date", "2026-11-21").code == 0
+    assert photocal("sign", folder, "--time-stamp", authority.address).code == 0
+    on_day((tomorrow + dt.timedelta(days=400)).isoformat())
+    assert photocal("verify", folder, "--authorities", authority.root).code == 0
+    # Whose time nobody has verified proves nothing.
+    assert photocal("verify", folder).code == 12
+    (folder / STAMP).unlink()
+    assert photocal("verify", folder, "--authorities", authority.root).code == 12
