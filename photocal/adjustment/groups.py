@@ -15,8 +15,6 @@ from photocal.base.arrays import Flags, Floats, Integers
 
 CONTROL = ("control-X", "control-Y", "control-Z")
 RAYS = ("image-tie", "image-control")
-# Of a coordinate's variance, what no other observation checks is not tested.
-CHECKED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -158,8 +156,10 @@ def _members(
     kind: str, index: Integers, residual: Floats, taken: Floats, root: Floats, observed: Flags
 ) -> list[Member]:
     """Test whitened residuals, computed less observed, whose adjusted values have the covariances `taken`."""
+    # Of a coordinate's variance, what no other observation checks is not tested.
+    checked_share = 1e-6
     left, axes = np.linalg.eigh(np.eye(3) - (taken + np.swapaxes(taken, 1, 2)) / 2.0)
-    checked = left > CHECKED
+    checked = left > checked_share
     axes = axes * checked[:, None, :]
     share = np.divide(1.0, left, out=np.zeros_like(left), where=checked)
     along, whole = np.einsum("nab,na->nb", axes, residual), root @ axes
@@ -167,7 +167,7 @@ def _members(
     # What is not checked in one direction is not known in any that has part in it.
     magnitude = np.abs(root) * observed[:, :, None]
     unchecked = np.abs(root - whole @ np.swapaxes(axes, 1, 2)).max(axis=2)
-    known = observed & (unchecked < CHECKED * magnitude.max(axis=(1, 2))[:, None])
+    known = observed & (unchecked < checked_share * magnitude.max(axis=(1, 2))[:, None])
     covariance = (whole * share[:, None, :]) @ np.swapaxes(whole, 1, 2)
     covariance[~(known[:, :, None] & known[:, None, :])] = np.inf
     statistic, dimensions = np.sum(along**2 * share, axis=1), checked.sum(axis=1)

@@ -14,7 +14,6 @@ from photocal.findings.finding import Finding
 Triple = tuple[float, float, float]
 
 FOCAL_TOLERANCE = 0.10
-SENSOR_TOLERANCE = 0.05
 PRIOR_SHARE = 0.95
 RADIAL = ("K1", "K2", "K3", "K4")
 
@@ -166,9 +165,11 @@ def _format(record: CalibrationRecord) -> list[Finding]:
 
 
 def _fits(sensor: tuple[float, ...], width: float, height: float) -> bool:
+    # Makers round the sides of a sensor to a tenth of a millimetre.
+    sensor_tolerance = 0.05
     if len(sensor) > 1:
-        return _close(width, sensor[0], SENSOR_TOLERANCE) and _close(height, sensor[1], SENSOR_TOLERANCE)
-    return any(_close(side, sensor[0], SENSOR_TOLERANCE) for side in (width, height, np.hypot(width, height)))
+        return _close(width, sensor[0], sensor_tolerance) and _close(height, sensor[1], sensor_tolerance)
+    return any(_close(side, sensor[0], sensor_tolerance) for side in (width, height, np.hypot(width, height)))
 
 
 def _folding(record: CalibrationRecord) -> list[Finding]:

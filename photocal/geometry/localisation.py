@@ -16,7 +16,6 @@ from photocal.base.errors import IllPosedError
 
 # A plane through heights wants a point more than it has parameters, and width against its length.
 _FEWEST_FOR_TILT, _LINE = 4, 0.02
-_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -173,11 +172,13 @@ def _fitted(
     start: Floats, free: Flags, given: Floats, sigma: Floats | None, used: Flags,
 ) -> FittedPart:  # fmt: skip
     """Fit by least squares; tests by what the other points say of each."""
+    # It settles in a few rounds.
+    rounds = 20
     k = given.shape[1]
     deviation = np.ones((int(used.sum()), k)) if sigma is None else np.maximum(sigma[used], 1e-6)
     weight = 1.0 / deviation.ravel()
     parameters = start.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         residual = (model(parameters).reshape(given.shape)[used] - given[used]).ravel()
         design = derivative(parameters)[used].reshape(len(residual), -1)[:, free]
         step, *_ = np.linalg.lstsq(design * weight[:, None], -residual * weight, rcond=None)

@@ -19,8 +19,6 @@ from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.geometry.rotation import skew
 
-# Of a shift, what no other unknown takes up, squared: less is not determined.
-LEFT = 1e-4
 # Less of a column than this, beside the exterior orientation, is not determined.
 INDEPENDENT = 1e-2
 # So many images are adjusted with a scale and a principal point of their own.
@@ -73,7 +71,9 @@ def position_shift(fit: AdjustedNetwork) -> PositionShift | None:
 
 def _determined(fields: Floats, information: Floats) -> bool:
     """Whether something of shifts along whitened fields is left beside all other unknowns."""
-    return bool(np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] >= LEFT)
+    # Of a shift, what no other unknown takes up, squared: less is not determined.
+    least_left = 1e-4
+    return bool(np.linalg.eigvalsh(np.linalg.solve(fields.T @ fields, information))[0] >= least_left)
 
 
 def _estimated(information: Floats, slope: Floats, group: Group) -> tuple[Floats, Floats, float, float]:
