@@ -8,9 +8,9 @@ import numpy as np
 from scipy import special
 from scipy.optimize import brentq
 
-from photocal.base import policy
 from photocal.base.arrays import Floats
 from photocal.base.errors import ConfigurationError, IllPosedError, InputMalformedError
+from photocal.base.policy import policy
 
 # The approximation of Royston 1995 (AS R94) holds for these numbers of points.
 SHAPIRO_WILK_SAMPLES = range(3, 5001)
@@ -79,7 +79,7 @@ def moments(values_m: Floats) -> Moments:
 def spread(values_m: Floats) -> Spread:
     """Compute extremes, median and the robust standard deviation of one component."""
     median = float(np.median(values_m))
-    nmad = policy.MAD_TO_SIGMA * float(np.median(np.abs(values_m - median)))
+    nmad = policy.mad_to_sigma * float(np.median(np.abs(values_m - median)))
     return Spread(float(np.min(values_m)), float(np.max(values_m)), median, nmad)
 
 
@@ -310,7 +310,7 @@ def _require_level(confidence: float) -> None:
 
 def outliers(values_m: Floats, confidence: float) -> tuple[int, ...]:
     """Find the values that do not belong to the normal distribution of the others."""
-    if len(values_m) < policy.SMALLEST_SAMPLE:
+    if len(values_m) < policy.smallest_sample:
         return ()
     rows = np.arange(len(values_m))
     removed: list[int] = []

@@ -10,8 +10,8 @@ from photocal.adjustment.factored import Factored
 from photocal.adjustment.network import Network
 from photocal.adjustment.normal import other_equations
 from photocal.adjustment.solution import Group, Solution
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.policy import policy
 
 CONTROL = ("control-X", "control-Y", "control-Z")
 RAYS = ("image-tie", "image-control")
@@ -53,13 +53,13 @@ def group_tests(network: Network, solution: Solution) -> tuple[GroupTest, ...]:
 
 
 def _has(group: Group) -> bool:
-    return group.redundancy >= policy.FEWEST_REDUNDANT and group.chi_squared > 0.0
+    return group.redundancy >= policy.fewest_redundant and group.chi_squared > 0.0
 
 
 def tested(group: Group) -> GroupTest:
     """Test one group."""
     chi, r = group.chi_squared, group.redundancy
-    tail = (1.0 - policy.CONFIDENCE) / 2.0
+    tail = (1.0 - policy.confidence) / 2.0
     lower, upper = (float(np.sqrt(chi / special.chdtri(r, p))) for p in (tail, 1.0 - tail))
     p_value = 2.0 * min(float(special.chdtr(r, chi)), float(special.chdtrc(r, chi)))
     gain = chi - r - r * float(np.log(chi / r))

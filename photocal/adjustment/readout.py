@@ -18,8 +18,8 @@ from photocal.adjustment.shake import with_shake
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration
 from photocal.adjustment.state import head_values
-from photocal.base import policy
 from photocal.base.errors import IllPosedError, NotConvergedError
+from photocal.base.policy import policy
 from photocal.geometry.camera import PARAMETERS, Camera, ReadoutDirection, among
 
 Report = Callable[[Iteration], None]
@@ -72,14 +72,14 @@ def with_readouts(
         if doubtful and network.exposures.motion is not None:
             freed = {k: _freed(network.cameras[k]) for k in doubtful}
             tests = _tested(_with(network, freed), solution, doubtful)
-            rolling = [k for k, test in tests.items() if test.p_value < policy.SIGNIFICANCE]
+            rolling = [k for k, test in tests.items() if test.p_value < policy.significance]
             beside = {k: with_loose_sides(freed[k]) for k in rolling}
             tests |= _tested(_with(network, beside), solution, rolling) if rolling else {}
             # The test tells the readout well enough for the sigmas of gusts to begin with.
             known = {
                 k: _forward(freed[k].changed(readout=test.value))
                 for k, test in tests.items()
-                if test.p_value < policy.SIGNIFICANCE
+                if test.p_value < policy.significance
             }
         network, solution = _settled(_with(network, known), solution, report, changed=bool(known))
         # Free to move as much as such a readout lets them, the images must still bear it.
@@ -217,7 +217,7 @@ def rolls_whatever_the_lens(network: Network, solution: Solution) -> bool:
         tests = _tested(_with(network, doubtful), solution, list(doubtful))
     except IllPosedError:
         return False
-    return any(test.p_value < policy.SIGNIFICANCE for test in tests.values())
+    return any(test.p_value < policy.significance for test in tests.values())
 
 
 def left_by_movement(network: Network, solution: Solution) -> float:

@@ -23,9 +23,9 @@ from photocal.adjustment.normal import Problem, normal_equations, other_equation
 from photocal.adjustment.solution import Solution
 from photocal.adjustment.solver import Iteration, minimise, moved_by, reduced_step
 from photocal.adjustment.state import State, start_state
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
 from photocal.base.errors import NotConvergedError
+from photocal.base.policy import policy
 
 Test = Literal["w", "tau"]
 
@@ -164,7 +164,7 @@ def worst_of_points(network: Network, solution: Solution, test: Test) -> Integer
 
 def significance_of(tests: int) -> float:
     """Probability of rejecting one good observation when so many are tested."""
-    return min(policy.SIGNIFICANCE, 1.0 / max(tests, 1))
+    return min(policy.significance, 1.0 / max(tests, 1))
 
 
 def critical_value(degrees_of_freedom: int, test: Test, significance: float) -> float:

@@ -13,9 +13,9 @@ from photocal.adjustment.network import NO_RELATIONS
 from photocal.adjustment.removed import NEAR, state_without
 from photocal.adjustment.state import State
 from photocal.analysis.left_out import Checks
-from photocal.base import policy
 from photocal.base.arrays import Flags, Integers
 from photocal.base.errors import IllPosedError, InputMalformedError, NotConvergedError
+from photocal.base.policy import policy
 from photocal.findings.finding import Figure, Finding, Size
 from photocal.geometry.camera import MODELS, PARAMETERS, Camera, Model, among
 from photocal.geometry.conversion import converted
@@ -90,7 +90,7 @@ def better_lens(fits: tuple[LensFit, ...]) -> LensFit | None:
     best = min((lens.left_out for lens in better), default=np.inf)
     alike = [lens for lens in better if lens.left_out < (1 + SHARE) * best]
     least = min((_akaike(lens) for lens in alike), default=np.inf)
-    nearly = [lens for lens in alike if _akaike(lens) <= least + policy.ALIKE_MODELS]
+    nearly = [lens for lens in alike if _akaike(lens) <= least + policy.alike_models]
     return min(nearly, key=lambda lens: list(MODELS).index(lens.model), default=None)
 
 

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from photocal.analysis.correlation import correlation_findings
-from photocal.base import policy
 from photocal.base.arrays import Floats
+from photocal.base.policy import policy
 from photocal.findings.finding import Finding
 
 Triple = tuple[float, float, float]
@@ -100,7 +100,7 @@ def plausibility(record: CalibrationRecord) -> tuple[Finding, ...]:
         *(
             Finding("not_significant", "note", name, {"t": value / sigma})
             for name, value in record.values.items()
-            if name != "c" and abs(value) < policy.TIMES_95 * (sigma := record.sigmas.get(name, 0.0))
+            if name != "c" and abs(value) < policy.times_95 * (sigma := record.sigmas.get(name, 0.0))
         ),
         *(
             Finding("only_its_prior", "doubtful", name, {"sigma": record.sigmas[name], "prior_sigma": prior})
@@ -231,7 +231,7 @@ def _base(record: CalibrationRecord) -> list[Finding]:
 def _weakness(record: CalibrationRecord) -> list[Finding]:
     """Find a principal distance that the network hardly tells from the distance of the object."""
     share = record.sigmas.get("c", 0.0) / record.values["c"]
-    if share <= policy.WEAK_C:
+    if share <= policy.weak_c:
         return []
     figures = {"percent": 100.0 * share}
     if record.convergence_deg is None or record.depth_spread is None:
@@ -255,5 +255,5 @@ def _offsets(name: str, offsets: Offsets | None) -> list[Finding]:
     return [
         Finding("not_significant", "note", f"{name}_{axis}", {"t": value / sigma})
         for axis, value, sigma in zip("XYZ", offsets.values, offsets.sigmas, strict=True)
-        if sigma > 0.0 and abs(value) < policy.TIMES_95 * sigma
+        if sigma > 0.0 and abs(value) < policy.times_95 * sigma
     ]

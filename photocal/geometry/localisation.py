@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats
 from photocal.base.errors import IllPosedError
+from photocal.base.policy import policy
 
 # A plane through heights wants a point more than it has parameters, and width against its length.
 _FEWEST_FOR_TILT, _LINE = 4, 0.02
@@ -55,7 +55,7 @@ class FittedPart:
     def doubtful(self) -> Flags:
         """Points that do not fit the others, shape (n,); the family of tests alarms once in 200 cases."""
         checked = np.isfinite(self.probability)
-        limit = policy.FAMILY_SIGNIFICANCE / max(int(checked.sum()), 1)
+        limit = policy.family_significance / max(int(checked.sum()), 1)
         return np.asarray(checked & (np.nan_to_num(self.probability, nan=1.0) < limit))
 
 

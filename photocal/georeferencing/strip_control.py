@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
+from photocal.base.policy import policy
 from photocal.block.model import Block
 from photocal.block.motion import lines_of_places
 from photocal.findings.finding import Finding
@@ -35,7 +35,7 @@ def strip_findings(block: Block, exposures: Floats) -> tuple[Finding, ...]:
     # Shorter ones are turns.
     fewest_images = 3
     stated = block.images.sigma[:, 3:5]
-    held = len(block.positions.image) > 0 or (np.isfinite(stated) & (stated < policy.COARSE_M)).any()
+    held = len(block.positions.image) > 0 or (np.isfinite(stated) & (stated < policy.coarse_m)).any()
     known = np.flatnonzero(np.isfinite(exposures).all(axis=1))
     if held or len(block.cameras) > 1 or len(known) < 2 * fewest_images:
         return ()

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import label
 
-from photocal.base import policy
 from photocal.base.arrays import Flags, Floats, Integers
+from photocal.base.policy import policy
 from photocal.navigation.engine_output import FIXED, FLOAT, EngineSolution
 from photocal.navigation.time import GpsTime
 
@@ -120,7 +120,7 @@ def _velocity(time: GpsTime, here: Floats, fixed: Flags, code: EngineSolution) -
     error = (step / seconds[:, None])[pair]
     if len(error) < 2 * _SHORT_RUN:
         return velocity, 0.1
-    return velocity, max(float(policy.MAD_TO_SIGMA * np.median(np.abs(error)) * np.sqrt(2.0)), 0.02)
+    return velocity, max(float(policy.mad_to_sigma * np.median(np.abs(error)) * np.sqrt(2.0)), 0.02)
 
 
 def _steps(time: GpsTime, here: Floats, fixed: Flags, velocity: Floats) -> tuple[Floats, Floats, Flags]:

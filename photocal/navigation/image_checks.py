@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from photocal.base import policy
 from photocal.base.arrays import Floats, Integers
 from photocal.base.errors import PhotocalError
+from photocal.base.policy import policy
 from photocal.base.progress import Progress
 from photocal.block.table import read_wider_table
 from photocal.findings.finding import Finding, untested
@@ -178,7 +178,7 @@ def boresight_check(exposures: Exposures, oriented: OrientedImages, rig: CameraO
     recorded = orientations(exposures, rig).rotation[rows]
     turn = Rotation.from_matrix(upright @ np.swapaxes(recorded, 1, 2)).as_rotvec()
     value = np.median(turn, axis=0)
-    spread = policy.MAD_TO_SIGMA * np.median(np.abs(turn - value), axis=0)
+    spread = policy.mad_to_sigma * np.median(np.abs(turn - value), axis=0)
     # The median of n normal values has pi / 2 times the variance of their mean; neighbours err alike.
     sigma = spread * np.sqrt(np.pi / 2 / len(rows) * _inflation(turn - value))
     stated = np.radians(ROUGH_DEG) if rig.angle_sigma is None else float(np.max(rig.angle_sigma))
